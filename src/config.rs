@@ -1,5 +1,5 @@
-//! The configuration: TOML layers merged into each module's own settings, and where each value
-//! came from.
+//! The configuration: TOML layers merged into each module's own settings, with the origin of each
+//! value.
 
 mod check;
 mod settings;
@@ -18,7 +18,7 @@ pub use self::settings::{FormSetting, LinkSettings, Settings, SigningSettings};
 /// Version of the configuration's schema.
 pub const SCHEMA_VERSION: u32 = 1;
 
-/// Where a value came from.
+/// Where a value came from; its display names the layer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
     /// Built in.
@@ -42,15 +42,15 @@ impl fmt::Display for Origin {
     }
 }
 
-/// Why a configuration is refused.
+/// Why a configuration is rejected.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// A file that was asked for cannot be read.
+    /// The requested file cannot be read.
     #[error("configuration {path}: {source}")]
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The system's reason.
         source: std::io::Error,
     },
     /// A layer does not follow the schema.
@@ -58,37 +58,37 @@ pub enum ConfigError {
     Schema {
         /// The layer.
         origin: Origin,
-        /// What was found and where.
+        /// What was found, and where.
         message: String,
     },
-    /// The file is of another schema.
+    /// The file has a different schema version.
     #[error(
         "configuration from {origin}: schema_version: expected {SCHEMA_VERSION}, found {found}"
     )]
     Version {
         /// The layer.
         origin: Origin,
-        /// The version there.
+        /// The version in the file.
         found: u32,
     },
-    /// A variable is not text.
+    /// A variable is not UTF-8 text.
     #[error("configuration from {origin}: expected UTF-8 text, found {found:?}")]
     NotText {
         /// The variable.
         origin: Origin,
-        /// What is there.
+        /// The variable's value.
         found: OsString,
     },
-    /// A value with which no flight is possible.
+    /// A value that makes a flight impossible.
     #[error("configuration from {origin}: {setting}: expected {expected}, found {found:?}")]
     Impossible {
-        /// The layer that set it, or what it contradicts.
+        /// The layer that set it; where that is the default, the one that set what it contradicts.
         origin: Origin,
         /// The setting.
         setting: &'static str,
-        /// What would be right.
+        /// What would be valid.
         expected: String,
-        /// What is there.
+        /// The value found.
         found: f64,
     },
 }
@@ -102,18 +102,18 @@ pub struct Config {
     origins: BTreeMap<String, Origin>,
 }
 
-/// What `[offboard]` was called before: layers of that name are still read.
+/// The former name of `[offboard]`, which is still read.
 const OFFBOARD_ONCE: &str = "pilot";
 
 /// Prefix of the environment variables: `DOWNWASH_CONTROL__RATE_HZ` sets `control.rate_hz`.
 const ENVIRONMENT_PREFIX: &str = "DOWNWASH_";
 
-/// Holds the signing key, where it is in no file.
+/// Contains the signing key, where no file does.
 pub const SIGNING_KEY_VARIABLE: &str = "DOWNWASH_SIGNING_KEY";
 
-/// Variables of that prefix that are not configuration: the tests', the benchmarks' and the build's.
+/// Variables with that prefix that are not settings: those of tests, benchmarks and the build.
 const NOT_SETTINGS: [&str; 9] = [
-    // A secret, which no list of settings shows.
+    // A secret, which no list of settings may show.
     SIGNING_KEY_VARIABLE,
     "DOWNWASH_PRACTICE",
     "DOWNWASH_SHARED",
@@ -126,12 +126,12 @@ const NOT_SETTINGS: [&str; 9] = [
 ];
 
 impl Config {
-    /// Merges, later over earlier: defaults, the system's file, the user's file, `file`, the
-    /// environment, and the flags, given as dotted paths with values.
+    /// Merges the layers, later over earlier: defaults, the system's file, the user's file, `file`,
+    /// the environment, and the flags, given as dotted paths with values.
     ///
     /// # Errors
-    /// [`ConfigError`] names the layer that is wrong. The system's and the user's file may be
-    /// missing, `file` may not. Variables of other names may have any value.
+    /// [`ConfigError`] names the faulty layer. The system's and the user's file may be missing,
+    /// `file` may not. Variables without the prefix may have any value.
     pub fn load(
         file: Option<&Path>,
         environment: impl Iterator<Item = (OsString, OsString)>,
@@ -149,7 +149,7 @@ impl Config {
             config.merge_file(path)?;
         }
         for (name, text) in environment {
-            // What is replaced in a name that is not UTF-8 makes it an unknown setting.
+            // Characters replaced in a name that is not UTF-8 make it an unknown setting.
             let name = name.to_string_lossy().into_owned();
             let Some(path) = name.strip_prefix(ENVIRONMENT_PREFIX) else { continue };
             if NOT_SETTINGS.contains(&name.as_str()) {
@@ -160,22 +160,22 @@ impl Config {
                 origin: Origin::Environment(name.clone()),
                 found,
             })?;
-            // A number or boolean where it reads as one, else a string.
+            // A number or boolean where the text parses as one, else a string.
             let value = text.parse::<Value>().unwrap_or_else(|_| Value::String(text.clone()));
             config.merge(nested(&path, value), &Origin::Environment(name))?;
         }
         for (flag, path, value) in flags {
             config.merge(nested(path, value), &Origin::Flag(flag))?;
         }
-        // Last, because limits of one layer can fit those of another.
+        // Last, because a limit in one layer may depend on one in another.
         config.check()?;
         Ok(config)
     }
 
-    /// The built-in values.
+    /// The default values.
     pub fn defaults() -> Self {
         let settings = Settings::default();
-        // A struct of plain values always is a table.
+        // A struct of plain values is always a table.
         let merged = Table::try_from(&settings).unwrap_or_default();
         let mut origins = BTreeMap::new();
         for (path, _) in leaves("", &merged) {
@@ -218,7 +218,7 @@ impl Config {
         let text = bounded::read_to_string(path, bounded::WRITTEN_MAX)
             .map_err(|source| ConfigError::Read { path: path.into(), source })?;
         let origin = Origin::File(path.into());
-        // Read as settings first: its errors show the place in the text.
+        // Parsed as settings first, because those errors show the place in the text.
         let schema = |message: String| ConfigError::Schema { origin: origin.clone(), message };
         let alone: Settings = toml::from_str(&text).map_err(|error| schema(error.to_string()))?;
         if alone.schema_version != SCHEMA_VERSION {
@@ -260,7 +260,7 @@ impl Config {
     }
 }
 
-/// Folder of the user's configuration. A variable that is empty counts as unset.
+/// Folder of the user's configuration. An empty variable counts as unset.
 fn user_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     let folder = |name| variable(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     folder("XDG_CONFIG_HOME").or_else(|| folder("HOME").map(|home| home.join(".config")))

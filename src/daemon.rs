@@ -17,20 +17,20 @@ use crate::link::tee::TeeThread;
 use crate::log::LogSink;
 use crate::station::{End, PAUSE, Station, Status};
 
-/// The status is refreshed this often.
+/// Period at which the status is refreshed.
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
-/// The watchdog of systemd is fed this often, by the control loop.
+/// Period at which the control loop feeds the watchdog of systemd.
 const WATCHDOG_PERIOD: Duration = Duration::from_millis(500);
-/// A request to stop ends the process after this time, if the flight has not landed before.
+/// Time from a request to stop until the process ends, even if the flight has not landed.
 const STOP_LIMIT: Duration = Duration::from_secs(90);
 /// Longest datagram, and most bytes taken from a stream at once.
 const BUFFER_LEN: usize = 65_536;
 
-/// Reading what lay unread ends after this: a flood is not caught up with.
+/// Longest time spent on unread input: a flood cannot be caught up with.
 const CATCH_UP_LIMIT: Duration = Duration::from_millis(200);
 
-/// A clock that never steps and goes on while the machine is suspended, offset once so that it
-/// starts as the wall clock.
+/// A clock that never steps and runs on while the machine is suspended. It starts at the wall
+/// clock's time.
 #[derive(Clone, Copy, Debug)]
 pub struct HostClock {
     started: Duration,
@@ -44,7 +44,7 @@ fn since_boot() -> Duration {
     Duration::new(now.tv_sec.try_into().unwrap_or(0), now.tv_nsec.try_into().unwrap_or(0))
 }
 
-/// Time since the first call. On these systems a suspension stops it.
+/// Time since the first call. On these systems it stops during a suspension.
 #[cfg(not(target_os = "linux"))]
 fn since_boot() -> Duration {
     static FIRST: std::sync::LazyLock<Instant> = std::sync::LazyLock::new(Instant::now);
@@ -52,7 +52,7 @@ fn since_boot() -> Duration {
 }
 
 impl HostClock {
-    /// A clock that reads the wall clock's time now.
+    /// A clock that starts at the wall clock's present time.
     pub fn start() -> Self {
         let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let epoch = HostTime::from_ns(since_epoch.as_nanos() as u64);
@@ -70,17 +70,17 @@ impl HostClock {
     }
 }
 
-/// What the thread that controls shares with the one that watches it. The controlling thread
+/// The state that the control thread shares with the thread that watches it. The control thread
 /// never waits for it.
 #[derive(Debug, Default)]
 struct Shared {
-    /// Written by the control thread, which skips a turn while it is being read.
+    /// Written by the control thread, which skips an update while it is being read.
     status: Mutex<Status>,
     /// Requests to stop so far.
     stops: AtomicU8,
 }
 
-/// A station that runs in a thread of its own.
+/// A station that runs in its own thread.
 pub struct Running {
     shared: Arc<Shared>,
     thread: JoinHandle<(Station, Finished)>,
@@ -88,29 +88,29 @@ pub struct Running {
 
 /// How a run ended.
 pub struct Finished {
-    /// The station's own verdict; `None` if it did not come to one in time after a request to stop.
+    /// The station's own verdict; `None` if it reached none in time after a request to stop.
     pub end: Option<End>,
-    /// What the log says of itself.
+    /// The log's summary of itself.
     pub log: Result<Option<crate::log::writer::LogSummary>, crate::log::writer::LogError>,
-    /// How many entries the telemetry log lacks, if one was asked for.
+    /// The number of entries missing from the telemetry log, if one was requested.
     pub tlog: Option<io::Result<u64>>,
 }
 
-/// What hangs off the control thread to the side.
+/// The outputs and inputs of the control thread besides the link.
 pub struct Outlets {
     /// Takes every byte of the link.
     pub tee: Option<TeeThread>,
     /// Takes every record.
     pub sink: LogSink,
-    /// What others may say to the vehicle.
+    /// Frames from other ground stations for the vehicle.
     pub guests: Option<Guests>,
 }
 
 /// Starts the control thread. It ends when the station's flight has ended and nothing more is to be
-/// recorded of it, or after [`Running::stop`].
+/// recorded, or after [`Running::stop`].
 ///
 /// # Errors
-/// If the system gives no thread or no runtime.
+/// If the system provides no thread or no runtime.
 pub fn start(
     mut station: Station,
     clock: HostClock,
@@ -133,12 +133,13 @@ pub fn start(
 }
 
 impl Running {
-    /// Asks the flight to end: the vehicle lands. A second request drops the stream at once.
+    /// Requests the end of the flight: the vehicle lands. A second request stops the stream at
+    /// once.
     pub fn stop(&self) {
         self.shared.stops.fetch_add(1, Ordering::AcqRel);
     }
 
-    /// Whether the thread has ended, be it by a panic.
+    /// Whether the thread has ended, even by a panic.
     pub fn is_done(&self) -> bool {
         self.thread.is_finished()
     }
@@ -148,7 +149,7 @@ impl Running {
         self.shared.status.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Waits for the end.
+    /// Waits for the thread to end.
     pub fn join(self) -> Finished {
         match self.thread.join() {
             Ok((_, finished)) => finished,
@@ -165,12 +166,13 @@ struct Control<'a> {
     sink: LogSink,
     guests: Option<Guests>,
     shared: &'a Shared,
-    /// Why the endpoint did not open, as last told.
+    /// The last reported reason why the endpoint did not open.
     open_failure: String,
 }
 
 impl Control<'_> {
-    /// Bytes in, at most one setpoint out, and only then the log: until the flight is over.
+    /// Runs until the flight is over. In each turn it reads bytes, sends at most one setpoint, and
+    /// only then writes the log.
     async fn run(&mut self, station: &mut Station) -> Option<End> {
         let mut buffer = vec![0; BUFFER_LEN];
         let mut status_due = self.clock.now();
@@ -233,11 +235,11 @@ impl Control<'_> {
         }
     }
 
-    /// Waits for input until the deadline, which is never far.
+    /// Waits for input until the deadline, which is never far away.
     async fn next_input(&mut self, buffer: &mut [u8], deadline: Instant) -> Option<Input> {
-        // While datagrams are awaited there is nothing else for the runtime to do. Its own way from
-        // the system's wake-up to the receiving call is longer than the line's from there to the
-        // setpoint, once caches are cold, as they are after the 10 ms between two samples.
+        // A datagram wait leaves the runtime nothing else to do. With cold caches, as after the 10
+        // ms between two samples, the runtime takes longer from the system's wake-up to the
+        // receiving call than the control path takes from there to the setpoint.
         if self.connection.can_wait() {
             return self
                 .connection
@@ -246,8 +248,8 @@ impl Control<'_> {
         timeout_at(deadline.into(), self.connection.recv(buffer)).await.ok()
     }
 
-    /// Reads what lay unread while this process was paused, before anything is judged by the clock:
-    /// the pilot's change of the mode may be in it.
+    /// Reads what was left unread during a pause of this process, before anything is judged by the
+    /// clock: a mode change by the pilot may be in it.
     async fn catch_up(
         &mut self,
         station: &mut Station,
@@ -280,7 +282,7 @@ impl Control<'_> {
                 let bytes = &buffer[..len];
                 station.receive(now, peer, bytes, self.connection.is_datagram());
                 self.send(station, now);
-                // Of a crowd of strangers none takes the vehicle's place.
+                // Other peers, however many, do not displace the vehicle.
                 self.connection.keep(station.vehicle_peer());
                 if let Some(tee) = &mut self.tee {
                     tee.received(now, peer, bytes, self.connection.is_datagram());
@@ -290,7 +292,7 @@ impl Control<'_> {
                 self.open_failure.clear();
                 station.opened(now);
             }
-            // Tried again until it opens, and told once.
+            // Opening is retried until it succeeds; each failure is reported once.
             Input::Failed { error, .. } => {
                 let failure = error.to_string();
                 if failure != self.open_failure {
@@ -314,8 +316,8 @@ impl Control<'_> {
         }
     }
 
-    /// Sends what the station has to send since `now`. What was made before this process stood still
-    /// does not leave after it.
+    /// Sends the station's frames made at `now`. A frame made before a stall of this process does
+    /// not leave after it.
     fn send(&mut self, station: &mut Station, now: HostTime) {
         let Self { clock, connection, tee, .. } = self;
         station.transmit(now, |peer, frame| {

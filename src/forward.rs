@@ -1,9 +1,9 @@
-//! The fan-out: frames of the vehicle to ground stations beside this one, and of theirs to the
-//! vehicle what a list allows.
+//! The fan-out: forwards the vehicle's frames to other ground stations, and forwards their frames
+//! to the vehicle where a list allows it.
 //!
-//! Down, it hears records in the thread that writes the log. Up, a thread of its own reads what
-//! stations send, and the control thread takes from a short queue what the list has let through.
-//! None of them waits for a station.
+//! Downwards, it takes records in the thread that writes the log. Upwards, its own thread reads
+//! what the stations send, and the control thread takes the allowed frames from a short queue. None
+//! of them waits for a station.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
@@ -21,17 +21,17 @@ use wire::{Decoder, Endpoint, Frame};
 use crate::log::record::{Direction, Record};
 use crate::log::sink::Listener;
 
-/// Frames that may wait for the control thread; those beyond are dropped.
+/// Frames that may wait for the control thread; further ones are dropped.
 const QUEUE: usize = 64;
-/// Frames that the control thread takes at most between two looks at the link.
+/// Frames that the control thread takes at most in one turn.
 const AT_ONCE: usize = 8;
-/// How long a look at silent stations takes at most.
+/// Longest wait on silent stations.
 const LOOK: Duration = Duration::from_millis(200);
 /// Longest datagram.
 const DATAGRAM: usize = 65_536;
 
-/// Messages that only this program sends: two controllers at once are none, and who may set a key up
-/// is the owner alone.
+/// Messages that only this program may send: a vehicle cannot have two controllers, and only the
+/// owner may set up a key.
 const OWN: [&str; 5] = [
     "SETUP_SIGNING",
     "SET_ATTITUDE_TARGET",
@@ -43,34 +43,34 @@ const OWN: [&str; 5] = [
 /// Why nothing can be forwarded.
 #[derive(Debug, thiserror::Error)]
 pub enum ForwardError {
-    /// Something else than `udpout:HOST:PORT`.
+    /// The endpoint is not of the form `udpout:HOST:PORT`.
     #[error("--forward {0}: expected udpout:HOST:PORT")]
     Endpoint(Endpoint),
-    /// A name on the list that is none.
+    /// A name on the list is not that of a message.
     #[error("forward.allow: no message is called {0:?}; names are MAVLink's, such as HEARTBEAT")]
     Message(String),
-    /// A message on the list that others may not send.
+    /// A message on the list is reserved for this program.
     #[error("forward.allow: {0} is this program's to send while it flies; take it off the list")]
     Own(String),
-    /// The address does not resolve, or the system gives no socket.
+    /// The address does not resolve, or the system provides no socket.
     #[error("--forward {endpoint}: {source}")]
     Socket {
-        /// Where to.
+        /// The station's endpoint.
         endpoint: Endpoint,
-        /// Why.
+        /// The system's reason.
         source: io::Error,
     },
-    /// The system gives no thread.
+    /// The system provides no thread.
     #[error("cannot start forwarding: {0}")]
     Thread(#[from] io::Error),
 }
 
-/// What others may send to the vehicle, by the name of the message.
+/// The messages that others may send to the vehicle.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct AllowList(BTreeSet<u32>);
 
 impl AllowList {
-    /// Reads MAVLink's names of messages.
+    /// Reads the list from MAVLink message names.
     ///
     /// # Errors
     /// [`ForwardError::Message`], [`ForwardError::Own`].
@@ -91,14 +91,14 @@ impl AllowList {
     }
 }
 
-/// Sends what the vehicle says to each station.
+/// Sends the vehicle's frames to each station.
 pub struct Forward {
     stations: Vec<Arc<UdpSocket>>,
-    /// Ends the thread that listens to the stations.
+    /// Ends the thread that reads from the stations.
     _upward: Upward,
 }
 
-/// What stations may say to the vehicle, as the control thread takes it.
+/// The frames from stations for the vehicle, as the control thread takes them.
 pub struct Guests(Receiver<Vec<u8>>);
 
 struct Upward {
@@ -158,7 +158,7 @@ impl Listener for Forward {
             && frame.direction == Direction::Rx
         {
             for station in &self.stations {
-                // A station that is not there, or a full way to it, loses the frame.
+                // A missing station, or a full path to it, loses the frame.
                 let _ = station.send(frame.bytes());
             }
         }
@@ -166,13 +166,13 @@ impl Listener for Forward {
 }
 
 impl Guests {
-    /// What waits, up to a few frames.
+    /// The waiting frames, up to a few.
     pub fn take(&self) -> impl Iterator<Item = Vec<u8>> + '_ {
         self.0.try_iter().take(AT_ONCE)
     }
 }
 
-/// Reads what stations send, until it is over.
+/// Reads what the stations send, until the fan-out ends.
 fn listen(
     stations: &[Arc<UdpSocket>],
     names: &[String],
@@ -192,13 +192,14 @@ fn listen(
             thread::sleep(LOOK);
         }
         for (station, name) in stations.iter().zip(names) {
-            // An error is of an earlier datagram that nobody took: the station is not there yet.
+            // The error belongs to an earlier datagram that nobody received: the station is not up
+            // yet.
             for _ in 0..QUEUE {
                 let Ok(length) = station.recv(&mut buffer) else { break };
                 let Some(datagram) = buffer.get(..length) else { break };
                 decoder.datagram(datagram, |frame| {
                     if allow.allows(&frame) {
-                        // A full queue drops it: whoever asks by MAVLink asks again.
+                        // A full queue drops the frame: MAVLink requests are repeated.
                         let _ = queue.try_send(frame.bytes().to_vec());
                     } else {
                         tell_refused(&frame, name, &mut refused);
@@ -209,7 +210,7 @@ fn listen(
     }
 }
 
-/// Says of each kind of message once that it is not passed on.
+/// Reports once for each kind of message that it is not forwarded.
 fn tell_refused(frame: &Frame, name: &str, refused: &mut BTreeMap<u32, u64>) {
     let count = refused.entry(frame.id()).or_insert(0_u64);
     *count += 1;

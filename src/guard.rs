@@ -1,8 +1,9 @@
-//! The last check before the wire, and the only maker of what the link sends as a setpoint.
+//! The last check before the wire, and the only maker of the setpoints that the link sends.
 //!
-//! Whatever comes in, what goes out is finite, within the limits and their rates of change, the one
-//! answer to a sample that is fresh, and permitted. It trusts nobody before it: neither the
-//! controller, nor that the line runs on time. It takes no memory after it was made.
+//! Whatever comes in, every outgoing setpoint is finite, within the limits and their rates of
+//! change, permitted, and the only answer to a fresh sample. The guard trusts no part before it:
+//! neither the controller, nor that the control path runs on time. It allocates no memory after it
+//! is created.
 
 use std::time::Duration;
 
@@ -14,72 +15,72 @@ use crate::control::{Limits, Saturation};
 use crate::planted::{self, Planted};
 use crate::setpoint::Setpoint;
 
-/// A line that runs again after longer than this stood still: what it reads then may have lain
-/// unread for as long. And a setpoint that is older than this does not leave.
+/// Gap between two turns of the control path that counts as a stall: what it reads next may have
+/// been unread for as long. It is also the age at which a sample no longer gets a setpoint.
 pub const STALL: Duration = Duration::from_millis(50);
 
-/// What lay unread in a stall is read within this of its end: a socket's buffer takes about a
+/// Time after a stall within which everything unread is read: a socket's buffer takes about a
 /// millisecond.
 const DRAIN: Duration = Duration::from_millis(10);
 
-/// A setpoint that left longer ago than this bounds no change any more.
+/// A setpoint that left longer ago than this no longer bounds the change.
 const FORGOTTEN: Duration = Duration::from_millis(500);
-/// Changes are bounded as over at least this time: two answers are never closer.
+/// Shortest interval over which changes are bounded: two answers are never closer.
 const SPACING: Duration = Duration::from_millis(5);
 
-/// What the supervisor wants to happen.
+/// What the supervisor permits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Stance {
-    /// Nothing leaves.
+    /// Nothing may leave.
     #[default]
     Silent,
-    /// A hold is offered, which the vehicle does not obey yet.
+    /// A hold may be offered, which the vehicle does not obey yet.
     Offer,
-    /// The vehicle is flown.
+    /// The controller may fly the vehicle.
     Control,
 }
 
-/// Whether the vehicle obeys setpoints, by the mode that it told lately.
+/// Whether the vehicle obeys setpoints, according to a recently reported mode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Obeys {
-    /// It told no mode lately, or none since it fell silent.
+    /// No mode was reported recently, or none since a silence.
     #[default]
     Unknown,
-    /// It is in another mode.
+    /// The vehicle is in another mode.
     No,
-    /// It is in the mode in which it does.
+    /// The vehicle is in the mode that obeys setpoints.
     Yes,
 }
 
 /// Whether setpoints may leave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Order {
-    /// What the supervisor wants.
+    /// What the supervisor permits.
     pub stance: Stance,
-    /// What the vehicle would do with them. Where that is not known none leaves: an offer may be
-    /// obeyed.
+    /// What the vehicle would do with them. Where this is unknown nothing leaves, because the
+    /// vehicle may obey an offer.
     pub obeys: Obeys,
 }
 
 /// The sample that a setpoint answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Answered {
-    /// When its last message came.
+    /// Arrival of its last message.
     pub host: HostTime,
     /// Vehicle time of the state.
     pub vehicle: VehicleTime,
-    /// How much later than the quickest messages it came, s.
+    /// How much longer it took to arrive than the fastest messages, s.
     pub excess_delay_s: f64,
     /// The vehicle's yaw, rad.
     pub yaw: f64,
 }
 
-/// What the controller wants sent.
+/// The setpoint that the controller wants to send.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Proposal {
-    /// Before any limit.
+    /// The setpoint before any limit.
     pub setpoint: Setpoint,
-    /// What it answers.
+    /// The sample that it answers.
     pub sample: Answered,
 }
 
@@ -89,16 +90,16 @@ pub enum Withheld {
     /// There is nothing to send.
     #[error("nothing was proposed")]
     Nothing,
-    /// The supervisor does not want it, or the vehicle did not tell lately that it obeys.
+    /// The supervisor does not permit it, or the vehicle did not recently report that it obeys.
     #[error("no setpoint may leave now")]
     NotPermitted,
     /// The sample is too old by now.
     #[error("the sample is too old")]
     Stale,
-    /// The sample may be from before the line's last stall.
+    /// The sample may be older than the control path's last stall.
     #[error("the sample may be from before this process stood still")]
     Stalled,
-    /// The sample, or a newer one, was answered before.
+    /// The sample, or a newer one, was already answered.
     #[error("the sample was answered before")]
     Answered,
     /// A component is NaN or infinite.
@@ -106,8 +107,8 @@ pub enum Withheld {
     NotFinite,
 }
 
-/// A setpoint that may leave now. Only a [`Guard`] makes one, and the link sends nothing else; it
-/// cannot be copied, so that each leaves once.
+/// A setpoint that may leave now. Only a [`Guard`] makes one, and the link sends nothing else. It
+/// cannot be copied, so each leaves at most once.
 #[derive(Debug, PartialEq)]
 pub struct Cleared {
     setpoint: Setpoint,
@@ -120,8 +121,8 @@ impl Cleared {
         &self.setpoint
     }
 
-    /// The largest body rate about each axis that may be made of it, rad/s: a form of the message
-    /// adds to the rates.
+    /// The largest body rate about each axis that a message may carry for this setpoint, rad/s: one
+    /// form of the message adds to the rates.
     pub fn body_rate_max_rad_s(&self) -> f64 {
         self.body_rate_max_rad_s
     }
@@ -132,9 +133,9 @@ impl Cleared {
 pub struct Guard {
     limits: Limits,
     thrust_full_n: f64,
-    /// When the line last ran.
+    /// When the control path last ran.
     turned: HostTime,
-    /// A sample that left the vehicle before this may be from before a stall.
+    /// End of the last stall: a sample that left the vehicle earlier may be outdated.
     woke: HostTime,
     stalled: Duration,
     pending: Option<Proposal>,
@@ -143,7 +144,8 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Nothing was sent yet. The rotors give `thrust_full_n` together.
+    /// A guard that has cleared nothing yet. `thrust_full_n` is the full thrust of all rotors
+    /// together, N.
     pub fn new(limits: Limits, thrust_full_n: f64, now: HostTime) -> Self {
         Self {
             limits,
@@ -157,7 +159,8 @@ impl Guard {
         }
     }
 
-    /// Notes that the control line runs at `now`. Call it at every turn, also when nothing was heard.
+    /// Notes that the control path runs at `now`. Call it on every turn, even when nothing was
+    /// received.
     pub fn turn(&mut self, now: HostTime) {
         let passed = now.since(self.turned);
         #[cfg(test)]
@@ -168,21 +171,22 @@ impl Guard {
         self.turned = self.turned.max(now);
     }
 
-    /// For how long the line last stood still; zero if it never did.
+    /// Duration of the last stall; zero if there was none.
     pub fn stalled(&self) -> Duration {
         self.stalled
     }
 
-    /// The vehicle's clock begins anew: its stamps say nothing of the samples before.
+    /// Forgets all samples, because the vehicle's clock starts again and new stamps do not compare
+    /// with old ones.
     pub fn forget(&mut self) {
         (self.pending, self.answered, self.last) = (None, None, None);
     }
 
-    /// Keeps what is to be sent in place of what was proposed before; gives it as it would leave,
-    /// with the limits that it met.
+    /// Keeps a proposal in place of the last one. Returns the setpoint as it would leave, and the
+    /// limits that it met.
     ///
     /// # Errors
-    /// [`Withheld`]; nothing is kept then.
+    /// [`Withheld`]; then no proposal is kept.
     pub fn propose(
         &mut self,
         now: HostTime,
@@ -195,10 +199,10 @@ impl Guard {
         checked
     }
 
-    /// What was proposed, if it may leave by what is known now. It is given once.
+    /// Clears the proposal, once, if it may still leave.
     ///
     /// # Errors
-    /// [`Withheld`].
+    /// [`Withheld`]; the proposal is dropped.
     pub fn clear(&mut self, now: HostTime, order: Order) -> Result<Cleared, Withheld> {
         self.turn(now);
         let proposal = self.pending.take().ok_or(Withheld::Nothing)?;
@@ -236,9 +240,9 @@ impl Guard {
         self.bounded(now, setpoint, sample.yaw).ok_or(Withheld::NotFinite)
     }
 
-    /// Whether the sample, which came so much later than the quickest ones, left the vehicle after
-    /// the line's last stall. A delay that is not a number proves nothing, and neither does a clock
-    /// alone: what came while the line still read what had lain unread is not after it.
+    /// Whether the sample left the vehicle after the last stall, given its delay over the fastest
+    /// samples. A delay that is NaN proves nothing. A clock alone does not either: a sample that
+    /// arrives while the backlog is still being read does not count.
     fn is_after_stall(&self, sample: &Answered) -> bool {
         let late_s = if sample.excess_delay_s < 0.0 { 0.0 } else { sample.excess_delay_s };
         let is_drained = self.stalled.is_zero() || sample.host.since(self.woke) >= DRAIN;
@@ -246,7 +250,7 @@ impl Guard {
         is_drained && left.is_ok_and(|left| left >= self.woke)
     }
 
-    /// Within the limits; what left lately bounds the change, as far as the limits allow.
+    /// Applies the limits, and bounds the change from a recent setpoint as far as the limits allow.
     fn bounded(
         &self,
         now: HostTime,

@@ -1,5 +1,5 @@
-//! The vehicle's health in flight: whether something of it changed, by the records that the log gets. It lives in
-//! the log's thread, says what it finds there, and commands nothing.
+//! The vehicle's health in flight: detects changes of the vehicle from the records of its log. It
+//! runs in the log's thread, reports what it finds, and commands nothing.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -15,32 +15,32 @@ use crate::onset::change::Change;
 use crate::onset::detector::{Detector, Event, Settings};
 use crate::onset::words;
 
-/// States of the flight in which nothing but the air touches the vehicle.
+/// Flight states in which only the air acts on the vehicle.
 const FLYING: [&str; 3] = ["approach", "track", "hold"];
-/// Changes that are kept for who asks.
+/// Changes that are kept until someone asks for them.
 const KEPT: usize = 16;
-/// An output beyond is no share.
+/// Outputs above this are not shares.
 const SHARE_MAX: f32 = 1.5;
 
-/// What is known of the vehicle's health.
+/// What is known about the vehicle's health.
 #[derive(Clone, Debug, Default)]
 pub struct Health {
-    /// How much speaks for a change by now, nats; `None` before enough was flown.
+    /// The present evidence for a change, nats; `None` before enough was flown.
     pub evidence: Option<f64>,
-    /// Evidence from which on the monitor reports a change, nats.
+    /// The evidence from which on the monitor reports a change, nats.
     pub bound: f64,
     /// Changes so far.
     pub count: u64,
-    /// The newest of them, in words.
+    /// The newest change, as a message.
     pub latest: Option<String>,
 }
 
-/// A look at the health from elsewhere.
+/// Access to the health from another thread.
 #[derive(Clone, Debug, Default)]
 pub struct HealthView(Arc<Mutex<Health>>);
 
 impl HealthView {
-    /// What is known now.
+    /// The present health.
     pub fn get(&self) -> Health {
         self.lock().clone()
     }
@@ -50,7 +50,7 @@ impl HealthView {
     }
 }
 
-/// Listens to the records of a run, and watches for changes.
+/// Watches the records of a run for changes of the vehicle.
 pub struct Monitor {
     detector: Detector,
     view: HealthView,
@@ -58,7 +58,7 @@ pub struct Monitor {
     parameters: BTreeMap<String, f64>,
     ranges: Option<[OutputRange; ROTORS]>,
     is_flying: bool,
-    /// Whether the gyro is heard beside the state's rate.
+    /// Whether gyro records arrive besides the state's body rate.
     has_gyro: bool,
     now: HostTime,
     remarks: VecDeque<Record>,
@@ -66,10 +66,10 @@ pub struct Monitor {
 }
 
 impl Monitor {
-    /// Of a vehicle.
+    /// A monitor for a vehicle with these parameters.
     ///
     /// # Errors
-    /// A vehicle that the physics refuses.
+    /// The physics model rejects the parameters.
     pub fn new(vehicle: &VehicleParams, settings: Settings) -> Result<Self, VehicleError> {
         let view = HealthView::default();
         view.lock().bound = settings.bound();
@@ -90,7 +90,7 @@ impl Monitor {
         })
     }
 
-    /// For who shows it.
+    /// Access for a thread that shows the health.
     pub fn view(&self) -> HealthView {
         self.view.clone()
     }
@@ -127,7 +127,8 @@ impl Monitor {
         let Some(vehicle) = tick.stamp.vehicle else { return };
         self.now = tick.stamp.host;
         let time_s = vehicle.as_us() as f64 * 1e-6;
-        // On the ground, in a climb off it and in the autopilot's own hands others act.
+        // On the ground, in a climb from it and under the autopilot's own control, other forces
+        // act.
         let is_flying = tick.setpoint.is_some() && FLYING.contains(&tick.phase);
         if !is_flying {
             if std::mem::take(&mut self.is_flying) {
@@ -146,7 +147,7 @@ impl Monitor {
         self.push(time_s, Sample::Attitude(state.attitude));
     }
 
-    /// Outputs as shares of the full thrust, by what is known of their unit.
+    /// Outputs as shares of the full thrust, from what is known about their unit.
     pub fn shares_of(&self, outputs: [f32; ROTORS]) -> Option<[f64; ROTORS]> {
         if let Some(range) = self.motor_output {
             return Some(outputs.map(|output| range.fraction(output.into())));
@@ -158,7 +159,7 @@ impl Monitor {
         Some(std::array::from_fn(|i| ranges[i].fraction(outputs[i].into())))
     }
 
-    /// The same, once the parameters of their range are known.
+    /// Like [`shares_of`](Self::shares_of), and looks up the range once its parameters are known.
     fn shares(&mut self, outputs: [f32; ROTORS]) -> Option<[f64; ROTORS]> {
         if self.ranges.is_none() && !self.parameters.is_empty() {
             let most = outputs.into_iter().fold(0.0, f32::max);

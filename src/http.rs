@@ -1,4 +1,5 @@
-//! As much of HTTP as a page and a status need: few connections, short requests, one answer each.
+//! The part of HTTP that a page and a status need: few connections, short requests, one answer
+//! each.
 
 use std::future::Future;
 use std::io;
@@ -12,12 +13,12 @@ use tokio::time::{sleep, timeout};
 
 /// Connections at once. A viewer needs one, a browser up to six while it loads.
 const CONNECTIONS_MAX: usize = 32;
-/// A request's head is no longer, and takes no longer.
+/// Longest head of a request, and the time it may take.
 const HEAD_LEN_MAX: usize = 8192;
 const HEAD_LIMIT: Duration = Duration::from_secs(3);
-/// What the system may hold for a client that does not read: what is older is of no use to it.
+/// Bytes that the system may hold for a client that does not read: older data is of no use to it.
 pub(crate) const SOCKET_BUFFER: u32 = 64 * 1024;
-/// After a failure to accept, as where no file descriptor is left.
+/// Pause after a failed accept, such as when no file descriptor is left.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
 
 /// Listens on `HOST:PORT`.
@@ -27,7 +28,7 @@ pub(crate) async fn bind(address: &str) -> io::Result<TcpListener> {
         let socket = if at.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
         #[cfg(unix)]
         socket.set_reuseaddr(true)?;
-        // Accepted sockets have it from the listening one.
+        // Accepted sockets inherit this from the listening socket.
         socket.set_send_buffer_size(SOCKET_BUFFER)?;
         match socket.bind(at).and_then(|()| socket.listen(64)) {
             Ok(listener) => return Ok(listener),
@@ -48,11 +49,11 @@ where
             sleep(ACCEPT_PAUSE).await;
             continue;
         };
-        // Beyond that many the connection is closed at once.
+        // Connections beyond the limit are closed at once.
         let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
         let answer = answer(stream);
         tokio::spawn(async move {
-            // Whatever ends a client's connection is its own affair.
+            // A client's failure concerns only its own connection.
             let _ = answer.await;
             drop(place);
         });
@@ -63,16 +64,16 @@ where
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Request {
     pub(crate) is_get: bool,
-    /// Without what follows a question mark.
+    /// The path without the query.
     pub(crate) path: String,
-    /// Whether it asks for a WebSocket.
+    /// Whether it requests a WebSocket.
     pub(crate) is_upgrade: bool,
-    /// All bytes that came.
+    /// All bytes received.
     pub(crate) head: Vec<u8>,
 }
 
 impl Request {
-    /// Reads a request's head, and whatever comes with it; `None` if it is no HTTP.
+    /// Reads a request's head, and whatever comes with it; `None` if it is not HTTP.
     pub(crate) async fn read(stream: &mut TcpStream) -> io::Result<Option<Self>> {
         let head = timeout(HEAD_LIMIT, read_head(stream)).await??;
         Ok(Self::parse(head))

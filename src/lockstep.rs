@@ -1,5 +1,5 @@
-//! A station and the simulated vehicle in one thread, on one virtual clock, exchanging the same
-//! bytes that they would over a link.
+//! A station and the simulated vehicle in one thread, on one virtual clock. They exchange the bytes
+//! that they would exchange over a link.
 
 use std::time::Duration;
 
@@ -10,14 +10,14 @@ use crate::clock::{HostTime, VehicleTime};
 use crate::log::record::{Record, Stamp, Truth};
 use crate::station::{End, Station};
 
-/// The virtual host clock when the vehicle's reads 0: 2026-01-01 00:00 UTC. In simulation the date
-/// means nothing; it is fixed, so that the same seed gives the same log.
+/// The virtual host clock when the vehicle's reads 0: 2026-01-01 00:00 UTC. The date means nothing
+/// in simulation, and is fixed so that the same seed gives the same log.
 pub const EPOCH: HostTime = HostTime::from_ns(1_767_225_600_000_000_000);
 
 /// Period of the true state in the log, us.
 const TRUTH_PERIOD_US: u64 = 10_000;
 
-/// The station is looked after at least this often, us of host time.
+/// Longest time between two polls of the station, us of host time.
 const LOOK_WITHIN_US: u64 = 20_000;
 
 /// The only peers: each end's number for the other.
@@ -32,13 +32,15 @@ pub struct Endless {
     phase: &'static str,
 }
 
-/// Host time `us` after the vehicle was switched on: its own time, where its clock does not slip.
+/// Host time `us` after the vehicle was switched on. It is the vehicle's own time unless its clock
+/// slips.
 pub fn host_time(us: u64) -> HostTime {
     EPOCH + Duration::from_micros(us)
 }
 
-/// Flies until the station's flight has ended and nothing more is to be recorded; every record goes
-/// to `log`, `watch` sees the station about every 10 ms of simulated time. Returns how it ended.
+/// Flies until the station's flight has ended and nothing more is to be recorded. Passes every
+/// record to `log`, and the station to `watch` about every 10 ms of simulated time. Returns how the
+/// flight ended.
 ///
 /// # Errors
 /// [`Endless`] after `limit_s` of simulated time.
@@ -52,7 +54,7 @@ pub fn fly(
     fly_disturbed(vehicle, station, limit_s, log, watch, |_, _| {})
 }
 
-/// As [`fly`]; `act` may do something to the vehicle before each of its steps in time.
+/// Like [`fly`], but `act` may change the vehicle before each of its time steps.
 ///
 /// # Errors
 /// [`Endless`] after `limit_s` of simulated time.
@@ -91,13 +93,13 @@ pub fn fly_disturbed(
         }
         act(vehicle, station);
         let due_us = vehicle.clock().host_us(vehicle.next_event_us().min(truth_due));
-        // While the vehicle's clock stands still, the station's goes on.
+        // While the vehicle's clock stands still, the station's runs on.
         host_us = due_us.min(host_us + LOOK_WITHIN_US);
         vehicle.advance_to(vehicle.clock().vehicle_us(host_us));
     }
 }
 
-/// The true state of the vehicle, as it is at the host time `now`.
+/// The true state of the vehicle at host time `now`.
 pub fn truth(vehicle: &Vehicle, now: HostTime) -> Record {
     let plant = vehicle.plant();
     Record::Truth {

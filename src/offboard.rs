@@ -1,5 +1,6 @@
-//! The line from a message to a setpoint: state -> reference -> feedback -> supervisor -> guard.
-//! Pure: time comes with the messages, requests and setpoints are handed out.
+//! The control path from a message to a setpoint: state -> reference -> feedback -> supervisor ->
+//! guard. It does no I/O and reads no clock: messages bring the time, and the caller sends the
+//! requests and setpoints.
 
 mod condition;
 mod effective_vehicle;
@@ -30,13 +31,13 @@ use crate::supervisor::{
 };
 use crate::telemetry::{Sample, Telemetry, TelemetryFault, TelemetrySettings};
 
-/// The settings of the line's parts.
+/// The settings of each part of the control path.
 #[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OffboardSettings {
-    /// Ticks and what of telemetry is believed.
+    /// Control ticks and the acceptance of telemetry.
     pub telemetry: TelemetrySettings,
-    /// Times of the flight's states.
+    /// Time limits of the flight states.
     pub supervisor: SupervisorSettings,
     /// Faults and reactions.
     pub safety: SafetySettings,
@@ -50,7 +51,7 @@ pub struct OffboardSettings {
     pub offset_free: OffsetFreeSettings,
 }
 
-/// What the controller must know of the vehicle.
+/// What the controller must know about the vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Airframe {
     /// Effective mass, inertia and gravity.
@@ -63,30 +64,30 @@ pub struct Airframe {
     pub modes: ModeMap,
 }
 
-/// What the link tells beside the vehicle's messages.
+/// What the link reports besides the vehicle's messages.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LinkEvent {
     /// The connection broke.
     Lost,
-    /// Another vehicle answers on the connection.
+    /// A different vehicle answers on the connection.
     Replaced,
     /// The vehicle refused a request.
     Refused {
-        /// Which.
+        /// The refused request.
         action: Action,
-        /// Result and reason in words.
+        /// Result and reason, for people.
         text: String,
     },
-    /// Share of the vehicle's frames lost lately, 0..1.
+    /// The share of the vehicle's frames that the link lost recently.
     Quality {
         /// 0..1
         loss: f64,
     },
-    /// The vehicle answered, so long after it was asked.
+    /// The vehicle answered a TIMESYNC request after this round trip.
     RoundTrip(Duration),
 }
 
-/// Flies one vehicle along one trajectory, or holds until it is asked to.
+/// Flies one vehicle along one trajectory, or waits in a hold until a flight is requested.
 pub struct OffboardController {
     settings: OffboardSettings,
     policy: EngagePolicy,
@@ -96,27 +97,27 @@ pub struct OffboardController {
     supervisor: Supervisor,
     guidance: Guidance,
     guard: Guard,
-    /// When it was last told that this process stood still.
+    /// When the last event reported a stall of this process.
     stall_told: Option<HostTime>,
     standing_checks: Vec<PreflightCheck>,
-    /// The checks that failed at the last look before the stream.
+    /// The checks that failed when last run, before the stream.
     failed_checks: Vec<PreflightCheck>,
     link_loss: Option<f64>,
-    /// The newest answer: when it came, and how long after the request.
+    /// The newest answer: its arrival and its round trip.
     round_trip: Option<(HostTime, Duration)>,
     tracking_error: f64,
     jumped: bool,
-    /// When setpoints may last not have reached the vehicle.
+    /// The last time at which setpoints may not have reached the vehicle.
     unheard: Option<HostTime>,
-    /// When a slide of the estimate was last told.
+    /// When the last event reported a slide of the estimate.
     slide_told: Option<HostTime>,
-    /// How long this process was paused before the next look, s.
+    /// How long this process was paused before the next observation, s.
     paused_s: f64,
 }
 
 impl OffboardController {
-    /// A controller at `now`, before the first message. `standing_checks` are preflight checks that
-    /// failed already, such as a trajectory outside of the flight envelope.
+    /// Creates a controller at `now`, before the first message. `standing_checks` are preflight
+    /// checks that have already failed, such as a trajectory outside the flight envelope.
     pub fn new(
         settings: OffboardSettings,
         policy: EngagePolicy,
@@ -151,8 +152,9 @@ impl OffboardController {
         }
     }
 
-    /// Takes a message of the vehicle. Where it fires a control tick, that comes back, with the
-    /// setpoint to send if one may be sent; [`sent`](Self::sent) is to be told what became of it.
+    /// Takes a message from the vehicle. If the message fires a control tick, returns the tick,
+    /// with the setpoint to send where one may be sent. The caller reports what became of it to
+    /// [`sent`](Self::sent).
     pub fn handle(&mut self, received: &Received) -> Option<Tick> {
         let now = received.host;
         let sample = self.take(received);
@@ -174,8 +176,8 @@ impl OffboardController {
             self.controller.reset();
         } else if guided.aloft && !self.may_be_unheard(now) {
             let thrust_gain = self.voltage_gain();
-            // The same before the trajectory as along it, or what was learned on the way there would
-            // count twice.
+            // The expectation before the trajectory must match the one along it. Otherwise what was
+            // learned on the way there would count twice.
             let at_rest = || self.guidance.expected_at_rest(self.airframe.hover.mass_kg);
             let expected = guided.expected.unwrap_or_else(at_rest);
             let is_led = guided.expected.is_some();
@@ -224,7 +226,7 @@ impl OffboardController {
         })
     }
 
-    /// The answer to the newest tick, if it may leave by all that was heard since.
+    /// The setpoint of the newest tick, if everything received since still allows it to leave.
     pub fn clear(&mut self, now: HostTime) -> Option<Cleared> {
         let order = self.order(now);
         self.guard.clear(now, order).ok()
@@ -235,7 +237,7 @@ impl OffboardController {
         Order { stance: self.supervisor.stance(now), obeys: self.supervisor.obeys(now, status) }
     }
 
-    /// Says what adaptation found, and when that began.
+    /// Reports what adaptation found, and when it began.
     fn tell_adaptation(&mut self, now: HostTime, trajectory_time: Option<f64>) {
         let Some(notice) = self.controller.take_notice() else { return };
         let (severity, when) = match (notice, trajectory_time) {
@@ -249,8 +251,8 @@ impl OffboardController {
         self.supervisor.tell(now, severity, format!("{notice}{when}"));
     }
 
-    /// Says, every two seconds at most, that what lay unread while this process stood still is not
-    /// answered.
+    /// Reports, at most every two seconds, that messages left unread during a stall of this process
+    /// get no answer.
     fn tell_stall(&mut self, now: HostTime) {
         if self.stall_told.is_some_and(|told| now.since(told) < STALL_TOLD) {
             return;
@@ -263,8 +265,8 @@ impl OffboardController {
         self.supervisor.tell(now, Severity::Warning, text);
     }
 
-    /// What became of the newest tick: whether its setpoint left. OFFBOARD is asked for, and taken
-    /// for the pilot's word, only while they do.
+    /// Records whether the setpoint of the newest tick left. The supervisor requests OFFBOARD, and
+    /// takes it for the pilot's decision, only while setpoints leave.
     pub fn sent(&mut self, is_sent: bool) {
         self.supervisor.sent(is_sent);
         if !is_sent {
@@ -272,36 +274,36 @@ impl OffboardController {
         }
     }
 
-    /// Takes a message that lay unread while this process was paused: what it tells is kept, and a
-    /// change of the mode ends control; nothing else is decided, and no setpoint answers it.
-    /// [`Pilot::resumed`] follows the last of them.
+    /// Takes a message that was left unread while this process was paused. Telemetry keeps its
+    /// content, and a mode change ends control. Nothing else is decided, and no setpoint answers
+    /// it. Call [`resumed`](Self::resumed) after the last such message.
     pub fn catch_up(&mut self, received: &Received) {
         self.guard.turn(received.host);
         self.take(received);
         self.supervisor.heed_mode(received.host, self.telemetry.status());
     }
 
-    /// This process runs again after a pause of `paused_s` seconds, and has read what lay unread.
-    /// More may have come than the system kept, so that the mode is not known until it is told
-    /// again. For the safety reactions the state was missing for that long.
+    /// Resumes after a pause of `paused_s` seconds, once the unread messages have been read. More
+    /// may have arrived than the system buffered, so the mode is unknown until the vehicle reports
+    /// it again. The safety reactions treat the state as missing for that long.
     pub fn resumed(&mut self, now: HostTime, paused_s: f64) {
         self.telemetry.doubt_mode();
         self.paused_s = paused_s;
         self.observe(now);
     }
 
-    /// The line runs: at every turn of it, before what was heard is taken.
+    /// Notes that the control path runs. Call it on every turn, before handling received messages.
     pub fn turn(&mut self, now: HostTime) {
         self.guard.turn(now);
     }
 
-    /// Looks at the clock in silence: time-outs and stale telemetry. Never makes a setpoint.
+    /// Checks the clock in silence, for time-outs and stale telemetry. Never makes a setpoint.
     pub fn poll(&mut self, now: HostTime) {
         self.guard.turn(now);
         self.observe(now);
     }
 
-    /// Takes what the link tells.
+    /// Takes an event of the link.
     pub fn link_event(&mut self, now: HostTime, event: LinkEvent) {
         match event {
             LinkEvent::Lost => self.lose_link(now, "the link is lost"),
@@ -312,38 +314,38 @@ impl OffboardController {
         }
     }
 
-    /// Asks for a flight, or for another after the last is over.
+    /// Requests a flight, or another one after the last is over.
     pub fn engage(&mut self, now: HostTime) {
         self.supervisor.engage(now);
     }
 
-    /// Replaces the preflight checks that are known to fail from outside, such as a parameter of
-    /// the vehicle that its autopilot's profile has a rule for.
+    /// Replaces the preflight checks that fail for reasons outside this controller, such as a
+    /// vehicle parameter that breaks a rule of its autopilot's profile.
     pub fn set_standing_checks(&mut self, failed: Vec<PreflightCheck>) {
         self.standing_checks = failed;
     }
 
-    /// Ends the flight: the vehicle is asked to land itself.
+    /// Ends the flight: requests that the vehicle land itself.
     pub fn land(&mut self, now: HostTime) {
         self.supervisor.fire(now, Trigger::LandNow, "landing is asked for");
     }
 
-    /// Where the flight stands.
+    /// The present state of the flight.
     pub fn flight_state(&self) -> FlightState {
         self.supervisor.state()
     }
 
-    /// The preflight checks that failed at the last look, before the stream.
+    /// The preflight checks that failed when last run, before the stream.
     pub fn failed_checks(&self) -> &[PreflightCheck] {
         &self.failed_checks
     }
 
-    /// Who ended control by a change of the mode, once that is known.
+    /// The cause of the mode change that ended control, once it is known.
     pub fn takeover(&self) -> Option<&Takeover> {
         self.supervisor.takeover()
     }
 
-    /// State, rates and slow messages of the vehicle.
+    /// The vehicle's state, message rates and slow messages.
     pub fn telemetry(&self) -> &Telemetry {
         &self.telemetry
     }
@@ -377,7 +379,8 @@ impl OffboardController {
         }
     }
 
-    /// A slide is found again and again while it goes on, and told once a second.
+    /// Whether an event has reported this slide within the last second: a slide is found again at
+    /// each sample while it lasts.
     fn is_slide_told(&mut self, now: HostTime, fault: &TelemetryFault) -> bool {
         if !matches!(fault, TelemetryFault::PositionSlide { .. }) {
             return false;
@@ -401,7 +404,7 @@ impl OffboardController {
     }
 }
 
-/// What the guard gets of a sample.
+/// The part of a sample that the guard checks.
 fn answered(sample: &Sample) -> Answered {
     Answered {
         host: sample.host,
@@ -411,13 +414,13 @@ fn answered(sample: &Sample) -> Answered {
     }
 }
 
-/// An event reports a slide of the estimate at most this often.
+/// Shortest time between events that report a slide of the estimate.
 const SLIDE_TOLD: Duration = Duration::from_secs(1);
 
-/// An event reports a stall of this process at most this often.
+/// Shortest time between events that report a stall of this process.
 const STALL_TOLD: Duration = Duration::from_secs(2);
 
-/// Messages that the supervisor must see at once; the rest waits for the next tick or poll.
+/// Messages that the supervisor must see at once. All others wait for the next tick or poll.
 fn concerns_supervisor(message: &Inbound) -> bool {
     matches!(
         message,

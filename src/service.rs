@@ -1,5 +1,5 @@
-//! What a monitor asks a running flight: `/health`, `/status`, and Prometheus' `/metrics`. Read-only,
-//! on this machine alone, from a thread that the control line does not know.
+//! A monitor's view of a running flight: `/health`, `/status`, and Prometheus' `/metrics`.
+//! Read-only, on this machine alone, from a thread that is separate from control.
 
 mod metrics;
 
@@ -21,18 +21,18 @@ use crate::http::{self, Request, respond};
 use crate::station::Status;
 use crate::supervisor::FlightState;
 
-/// A control line that did not run for longer than this is not well, s.
+/// Age of the status above which the control loop is unhealthy, s.
 const AGE_MAX_S: f64 = 2.0;
 
 /// Why nothing is served.
 #[derive(Debug, thiserror::Error)]
 pub enum ServiceError {
-    /// The address is taken, or none of this machine's.
+    /// The address is in use, or not one of this machine's.
     #[error("cannot serve metrics on {address}: {source}; choose another with --metrics=HOST:PORT")]
     Bind {
-        /// As it was asked for.
+        /// The address as given.
         address: String,
-        /// Why.
+        /// The system's reason.
         source: io::Error,
     },
     /// Others could read it.
@@ -41,44 +41,44 @@ pub enum ServiceError {
          a proxy before it that says who may read"
     )]
     Open {
-        /// What it resolves to.
+        /// The address that it resolves to.
         address: SocketAddr,
     },
-    /// The system gives no thread.
+    /// The system provides no thread.
     #[error("cannot start serving metrics: {0}")]
     Start(#[from] io::Error),
 }
 
-/// The latest that is known.
+/// The latest status and health.
 #[derive(Clone, Debug, Default)]
 struct Shown {
     status: Status,
-    /// How old that was when it was shown, s.
+    /// Age of the status when it was shown, s.
     age_s: f64,
     at: Option<Instant>,
     health: Health,
 }
 
 impl Shown {
-    /// Age of this status, s.
+    /// Present age of this status, s.
     fn age_s(&self) -> Option<f64> {
         self.at.map(|at| self.age_s + at.elapsed().as_secs_f64())
     }
 }
 
-/// How a flight stands: the JSON of `GET /status`.
+/// The present state of a flight: the JSON of `GET /status`.
 #[derive(Debug, JsonSchema, Serialize)]
 pub struct ServiceStatus {
     schema: &'static str,
     schema_version: u32,
     version: &'static str,
-    /// Age of this status, s; null before the control line's first.
+    /// Age of this status, s; null before the control loop's first.
     age_s: Option<f64>,
     /// State of the link: searching, connected, stale, lost.
     link: &'static str,
     /// The vehicle's autopilot, once identified.
     vehicle: Option<&'static str>,
-    /// Where the flight stands.
+    /// The state of the flight.
     #[schemars(with = "Option<String>")]
     state: Option<FlightState>,
     /// The vehicle's mode, by name where the autopilot's profile has one.
@@ -91,16 +91,16 @@ pub struct ServiceStatus {
     tracking_error_m: f64,
     /// Remaining charge, 0..1.
     battery: Option<f64>,
-    /// Setpoints that were sent.
+    /// Number of setpoints sent.
     setpoints: u64,
     /// Whether records reach the log.
     is_logging_well: bool,
-    /// Changes of the vehicle that the monitor told, and the newest of them in words.
+    /// Changes of the vehicle that the monitor reported, and the newest of them as a message.
     changes: u64,
     latest_change: Option<String>,
 }
 
-/// What is served, while this lives.
+/// A running server; dropping it stops it.
 pub struct Service {
     address: SocketAddr,
     shown: Arc<Mutex<Shown>>,
@@ -113,7 +113,7 @@ fn lock(shown: &Mutex<Shown>) -> MutexGuard<'_, Shown> {
 }
 
 impl Service {
-    /// Serves on `HOST:PORT`; port 0 takes one of the system's.
+    /// Serves on `HOST:PORT`; port 0 takes a free port of the system's choice.
     ///
     /// # Errors
     /// [`ServiceError`].
@@ -155,14 +155,14 @@ impl Service {
         Ok(Self { address, shown, stop: Some(stop), thread: Some(thread) })
     }
 
-    /// Where it listens.
+    /// The address that it listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Takes how the flight stands at `now`.
+    /// Takes the flight's status at `now`.
     pub fn show(&self, now: HostTime, status: &Status, health: Option<&HealthView>) {
-        // Before the control line's first status there is no age.
+        // Before the control loop's first status there is no age.
         let Some(updated) = status.updated else { return };
         let age_s = now.since(updated).as_secs_f64();
         let health = health.map(HealthView::get).unwrap_or_default();
@@ -207,7 +207,7 @@ async fn answer(mut stream: TcpStream, shown: Arc<Mutex<Shown>>) -> io::Result<(
     respond(&mut stream, status, kind, &body).await
 }
 
-/// 200 while the control line runs. The body names a log that fails; a restart would not mend it.
+/// 200 while the control loop runs. The body names a log that fails; a restart would not fix that.
 fn health(shown: &Shown) -> (&'static str, &'static str, String) {
     const NOT_WELL: &str = "503 Service Unavailable";
     let (status, text) = match shown.age_s() {

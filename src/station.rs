@@ -1,5 +1,5 @@
-//! The ground station, sans I/O: a session with one vehicle, the offboard controller that flies it, and what the
-//! flight's log is told. A driver moves the bytes and the clock.
+//! The ground station, sans I/O: a session with one vehicle, the offboard controller that flies it,
+//! and the records for the flight's log. A driver moves the bytes and supplies the time.
 
 mod aftermath;
 mod attitude_loop;
@@ -35,20 +35,20 @@ use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
 use crate::offboard::{LinkEvent, OffboardController, Tick};
 use crate::supervisor::FlightState;
 
-/// A process whose control line runs again after longer than this was paused: by a signal, a swap, a
-/// suspended machine. What lies unread is then older than it looks, and goes to
-/// [`Station::catch_up`].
+/// Gap between two turns of the control path, beyond which this process counts as paused: by a
+/// signal, a swap, a suspended machine. Unread bytes are then older than their arrival suggests,
+/// and belong in [`Station::catch_up`].
 pub const PAUSE: Duration = Duration::from_millis(300);
 
-/// Period of the link's counters in the log.
+/// Period at which the log records the link's counters.
 const STATS_PERIOD: Duration = Duration::from_secs(1);
 
 /// A session, an offboard controller, and the records of both.
 pub struct Station {
     settings: StationSettings,
     session: Session,
-    /// There is none before the vehicle is identified, whose profile decides the design, and none
-    /// for a vehicle that is not flown.
+    /// `None` before the vehicle is identified, because its profile decides the design, and for a
+    /// vehicle that is not flown.
     offboard: Option<OffboardController>,
     profile: Option<Profile>,
     records: Vec<Record>,
@@ -61,36 +61,36 @@ pub struct Station {
     tracking_error_m: f64,
     trajectory_time: Option<f64>,
     in_flight: bool,
-    /// Whether the flight at hand, or the last, left the ground.
+    /// Whether the present flight, or the last one, left the ground.
     flown: bool,
-    /// The state in which that flight was over.
+    /// The state in which that flight ended.
     over_in: Option<FlightState>,
-    /// Since that flight ended early, until the vehicle is down.
+    /// Runs from that flight's early end until the vehicle is down.
     aftermath: Option<Aftermath>,
-    /// Since that flight began another vehicle has taken the place of the one that flew it.
+    /// Whether another vehicle has replaced the one that began that flight.
     is_replaced: bool,
-    /// Why the flight was led another way than planned.
+    /// The newest reason for a departure from the planned flight.
     last_trouble: Option<String>,
-    /// The flight's state after the last event.
+    /// The flight state of the last event.
     event_state: FlightState,
-    /// What was told of the vehicle's reaction to the loss of this program.
+    /// The last reported reaction of the vehicle to the loss of this program.
     told_loss: Option<String>,
     /// When the vehicle was found, until an event reports its rates.
     found: Option<HostTime>,
-    /// Only the checks before a flight are made: nothing is sent to fly it.
+    /// Whether to run only the checks before a flight; no setpoint is sent.
     is_check: bool,
     waiting: Waiting,
     is_version_known: bool,
     is_signing_told: bool,
-    /// Whether the vehicle answered a TIMESYNC since it was found.
+    /// Whether the vehicle has answered a TIMESYNC since it was found.
     is_answered: bool,
-    /// No other flight begins: the station ends as soon as it does not fly.
+    /// Whether no other flight begins: the station ends as soon as it does not fly.
     is_stopping: bool,
     end: Option<End>,
 }
 
 impl Station {
-    /// A station that has heard nothing yet.
+    /// A station that has received nothing yet.
     pub fn new(settings: StationSettings, now: HostTime) -> Self {
         Self {
             session: Session::new(settings.session.clone(), now),
@@ -125,22 +125,22 @@ impl Station {
         }
     }
 
-    /// The same, which makes the checks before a flight and ends.
+    /// Makes this station run only the checks before a flight, and end after them.
     pub fn checking(self) -> Self {
         Self { is_check: true, ..self }
     }
 
-    /// Takes bytes that arrived. The line: each message to the controller, and the setpoint that it
-    /// answers with, if any, to the vehicle. What else follows waits for
-    /// [`Station::transmit`], which sends the setpoint first.
+    /// Takes bytes that arrived: passes each message to the controller, and queues the setpoint
+    /// that answers it, if any. Everything else that follows waits for [`Station::transmit`], which
+    /// sends the setpoint first.
     pub fn receive(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
         let first_tick = self.ticks.len();
         self.hear(now, peer, bytes, is_datagram, OffboardController::handle);
         self.answer(now, first_tick);
     }
 
-    /// Takes bytes that lay unread while this process was paused: nothing answers them.
-    /// [`Station::resumed`] follows the last of them.
+    /// Takes bytes that were left unread while this process was paused; no setpoint answers them.
+    /// Call [`Station::resumed`] after the last of them.
     pub fn catch_up(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
         self.hear(now, peer, bytes, is_datagram, |offboard, received| {
             offboard.catch_up(received);
@@ -148,7 +148,7 @@ impl Station {
         });
     }
 
-    /// This process runs again after a pause, and has read what lay unread.
+    /// Resumes after a pause of this process, once the unread bytes have been taken.
     pub fn resumed(&mut self, now: HostTime, paused: Duration) {
         let paused_s = paused.as_secs_f64();
         let text = format!(
@@ -163,7 +163,7 @@ impl Station {
         self.follow_up(now);
     }
 
-    /// Each message to the controller, by `take`, and to the log.
+    /// Hands each message to the controller with `take`, and records it.
     fn hear(
         &mut self,
         now: HostTime,
@@ -183,7 +183,8 @@ impl Station {
                 records
                     .extend(FrameRecord::from_bytes(Direction::Rx, now, bytes).map(Record::Frame));
             }
-            // Before the controller takes the mode of that vehicle for a word of the one that it flies.
+            // First, so that the controller does not take that vehicle's mode for its own
+            // vehicle's.
             Heard::Replaced => {
                 if let Some(offboard) = offboard {
                     offboard.link_event(now, LinkEvent::Replaced);
@@ -201,18 +202,19 @@ impl Station {
         });
         for stamp in records[first..].iter_mut().filter_map(Record::stamp_mut) {
             let mapped = stamp.vehicle.and_then(|vehicle| session.to_host(vehicle));
-            // The clocks' estimate has an error; a sample is never newer than its arrival.
+            // The estimated clock offset has an error; a sample is never newer than its arrival.
             stamp.sampled = mapped.map_or(stamp.host, |sampled| sampled.min(stamp.host));
         }
     }
 
-    /// The setpoint that answers the samples since `first_tick`, on its way where it may leave.
+    /// Queues the setpoint that answers the newest sample since `first_tick`, if it may leave.
     fn answer(&mut self, now: HostTime, first_tick: usize) {
-        // Of several samples in one read only the newest is acted upon.
+        // Of several samples in one read only the newest gets an answer.
         let is_proposed = self.ticks[first_tick..].last().is_some_and(|it| it.setpoint.is_some());
         let cleared = if is_proposed { self.cleared(now) } else { None };
         let is_sent = cleared.is_some_and(|setpoint| self.send_setpoint(now, &setpoint));
-        // The log has what was sent; what of this does not leave is withheld then.
+        // The log holds only setpoints that were sent, so the ticks of all others are withheld
+        // here.
         let withheld = self.ticks.len() - usize::from(is_sent);
         self.ticks[first_tick..withheld].iter_mut().for_each(Tick::withhold);
         if let Some(offboard) = &mut self.offboard
@@ -223,23 +225,23 @@ impl Station {
         }
     }
 
-    /// Where the vehicle is heard.
+    /// The peer from which the vehicle's messages arrive.
     pub fn vehicle_peer(&self) -> Option<Peer> {
         self.session.vehicle_peer()
     }
 
-    /// Passes a frame of another ground station on to the vehicle.
+    /// Forwards a frame from another ground station to the vehicle.
     pub fn pass_on(&mut self, frame: &[u8]) {
         self.session.pass_on(frame);
     }
 
-    /// Does what is due by the clock. Never makes a setpoint.
+    /// Does what is due at `now`. Never makes a setpoint.
     pub fn poll(&mut self, now: HostTime) {
         self.session.poll(now);
         if let Some(offboard) = &mut self.offboard {
             offboard.poll(now);
             if !offboard.telemetry().status().is_heard(now) {
-                // The pilot may have taken over meanwhile: what was commanded is not repeated.
+                // The pilot may have taken over meanwhile, so commands are not repeated.
                 self.session.withdraw_commands();
             }
         }
@@ -262,25 +264,25 @@ impl Station {
         }
     }
 
-    /// When [`Station::poll`] has something to do next, at most 20 ms away: safety reactions to
-    /// silence are not late by more than that.
+    /// The next time at which [`Station::poll`] must run, at most 20 ms away. That bounds the delay
+    /// of safety reactions to silence.
     pub fn next_deadline(&self, now: HostTime) -> HostTime {
         let tick = now + Duration::from_millis(20);
         self.session.next_deadline().min(self.stats_due).clamp(now, tick)
     }
 
-    /// Gives what the log is to be told since the last call.
+    /// Passes the records since the last call to `log`.
     pub fn take_records(&mut self, log: impl FnMut(Record)) {
         self.records.drain(..).for_each(log);
     }
 
-    /// The endpoint is open (again).
+    /// Notes that the endpoint is open, for the first time or again.
     pub fn opened(&mut self, now: HostTime) {
         self.meter.opened();
         self.tell(now, Severity::Info, "link open".to_owned());
     }
 
-    /// The endpoint is gone, for the reason given.
+    /// Notes that the endpoint closed, and why.
     pub fn closed(&mut self, now: HostTime, why: &str) {
         self.session.transport_closed();
         self.tell(now, Severity::Warning, format!("link closed: {why}"));
@@ -290,17 +292,17 @@ impl Station {
         self.follow_up(now);
     }
 
-    /// A peer of the endpoint is gone.
+    /// Notes that a peer of the endpoint closed.
     pub fn peer_closed(&mut self, now: HostTime, peer: Peer) {
-        // Strangers come and go.
+        // Peers other than the vehicle come and go.
         if self.session.peer_closed(peer) {
             let text = "the vehicle's connection closed; waiting for it to connect again";
             self.tell(now, Severity::Warning, text.to_owned());
         }
     }
 
-    /// Ends the flight: in the air the vehicle is asked to land, on the ground nothing begins.
-    /// After a flight that ended early it ends what is still recorded.
+    /// Ends the flight: requests a landing in the air; on the ground, nothing begins any more. Also
+    /// ends the recording that follows a flight's early end.
     pub fn land(&mut self, now: HostTime) {
         self.is_stopping = true;
         self.end_aftermath();
@@ -312,27 +314,27 @@ impl Station {
         if state.is_flying() {
             offboard.land(now);
         }
-        // What became of an earlier flight is no news: but one that has not been left yet, because
-        // the link is silent since, is not over for whoever stops now.
+        // The end of an earlier flight is not reported again. But a controller still in Abort,
+        // because the link has been silent since, has not finished that flight.
         if !self.in_flight && state != FlightState::Abort {
             self.over_in = None;
         }
         self.follow_up(now);
     }
 
-    /// How it ended, once it has.
+    /// How the station ended, once it has.
     pub fn end(&self) -> Option<&End> {
         self.end.as_ref()
     }
 
-    /// Whether it has ended and nothing more is to be recorded: a vehicle whose flight ended early
-    /// is watched until it is down, for at most ten seconds.
+    /// Whether the station has ended and records nothing more. After a flight's early end it
+    /// watches the vehicle until it is down, for at most ten seconds.
     pub fn is_over(&self) -> bool {
         self.end.is_some() && self.aftermath.is_none()
     }
 
-    /// After the controller has acted: the session's news to the controller, its requests to the
-    /// vehicle.
+    /// Follows up after the controller has acted: hands it the session's events, then handles its
+    /// requests and events.
     fn follow_up(&mut self, now: HostTime) {
         while let Some(event) = self.session.next_event() {
             self.session_event(now, event);
@@ -340,8 +342,8 @@ impl Station {
         self.follow_pilot(now);
     }
 
-    /// The controller's requests to the vehicle, its events to the log, and what they make of the
-    /// flight.
+    /// Sends the controller's requests to the vehicle, records its events, and updates the flight's
+    /// record.
     fn follow_pilot(&mut self, now: HostTime) {
         let Some(offboard) = &mut self.offboard else { return };
         let (actions, events) = (offboard.take_actions(), offboard.take_events());
@@ -355,7 +357,8 @@ impl Station {
                 crate::supervisor::Severity::Warning => Severity::Warning,
                 crate::supervisor::Severity::Error => Severity::Error,
             };
-            // What changed nothing, such as a refusal before the vehicle agreed, is forgiven.
+            // A problem that changed no state, such as a refusal before the vehicle agreed, does
+            // not count.
             if severity <= Severity::Warning && event.state != self.event_state {
                 self.last_trouble = Some(event.text.clone());
             }
@@ -364,7 +367,7 @@ impl Station {
                 self.over_in = Some(event.state);
             }
             if matches!(event.state, FlightState::Abort | FlightState::PilotControl) {
-                // What was asked for is not repeated to a vehicle that others lead now.
+                // Requests are not repeated to a vehicle that someone else controls now.
                 self.session.withdraw_commands();
             }
             self.tell(now, severity, format!("{}: {}", event.state.name(), event.text));
@@ -416,7 +419,7 @@ impl Station {
             offboard.link_event(now, LinkEvent::Quality { loss });
         }
         let stats = self.meter.read(now, &counted);
-        // The first period has what came before the intervals were asked for.
+        // The first period includes messages from before the intervals were requested.
         if self.found.is_some_and(|found| now.since(found) >= 2 * STATS_PERIOD) {
             self.found = None;
             let text = format!(
@@ -429,7 +432,7 @@ impl Station {
     }
 }
 
-/// Shows a message to whoever watches.
+/// Shows a message on the console.
 fn show(severity: Severity, text: &str) {
     match severity {
         Severity::Debug => tracing::debug!("{text}"),

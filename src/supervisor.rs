@@ -1,22 +1,25 @@
-//! The flight's state machine, which says what the guard before the output may let pass.
+//! The state machine of a flight. Its state decides what the guard before the output lets pass.
 //!
 //! ```text
 //! Connect -> AwaitRelease -> AwaitTelemetry -> Preflight -> Standby -> [Engage] -> Arm -> TakeOff
 //!   -> Approach -> Track -> Hold -> Land -> Disarm -> Done
 //! ```
 //!
-//! Every transition is a row of `table.rs`. Setpoints leave in Standby, Engage, Arm to Hold, and in
-//! Land until the vehicle has taken over; never in another state, and never without a fresh sample.
-//! A pilot's mode change leads to PilotControl from everywhere. Every way to the stream passes
-//! AwaitRelease: mode and intended mode must have read something other than OFFBOARD for a while,
-//! because PX4 re-enters OFFBOARD by itself as soon as a stream resumes. A vehicle that was flown
-//! by command stands in OFFBOARD afterwards: PX4 returns to the mode chosen before arming. Where
-//! the next flight is commanded, a disarmed vehicle is asked to leave it; under the pilot's switch,
-//! and with the motors armed, nobody but the pilot leaves OFFBOARD. An OFFBOARD that comes with the
-//! stop of the motors is that return and no switch of the pilot's.
+//! Every transition is a row of `table.rs`. Setpoints leave in Standby, in Engage, from Arm to
+//! Hold, and in Land until the vehicle has taken over. They never leave in another state, and never
+//! without a fresh sample. From Engage to Land, a mode change by the pilot leads to PilotControl.
 //!
-//! Nothing is commanded, and no setpoint leaves, on a mode that may be old: one that was told
-//! before the vehicle fell silent or before this process paused. The pilot may have changed it.
+//! Every path to the stream passes AwaitRelease: mode and intended mode must have read something
+//! other than OFFBOARD for a while, because PX4 re-enters OFFBOARD by itself as soon as a stream
+//! resumes. A vehicle that was flown by command is in OFFBOARD afterwards, because PX4 returns to
+//! the mode chosen before arming. If the next flight is commanded, the supervisor requests that a
+//! disarmed vehicle leave OFFBOARD. Under the pilot's switch, and with the motors armed, only the
+//! pilot leaves OFFBOARD. An OFFBOARD that comes with the stop of the motors is that return and not
+//! the pilot's switch.
+//!
+//! Nothing is commanded and no setpoint leaves while the mode may be outdated: when it was reported
+//! before the vehicle fell silent or before this process paused. The pilot may have changed it
+//! since.
 
 mod event;
 mod health;
@@ -49,47 +52,48 @@ use crate::guard::{Obeys, Stance};
 use crate::planted::{self, Planted};
 use crate::telemetry::VehicleStatus;
 
-/// Time for CURRENT_MODE, which is asked for twice a second, after the first HEARTBEAT, s.
+/// Time for CURRENT_MODE, which is requested twice a second, to follow the first HEARTBEAT, s.
 const INTENDED_MODE_WAIT_S: f64 = 3.0;
 
-/// A state that is older has stopped coming, and so did the setpoints, s: as soon an autopilot's own
-/// failsafe may act.
+/// Age of the state, s, above which state and setpoints count as stopped. An autopilot's own
+/// failsafe may act this early.
 const STATE_STOPPED_S: f64 = 0.2;
 
-/// A vehicle that goes no faster, m/s, stops within a hand's breadth.
+/// A vehicle no faster than this, m/s, stops within a hand's breadth.
 const BRAKED_M_S: f64 = 0.3;
 
-/// Who decides that the daemon takes control.
+/// Who decides that the controller takes control.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EngagePolicy {
-    /// A command did: the daemon asks for OFFBOARD and arms, once.
+    /// The operator, by command: the controller requests OFFBOARD and arms, once.
     #[default]
     Command,
-    /// The pilot does, each time, by switching to OFFBOARD while the daemon streams, and arms.
+    /// The pilot, each time, by switching to OFFBOARD while the controller streams; the pilot also
+    /// arms.
     PilotSwitch,
 }
 
-/// What the supervisor looks at, beside time.
+/// What the supervisor observes, besides time.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation<'a> {
-    /// The slow messages.
+    /// The vehicle's slow messages.
     pub status: &'a VehicleStatus,
-    /// Whether the vehicle is off the ground; `None` where that is not known.
+    /// Whether the vehicle is off the ground; `None` where this is unknown.
     pub airborne: Option<bool>,
-    /// Whether it lies still at the height of the ground, by its own estimate.
+    /// Whether it is at rest at ground height, according to its own estimate.
     pub at_rest: bool,
     /// Horizontal speed of the newest sample, m/s.
     pub speed_m_s: f64,
-    /// Whether samples are fresh and quick enough.
+    /// Whether samples are fresh and frequent enough.
     pub telemetry_ready: bool,
-    /// The preflight checks that fail, in words; empty when all pass.
+    /// The preflight checks that fail; empty when all pass.
     pub preflight: &'a [PreflightCheck],
-    /// What faults are judged by.
+    /// The quantities that faults are judged by.
     pub condition: FlightCondition<'a>,
 }
 
-/// The flight's state machine. Time comes with each call.
+/// The state machine of a flight. The caller passes the time with each call.
 #[derive(Clone, Debug)]
 pub struct Supervisor {
     policy: EngagePolicy,
@@ -98,9 +102,9 @@ pub struct Supervisor {
     safety: SafetySettings,
     state: FlightState,
     since: HostTime,
-    /// Since when a flight is prepared, through whatever states, until it begins.
+    /// Start of the preparation of a flight, through all its states, until the flight begins.
     preparing_since: Option<HostTime>,
-    /// A command to fly that was not used up yet.
+    /// Whether a commanded flight is still pending.
     engaged: bool,
     /// Whether the newest sample of the present state was answered with a setpoint.
     streamed: bool,
@@ -109,27 +113,27 @@ pub struct Supervisor {
     was_offboard: bool,
     other_mode_since: Option<HostTime>,
     asked: Option<HostTime>,
-    /// When landing was first asked for in the present state.
+    /// When landing was first requested in the present state.
     land_asked: Option<HostTime>,
-    /// Share of its time that a vehicle which is to land is brought to rest for, by what lands it.
+    /// Share of the braking time that the cause of a landing allows.
     brake_share: f64,
     refusal: Option<String>,
-    /// Since when each fault's condition has held, and whether it was reacted to.
+    /// Since when each fault's condition has held, and whether the reaction is done.
     faults: BTreeMap<Fault, (HostTime, bool)>,
     /// When control began.
     control_since: HostTime,
-    /// The change of the mode that ended control.
+    /// The mode change that ended control.
     taken: Option<ModeTaken>,
-    /// Since when a vehicle that lands has lain still.
+    /// Since when a landing vehicle has been at rest.
     rest_since: Option<HostTime>,
-    /// What the vehicle reported as unhealthy and was told in this flight.
+    /// The unhealthy parts that an event of this flight has named.
     told_unhealthy: u32,
     actions: Vec<Action>,
     events: Vec<Event>,
 }
 
 impl Supervisor {
-    /// Connecting, at `now`. Under [`EngagePolicy::Command`] one flight is wanted.
+    /// Starts in Connect at `now`. [`EngagePolicy::Command`] implies one commanded flight.
     pub fn new(
         policy: EngagePolicy,
         modes: ModeMap,
@@ -164,7 +168,7 @@ impl Supervisor {
         }
     }
 
-    /// Where the flight stands.
+    /// The present state of the flight.
     pub fn state(&self) -> FlightState {
         self.state
     }
@@ -174,21 +178,21 @@ impl Supervisor {
         now.since(self.since).as_secs_f64()
     }
 
-    /// Who ended control by a change of the mode, once that is known.
+    /// The cause of the mode change that ended control, once it is known.
     pub fn takeover(&self) -> Option<&Takeover> {
         self.taken.as_ref()?.by()
     }
 
-    /// Asks for a flight, or another after the last is over.
+    /// Requests a flight, or another one after the last is over.
     pub fn engage(&mut self, now: HostTime) {
         self.engaged = true;
         self.fire(now, Trigger::EngageAsked, "a flight is asked for");
     }
 
-    /// The vehicle refused a request; `text` says why, where it is known.
+    /// Records that the vehicle refused a request; `text` says why, where it is known.
     pub fn refused(&mut self, now: HostTime, action: Action, text: &str) {
         let text = format!("the vehicle refuses {}: {text}", action.in_words());
-        // It is asked again every second, and mostly refuses for the same reason.
+        // The request is repeated every second, and mostly refused for the same reason.
         if self.refusal.as_ref() != Some(&text) {
             self.tell(now, Severity::Warning, text.clone());
         }
@@ -205,7 +209,7 @@ impl Supervisor {
         std::mem::take(&mut self.events)
     }
 
-    /// Moves along the table's row for `trigger`, if there is one.
+    /// Takes the table's transition for `trigger`, if there is one; returns whether there was.
     pub fn fire(&mut self, now: HostTime, trigger: Trigger, why: &str) -> bool {
         let Some(next) = self.state.next(trigger) else { return false };
         let severity = match (next, trigger) {
@@ -239,20 +243,20 @@ impl Supervisor {
         }
         if next.is_over() {
             self.engaged = false;
-            // What was asked for in a flight does not outlive it.
+            // Requests of a flight do not outlive it.
             self.actions.clear();
         }
         self.tell(now, severity, refusal.unwrap_or_else(|| why.to_owned()));
     }
 
-    /// Adds an event.
+    /// Adds an event in the present state.
     pub fn tell(&mut self, now: HostTime, severity: Severity, text: impl Into<String>) {
         self.events.push(Event { host: now, severity, state: self.state, text: text.into() });
     }
 
-    /// Looks at the vehicle and the clock, and moves on as far as the table leads.
+    /// Evaluates vehicle and clock, and takes every transition that follows.
     pub fn observe(&mut self, now: HostTime, seen: &Observation) {
-        // The longest chain of rows within one look is shorter than the number of states.
+        // The longest chain of transitions in one call is shorter than the number of states.
         for _ in 0..STATES.len() {
             let Some((trigger, why)) = self.trigger(now, seen) else { break };
             if !self.fire(now, trigger, &why) {
@@ -272,7 +276,7 @@ impl Supervisor {
         self.request(now, seen);
     }
 
-    /// Looks only at whether the pilot has taken over: for what was heard while nobody listened.
+    /// Checks only whether the mode ends control, for messages read after a pause.
     pub fn heed_mode(&mut self, now: HostTime, status: &VehicleStatus) {
         if self.mode_changed(status.mode) {
             let why = self.control_ends(status);
@@ -290,7 +294,7 @@ impl Supervisor {
         self.tell(now, Severity::Warning, words);
     }
 
-    /// Tells what the vehicle reports as unhealthy, each once a flight.
+    /// Reports what the vehicle calls unhealthy, each part once a flight.
     fn tell_unhealthy(&mut self, now: HostTime, status: &VehicleStatus) {
         let new = health::watched(status.unhealthy) & !self.told_unhealthy;
         if new != 0 && self.state.is_in_control() {
@@ -300,7 +304,7 @@ impl Supervisor {
         }
     }
 
-    /// What the guard before the output is to let pass.
+    /// What the guard before the output may let pass.
     pub fn stance(&self, now: HostTime) -> Stance {
         let handover_s = self.settings.land_handover_s;
         #[cfg(test)]
@@ -320,7 +324,7 @@ impl Supervisor {
         }
     }
 
-    /// Whether the vehicle obeys setpoints, by the mode that it told lately.
+    /// Whether the vehicle obeys setpoints, according to a recently reported mode.
     pub fn obeys(&self, now: HostTime, status: &VehicleStatus) -> Obeys {
         match status.mode.filter(|_| status.knows_mode(now)) {
             None => Obeys::Unknown,
@@ -329,12 +333,12 @@ impl Supervisor {
         }
     }
 
-    /// What became of the answer to the newest sample: whether a setpoint left.
+    /// Records whether the newest sample was answered with a setpoint that left.
     pub fn sent(&mut self, is_sent: bool) {
         self.streamed = is_sent;
     }
 
-    /// The first trigger that holds and that the present state listens to.
+    /// The first trigger that holds and has a transition from the present state.
     fn trigger(&mut self, now: HostTime, seen: &Observation) -> Option<(Trigger, String)> {
         let silence_s = seen.status.silence_s(now);
         let linked = silence_s < self.settings.link_lost_after_s;
@@ -344,7 +348,7 @@ impl Supervisor {
             && !offboard
             && intended != Some(self.modes.offboard)
             && (intended.is_some() || self.goes_by_heartbeat(now, seen.status));
-        // A word that is doubted may be of OFFBOARD: what was read before it says nothing.
+        // A doubted mode may hide OFFBOARD: what was read before the doubt does not count.
         if released && linked && seen.status.mode_heard.is_some() {
             self.other_mode_since.get_or_insert(now);
         } else {
@@ -359,7 +363,7 @@ impl Supervisor {
         let is_return = offboard && seen.status.mode_came_with_disarming();
         let on_ground = seen.airborne == Some(false);
         let rests_s = self.rest_since.map_or(0.0, |since| now.since(since).as_secs_f64());
-        // In the order in which they are listened to.
+        // In order of precedence.
         let rows = [
             (Trigger::LinkLost, !linked),
             (Trigger::VehicleHeard, linked && mode.is_some()),
@@ -405,15 +409,15 @@ impl Supervisor {
         Some((trigger, self.describe(trigger, seen)))
     }
 
-    /// Whether the intended mode is not waited for: the vehicle has none, or does not tell it.
+    /// Whether not to wait for the intended mode: the vehicle has none, or does not report it.
     fn goes_by_heartbeat(&self, now: HostTime, status: &VehicleStatus) -> bool {
         let known_s = status.mode_since.map_or(0.0, |since| now.since(since).as_secs_f64());
         !self.modes.reports_intended || known_s > INTENDED_MODE_WAIT_S
     }
 
-    /// Whether the OFFBOARD that is read is the pilot's switch. In the air it is. On the ground it
-    /// may be the autopilot's return to an earlier choice on disarming: a HEARTBEAT later than the
-    /// mode must have told whether the motors are armed.
+    /// Whether OFFBOARD was entered by the pilot's switch. In the air it always was. On the ground
+    /// it may be the autopilot's return to an earlier choice on disarming, so a HEARTBEAT later
+    /// than the mode must have reported whether the motors are armed.
     fn pilot_switched(&self, seen: &Observation) -> bool {
         let status = seen.status;
         let is_confirmed = status
@@ -422,8 +426,8 @@ impl Supervisor {
         seen.airborne == Some(true) || (is_confirmed && !status.mode_came_with_disarming())
     }
 
-    /// Whether the mode reads what neither the daemon asked for nor was there before. An offer
-    /// ends when the pilot leaves OFFBOARD again before it was taken for his word.
+    /// Whether the mode is one that the controller did not request and that was not there before.
+    /// An offer ends when the pilot leaves OFFBOARD before it counts as the pilot's switch.
     fn mode_changed(&self, mode: Option<u32>) -> bool {
         let Some(mode) = mode else { return false };
         let offboard = mode == self.modes.offboard;
@@ -435,7 +439,7 @@ impl Supervisor {
         }
     }
 
-    /// What the time limit is on: where telemetry comes and goes, the whole preparation.
+    /// Time that counts against the limit: the whole preparation where telemetry comes and goes, s.
     fn waited_s(&self, now: HostTime) -> f64 {
         let preparing = self.preparing_since.filter(|_| self.state.is_preparing());
         now.since(preparing.unwrap_or(self.since)).as_secs_f64()
@@ -461,7 +465,7 @@ impl Supervisor {
         }
     }
 
-    /// Reacts to each fault once, as soon as its condition has held for its time.
+    /// Reacts to each fault once, as soon as its condition has held for its dwell time.
     fn react(&mut self, now: HostTime, seen: &Observation) {
         if !self.state.is_in_control() {
             return;
@@ -491,18 +495,18 @@ impl Supervisor {
                 self.brake_share = self.safety.brake_share(fault, condition);
                 return;
             }
-            // A jump was told in more words where it was found.
+            // The event of a jump was more detailed where it was found.
             if fault != Fault::TelemetryJump {
                 self.tell(now, Severity::Warning, why);
             }
         }
     }
 
-    /// What the present state asks of the vehicle, repeated while it has no effect.
+    /// Sends the request of the present state, and repeats it while it has no effect.
     fn request(&mut self, now: HostTime, seen: &Observation) {
         let status = seen.status;
-        // Where the state stopped, the vehicle's own failsafe may have acted since: a mode that was
-        // told as the silence began says nothing of it, and another frame that came later neither.
+        // After a stop of the state the vehicle's own failsafe may have acted. A mode reported as
+        // the silence began does not show that, and a later frame of another kind does not either.
         let stopped_s = seen.condition.sample_age_s;
         let mode_s = status.mode_heard.map_or(f64::INFINITY, |at| now.since(at).as_secs_f64());
         let is_told = stopped_s <= STATE_STOPPED_S || mode_s + STATE_STOPPED_S <= stopped_s;
@@ -539,7 +543,7 @@ impl Supervisor {
         }
     }
 
-    /// Whether a vehicle that is to land is brought to rest first.
+    /// Whether to brake a vehicle before it is asked to land.
     fn brakes(&self, now: HostTime, seen: &Observation) -> bool {
         self.land_asked.is_none()
             && seen.condition.sample_age_s <= STATE_STOPPED_S

@@ -1,5 +1,5 @@
-//! The vehicle's state from its messages: which message fires a control tick, what of it is
-//! believed, and what else is known about the vehicle.
+//! The vehicle's state from its messages: which messages fire a control tick, which are accepted,
+//! and what else is known about the vehicle.
 
 mod fault;
 mod lateness;
@@ -23,26 +23,27 @@ use crate::clock::{HostTime, VehicleTime};
 use crate::link::received::Received;
 use crate::link::vehicle_clock::Delay;
 
-/// When a control tick fires, and what telemetry is refused.
+/// When a control tick fires, and which telemetry is rejected.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TelemetrySettings {
-    /// Control rate, Hz; ticks are thinned to it. Not set by itself: it is the feedback's.
+    /// Control rate, Hz, to which ticks are thinned. Not a setting here: the feedback's rate
+    /// applies.
     #[serde(skip)]
     pub rate_hz: f64,
-    /// A message that certainly came this much later than the quickest ones, by the link's
-    /// estimate of the vehicle's clock, is not acted upon, s.
+    /// Least delay beyond that of the fastest messages, by the link's estimate of the vehicle's
+    /// clock, from which a message is ignored, s.
     pub late_after_s: f64,
-    /// A position this far from where velocity leads is a jump, m.
+    /// A position this far from where the velocity leads is a jump, m.
     pub position_jump_m: f64,
-    /// A position that goes beside its velocity at this speed for half a second, however small its
-    /// steps, is a jump too, m/s.
+    /// A position that departs from its velocity at this speed for half a second is a jump too,
+    /// however small its steps, m/s.
     pub position_slide_m_s: f64,
-    /// A change of velocity by this much at once is a jump, m/s.
+    /// A sudden velocity change of this size is a jump, m/s.
     pub velocity_jump_m_s: f64,
     /// An attitude this far from where the body rate leads is a jump, rad.
     pub attitude_jump_rad: f64,
-    /// A step of the vehicle's clock against the host's by more than this is a jump, s.
+    /// A step of the vehicle's clock against the host's beyond this is a jump, s.
     pub clock_jump_s: f64,
 }
 
@@ -60,34 +61,35 @@ impl Default for TelemetrySettings {
     }
 }
 
-/// A source keeps to a rate while it comes at this share of it.
+/// Share of a rate at which a source still counts as keeping it.
 const KEEPS_TO: f64 = 0.9;
-/// Samples are thinned where they come at more than this many times the control rate.
+/// Samples faster than this many times the control rate are thinned.
 const THIN_ABOVE: f64 = 1.25;
-/// A vehicle whose motors turn does not report one state, unchanged, for this long, s, unless its
-/// estimator is frozen.
+/// Longest time for which a vehicle with running motors reports an unchanged state, s. Beyond it,
+/// the estimator counts as frozen.
 const FROZEN_S: f64 = 0.2;
-/// What says that it moves by less than this meanwhile may be still, m or rad.
+/// A vehicle that reports less motion than this over that time may be at rest, m or rad.
 const STILL: f64 = 1e-4;
-/// Longest tolerated distance of a pair's stamps while a rate is not measured yet, s.
+/// Longest tolerated gap between a pair's stamps before a rate is measured, s.
 const PAIR_GAP_MAX_S: f64 = 0.05;
 
-/// A state to act upon.
+/// A state that control acts on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// The state at `vehicle`.
+    /// The state at `vehicle`; position NED, m.
     pub state: State,
     /// Vehicle time of the state.
     pub vehicle: VehicleTime,
-    /// Host time at which its last message came.
+    /// Host time at which its last message arrived.
     pub host: HostTime,
-    /// The messages it was made of.
+    /// The messages it was made from.
     pub source: SampleSource,
-    /// How much later than the quickest messages it came, s: its age without the least delay.
+    /// How much longer it took to arrive than the fastest messages, s: its age less the minimum
+    /// delay.
     pub excess_delay_s: f64,
 }
 
-/// What a sample was made of.
+/// The messages that a sample was made from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SampleSource {
     /// ODOMETRY.
@@ -96,12 +98,12 @@ pub enum SampleSource {
     Pair(AttitudeSource),
 }
 
-/// One kind of message: its newest value, whether that was used, its rate.
+/// One kind of message: its newest value, whether that is still unused, and its rate.
 #[derive(Clone, Debug)]
 struct Stream<T> {
     newest: Option<T>,
     unused: bool,
-    /// Since when the values are the same under new stamps.
+    /// Since when the values are unchanged under new stamps.
     same_since: Option<VehicleTime>,
     rate: RateMeter,
 }
@@ -112,7 +114,7 @@ impl<T> Default for Stream<T> {
     }
 }
 
-/// Messages in, samples out. Deterministic; time comes with the messages.
+/// Turns messages into samples. Deterministic: the messages bring the time.
 #[derive(Clone, Debug)]
 pub struct Telemetry {
     settings: TelemetrySettings,
@@ -132,7 +134,7 @@ pub struct Telemetry {
 }
 
 impl Telemetry {
-    /// Nothing heard yet.
+    /// Starts with no message received.
     pub fn new(settings: TelemetrySettings) -> Self {
         Self {
             settings,
@@ -152,7 +154,7 @@ impl Telemetry {
         }
     }
 
-    /// What is known about the vehicle beside its state.
+    /// What is known about the vehicle besides its state.
     pub fn status(&self) -> &VehicleStatus {
         &self.status
     }
@@ -162,17 +164,17 @@ impl Telemetry {
         self.last.as_ref()
     }
 
-    /// Seconds since the newest sample came, infinite before the first.
+    /// Seconds since the newest sample arrived; infinite before the first.
     pub fn age_s(&self, now: HostTime) -> f64 {
         self.last.map_or(f64::INFINITY, |sample| now.since(sample.host).as_secs_f64())
     }
 
-    /// Messages of the state that came too late to be acted upon since the newest sample.
+    /// State messages since the newest sample that arrived too late to act on.
     pub fn late(&self) -> LateMessages {
         self.lateness.since_sample
     }
 
-    /// Those that are to be told now: every two seconds at most.
+    /// The late messages to report now, at most every two seconds.
     pub fn take_late(&mut self, now: HostTime) -> Option<LateMessages> {
         self.lateness.take(now)
     }
@@ -182,30 +184,29 @@ impl Telemetry {
         [self.odometry.rate.hz(), self.attitude_rate().hz(), self.position.rate.hz()]
     }
 
-    /// Rate in Hz at which the messages can fire ticks: the control rate or what limits it.
+    /// Rate in Hz at which the messages can fire ticks, at most the control rate.
     pub fn tick_rate_hz(&self) -> f64 {
         let [odometry, attitude, position] = self.rates_hz();
         odometry.max(attitude.min(position)).min(self.settings.rate_hz)
     }
 
-    /// Forgets the state, the mode and the clocks, after the link was lost or the vehicle
-    /// restarted.
+    /// Forgets the state, the mode and the clocks after a lost link or a restart of the vehicle.
     pub fn forget(&mut self) {
         let mut status = std::mem::take(&mut self.status);
         status.forget_mode();
         *self = Self { status, ..Self::new(self.settings) };
     }
 
-    /// The mode that was told last may be old, as after a pause of this process.
+    /// Marks the last reported mode as possibly outdated, such as after a pause of this process.
     pub fn doubt_mode(&mut self) {
         self.status.doubt_mode();
     }
 
-    /// Takes a message; a sample comes back if the message fires a tick.
+    /// Takes a message, and returns a sample if the message fires a tick.
     ///
     /// # Errors
-    /// [`TelemetryFault`] says why a message of the state was not acted upon; the next one is
-    /// judged against it, so that a jump is reported once.
+    /// [`TelemetryFault`] says why a state message was rejected. The next message is still compared
+    /// with it, so that a jump is reported once.
     pub fn update(&mut self, received: &Received) -> Result<Option<Sample>, TelemetryFault> {
         self.status.update(received);
         let Some(stamp) = received.vehicle else { return Ok(None) };
@@ -284,10 +285,11 @@ impl Telemetry {
         }
     }
 
-    /// Follows the vehicle's clock; gives how long the message was on its way.
+    /// Follows the vehicle's clock; returns the message's delay.
     ///
-    /// Queues make messages late by any amount, and let the next ones come at once: that is no jump
-    /// of the clock. None comes before it was sent, so less delay than ever before is one.
+    /// Queues delay messages by any amount and then release them at once, which is no jump of the
+    /// clock. But no message arrives before it was sent, so a delay far below the minimum so far is
+    /// a jump.
     fn advance_clock(
         &mut self,
         received: &Received,
@@ -309,9 +311,10 @@ impl Telemetry {
         Ok(delay)
     }
 
-    /// With its motors off a vehicle may well lie still; and so may one that a simulation without
-    /// noise hovers. One whose motors turn may not:
-    /// it may have lifted off, and the message that says so been lost. `speed`, m/s or rad/s, is by its own word.
+    /// Checks that a vehicle that may move does not repeat one state. A vehicle with its motors off
+    /// may be at rest, and so may one that hovers in a noiseless simulation. With running motors it
+    /// may have lifted off, and the message that reports it may be lost. `speed` is its own report,
+    /// m/s or rad/s.
     fn not_frozen(
         &self,
         same_since: Option<VehicleTime>,
@@ -339,8 +342,8 @@ impl Telemetry {
         Ok(())
     }
 
-    /// Two attitude estimates are never mixed: the first heard stays in use until it is silent, or
-    /// until the other keeps to the control rate and it does not.
+    /// Selects the attitude source. Two estimates are never mixed: the first one received stays in
+    /// use until it is silent, or until only the other keeps the control rate.
     fn choose_attitude(&mut self, heard: AttitudeSource, stamp: VehicleTime) {
         let Some(used) = self.attitude_source else {
             self.attitude_source = Some(heard);
@@ -359,8 +362,8 @@ impl Telemetry {
         }
     }
 
-    /// Whether the ticks are ODOMETRY's: while it keeps to the control rate, or where the pair is
-    /// no quicker. One rate is judged by the other because a pause of the vehicle slows both.
+    /// Whether ODOMETRY fires the ticks: while it keeps the control rate, or where the pair is no
+    /// faster. The rates are compared with each other because a pause of the vehicle slows both.
     fn odometry_drives(&self, stamp: VehicleTime) -> bool {
         let odometry = self.odometry.rate.live_hz(stamp);
         let attitude = self.attitude_rate().live_hz(stamp);
@@ -375,8 +378,9 @@ impl Telemetry {
         }
     }
 
-    /// The newest attitude and position, if neither was used, their stamps are at most one period
-    /// of the slower apart, and nothing better drives the ticks; carried to the newer stamp.
+    /// A sample at the later stamp from the newest attitude and position. `None` if either was
+    /// used, their stamps are more than one period of the slower apart, or ODOMETRY drives the
+    /// ticks.
     fn pair(&mut self, host: HostTime, delay: Delay) -> Option<Sample> {
         let source = self.attitude_source?;
         let attitude = match source {
@@ -389,7 +393,7 @@ impl Telemetry {
         let (turn, pose) = (attitude.newest?, self.position.newest?);
         let gap = turn.stamp.seconds_since(pose.stamp);
         let slower = attitude.rate.hz().min(self.position.rate.hz());
-        // Stamps are often whole milliseconds.
+        // Stamps are often rounded to milliseconds.
         let gap_max = if slower > 0.0 { 1.0 / slower + 1e-3 } else { PAIR_GAP_MAX_S };
         if gap.abs() > gap_max {
             return None;
@@ -408,8 +412,8 @@ impl Telemetry {
         self.fire(state, stamp, host, SampleSource::Pair(source), delay)
     }
 
-    /// Thins to the control rate. The due time moves on by whole periods, so that the mean rate
-    /// has no drift, and a source that is slower than asked loses no tick to it.
+    /// Thins samples to the control rate. The due time advances by whole periods, so that the mean
+    /// rate does not drift and a slower source loses no tick.
     fn fire(
         &mut self,
         state: State,
@@ -424,8 +428,8 @@ impl Telemetry {
             SampleSource::Odometry => odometry,
             SampleSource::Pair(_) => attitude.min(position),
         };
-        // A source that is about as quick as control sets the pace itself: held to a phase of its
-        // own, it would lose a tick to every sample that comes a little early.
+        // A source close to the control rate sets the pace itself. Held to a fixed phase, it would
+        // lose a tick with each sample that arrives slightly early.
         let due = match self.due {
             Some(due) if rate_hz > THIN_ABOVE * self.settings.rate_hz => due,
             _ => vehicle,
@@ -447,7 +451,8 @@ impl Telemetry {
 }
 
 impl<T: Copy> Stream<T> {
-    /// Takes `value` as the newest unless its stamp is old; `check` judges it by the one before.
+    /// Takes `value` as the newest unless its stamp is old; `check` compares it with the one
+    /// before.
     fn accept(
         &mut self,
         value: T,

@@ -1,5 +1,5 @@
-//! A vehicle file held against a flight: what it predicts of the hover, of the outputs and of the
-//! on-board loop, and what the log shows of each.
+//! Compares a vehicle file with a flight: its predictions of the hover, the outputs and the
+//! on-board loop with what the log shows.
 
 mod gains;
 mod hover;
@@ -15,63 +15,62 @@ use vehicle::VehicleParams;
 use crate::learn::segments::in_air;
 use crate::log::import::Flight;
 
-/// A mean output of this share of the hover's carries the vehicle.
+/// Share of the hover output above which a mean output carries the vehicle.
 const LIFTS: f64 = 0.5;
 
-/// What a log says of a number that the file predicts.
+/// Whether a log agrees with a number that the file predicts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// What was found is what the file predicts, to the tolerance of the check and the chance of
-    /// the log.
+    /// The log agrees with the file, within the check's tolerance and the log's chance variation.
     Fits,
-    /// It is not.
+    /// The log contradicts the file.
     Differs,
-    /// The log does not show it.
+    /// The log does not show the number.
     NotShown,
 }
 
-/// One number of the file held against the log.
+/// The comparison of one number.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Held {
-    /// What was looked at: `hover`, `outputs`, `roll`, `pitch`, `yaw`, `gains`.
+    /// The check: `hover`, `outputs`, `roll`, `pitch`, `yaw`, `gains`.
     pub check: &'static str,
-    /// The field of the file to look at first.
+    /// The field of the file to examine first.
     pub field: &'static str,
-    /// What the log says.
+    /// The verdict of the log.
     pub verdict: Verdict,
-    /// What the file predicts.
+    /// The prediction of the file.
     pub expected: f64,
-    /// What the log shows.
+    /// The value in the log.
     pub found: Option<f64>,
     /// Half of the 95 % interval of `found`, where it has one.
     pub half_width: Option<f64>,
-    /// Unit of all three; empty for shares.
+    /// Unit of all three; empty for shares and gains.
     pub unit: &'static str,
-    /// All of it as a sentence.
+    /// The comparison as a sentence.
     pub what: String,
 }
 
-/// Why nothing can be said.
+/// Why nothing can be compared.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NotHeld {
-    /// The vehicle was not in the air, by the log.
+    /// The log shows no flight in the air.
     #[error("the log shows no flight of more than {needed_s} s in the air")]
     NoFlight {
-        /// Needed, s.
+        /// Required time in the air, s.
         needed_s: f64,
     },
-    /// Outputs without a unit.
+    /// The outputs have no known unit.
     #[error(transparent)]
     Unit(#[from] crate::log::import::UnitUnknown),
 }
 
-/// The shortest flight that is looked at, s.
+/// The shortest flight that is examined, s.
 const FLIGHT_MIN_S: f64 = 5.0;
-/// Length of a block, of which chance is told, s.
+/// Length of the blocks that show the chance variation, s.
 const BLOCK_S: f64 = 4.0;
 
-/// Holds `vehicle` against `flight`, one sentence each.
+/// Compares `vehicle` with `flight`, one sentence for each number.
 ///
 /// # Errors
 /// [`NotHeld`] where the log shows no flight, or its outputs have no unit.
@@ -89,7 +88,7 @@ pub fn held(flight: &Flight, vehicle: &VehicleParams) -> Result<Vec<Held>, NotHe
     Ok(all)
 }
 
-/// Spans as blocks of [`BLOCK_S`]; what is left of a span at its end is in none.
+/// Divides spans into blocks of [`BLOCK_S`]; the rest at a span's end is dropped.
 fn blocks(spans: &[Range<f64>]) -> Vec<Range<f64>> {
     let of = |span: &Range<f64>| {
         let (start, count) = (span.start, ((span.end - span.start) / BLOCK_S).floor() as u32);
@@ -101,7 +100,7 @@ fn blocks(spans: &[Range<f64>]) -> Vec<Range<f64>> {
     spans.iter().flat_map(of).collect()
 }
 
-/// A number for a person: three digits.
+/// A number with three digits, for people.
 fn brief(value: f64) -> String {
     let decimals = (2 - value.abs().max(1e-3).log10().floor() as i32).max(0) as usize;
     format!("{value:.decimals$}")
@@ -120,7 +119,7 @@ mod tests {
         VehicleParams::load(file).expect("a vehicle")
     }
 
-    /// A flight of `vehicle` with its PD; its equations are written anew.
+    /// A flight of `vehicle` with its PD law, from equations that are independent of the program's.
     fn flown(vehicle: &VehicleParams, size: f64) -> Flight {
         let pd = vehicle.attitude_pd.expect("a PD");
         flown_by(vehicle, size, |axis, wanted, angle, rate| {
@@ -128,8 +127,8 @@ mod tests {
         })
     }
 
-    /// A flight of `vehicle` whose setpoints turn by `size` rad at random, once a second, by a loop:
-    /// from axis, desired angle, angle and rate to what the log has as the setpoint, and the moment.
+    /// A flight of `vehicle` with a new random setpoint of up to `size` rad once a second. The loop
+    /// maps axis, desired angle, angle and rate to the logged setpoint and the moment.
     fn flown_by(
         vehicle: &VehicleParams,
         size: f64,
@@ -194,8 +193,8 @@ mod tests {
         assert_eq!(verdicts(&flown(&vehicle, 0.15), &vehicle), expected);
     }
 
-    /// ArduCopter's log has the target that it shaped of what it was sent: the file's loop follows that
-    /// without shaping it again, and its rate is fed forward.
+    /// ArduCopter's log contains the target after shaping. The file's loop follows it without
+    /// shaping it again, and feeds its rate forward.
     #[test]
     fn a_target_that_was_shaped_on_board_is_not_shaped_again() {
         let mut vehicle = file();

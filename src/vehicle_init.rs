@@ -1,7 +1,7 @@
-//! A vehicle file from what is known of a vehicle: its autopilot's parameters and what was measured.
+//! Makes a vehicle file from the autopilot's parameters and the user's measurements.
 //!
-//! Every number has its source. What is only estimated is marked as such, with a tolerance; what is
-//! not known at all is named with the way to measure it, never guessed.
+//! Every number has its source. An estimate is marked as such, with a tolerance. An unknown number
+//! is named with the way to measure it, and never guessed.
 
 mod body;
 mod document;
@@ -13,23 +13,23 @@ use vehicle::{AttitudeCascade, BatteryParams};
 
 use crate::parameters::{Autopilot, Parameters};
 
-/// Gravity where nothing else is said, m/s^2.
+/// Default gravity, m/s^2.
 const GRAVITY: f64 = 9.80665;
 /// Density of the air near the ground, kg/m^3.
 const AIR_DENSITY: f64 = 1.2;
 
-/// What was measured of the vehicle, by its user. Wins over parameters.
+/// The user's measurements of the vehicle. They override parameters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measured {
-    /// Name of the vehicle.
+    /// The vehicle's name, for the file.
     pub name: Option<String>,
     /// Mass, kg.
     pub mass_kg: Option<f64>,
     /// Moments of inertia about front, right and down, kg m^2.
     pub inertia: Option<[f64; 3]>,
-    /// From the centre to a rotor, m.
+    /// Distance from the centre to a rotor, m.
     pub arm_m: Option<f64>,
-    /// Layout, where no parameters say it.
+    /// Layout, where no parameters give it.
     pub layout: Option<Layout>,
     /// Full thrust of one rotor, N.
     pub thrust_max_n: Option<f64>,
@@ -37,11 +37,11 @@ pub struct Measured {
     pub hover_throttle: Option<f64>,
     /// Diameter of a propeller, m.
     pub propeller_m: Option<f64>,
-    /// Drag torque of a rotor over its thrust, m.
+    /// Drag torque of a rotor per thrust, m.
     pub torque_ratio_m: Option<f64>,
-    /// First-order lag of the rotors, s.
+    /// First-order time constant of the rotors, s.
     pub motor_lag_s: Option<f64>,
-    /// Cells in series.
+    /// Cells of the pack in series.
     pub cells: Option<u8>,
 }
 
@@ -54,12 +54,12 @@ pub enum Layout {
     Plus,
 }
 
-/// How well a number is known.
+/// Accuracy of a number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Tolerance {
-    /// As a share of it.
+    /// As a share of the number.
     Share(f64),
-    /// In s.
+    /// In seconds.
     Seconds(f64),
 }
 
@@ -68,11 +68,11 @@ pub enum Tolerance {
 pub struct Given<T> {
     /// The number, or numbers.
     pub value: T,
-    /// Where it comes from.
+    /// Its origin, for the file's comments.
     pub from: String,
     /// One standard deviation, where it is known.
     pub tolerance: Option<Tolerance>,
-    /// Whether nothing stated or measured it.
+    /// Whether it is an estimate, neither stated nor measured.
     pub is_estimate: bool,
 }
 
@@ -90,75 +90,75 @@ impl<T> Given<T> {
     }
 }
 
-/// Something that is not known, or only estimated, and how to measure it.
+/// A number that is unknown or only estimated, and how to measure it.
 #[derive(Clone, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 pub struct Wanting {
     /// Key of the vehicle file.
     pub key: &'static str,
-    /// What it is.
+    /// A description with the unit.
     pub what: &'static str,
     /// How to measure it, and the flag that takes it.
     pub how: &'static str,
 }
 
-/// What goes into a vehicle file, as far as it is known.
+/// The content of a vehicle file, as far as it is known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Draft {
     /// Name of the vehicle.
     pub name: String,
-    /// What the numbers were taken from.
+    /// The source of the parameters.
     pub source: String,
-    /// Whose parameters they were.
+    /// The autopilot whose parameters they are.
     pub autopilot: Option<Autopilot>,
-    /// kg.
+    /// Mass, kg.
     pub mass: Option<Given<f64>>,
-    /// kg m^2.
+    /// Moments of inertia about front, right and down, kg m^2.
     pub inertia: Option<Given<[f64; 3]>>,
-    /// The rotors in words, in the order of the motors.
+    /// Places of the rotors for people, in the order of the motors.
     pub layout: [String; 4],
-    /// Front, right, down, m, in the order of the motors.
+    /// Positions front, right, down, m, in the order of the motors.
     pub positions: Option<Given<[[f64; 3]; 4]>>,
-    /// As of a vehicle file.
+    /// Directions of rotation, as in a vehicle file.
     pub spins: Given<[i8; 4]>,
-    /// Of one rotor, N.
+    /// Full thrust of one rotor, N.
     pub thrust_max: Option<Given<f64>>,
-    /// m.
+    /// Drag torque per thrust, m.
     pub torque_ratio: Option<Given<f64>>,
-    /// m.
+    /// Radius of a rotor, m.
     pub rotor_radius: Option<Given<f64>>,
-    /// s.
+    /// First-order time constant of the rotors, s.
     pub motor_lag: Given<f64>,
-    /// s.
+    /// Delay from a setpoint to its effect, s.
     pub command_delay: Given<f64>,
-    /// Fraction of full thrust.
+    /// Hover thrust as a fraction of full thrust.
     pub hover_thrust: Option<Given<f64>>,
     /// The pack.
     pub battery: Given<BatteryParams>,
-    /// The autopilot's own loop.
+    /// The autopilot's own attitude loop.
     pub cascade: Option<Given<AttitudeCascade>>,
-    /// Parameters that the loop lacks, where an autopilot's are known.
+    /// Parameters missing for the loop, where the autopilot is known.
     pub cascade_lacks: Vec<String>,
-    /// N per m/s.
+    /// Linear drag, N per m/s.
     pub linear_drag: Option<Given<f64>>,
-    /// N m s.
+    /// Angular damping, N m s.
     pub angular_damping: Option<Given<f64>>,
     /// Share of the square in the rotors' thrust curve.
     pub thrust_curve: Option<Given<f64>>,
 }
 
-/// Why there is no vehicle file for this vehicle.
+/// Why this vehicle cannot have a vehicle file.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum NoQuadrotor {
-    /// It has another number of motors.
+    /// It does not have four motors.
     #[error("its parameters are of a vehicle with {0} motors; only quadrotors are understood")]
     Motors(u32),
-    /// It is no multirotor.
+    /// It is not a multirotor.
     #[error("CA_AIRFRAME is {0}, which is no multirotor; only quadrotors are understood")]
     Airframe(f64),
 }
 
 impl Draft {
-    /// What parameters and measurements say of a vehicle.
+    /// Gathers what parameters and measurements say about a vehicle.
     ///
     /// # Errors
     /// [`NoQuadrotor`].
@@ -178,7 +178,7 @@ impl Draft {
         Ok(draft)
     }
 
-    /// What no source says and the file needs.
+    /// The numbers that the file needs and no source gives.
     pub fn missing(&self) -> Vec<Wanting> {
         let has = [
             ("mass", self.mass.is_some()),
@@ -190,7 +190,7 @@ impl Draft {
         missing.filter_map(|(key, _)| wanting(key)).collect()
     }
 
-    /// What an estimate that matters most was taken to be, and by what.
+    /// The assumed value of an important estimate, and its source. Only `inertia` has one.
     pub fn assumption(&self, key: &str) -> Option<String> {
         let inertia =
             self.inertia.as_ref().filter(|given| given.is_estimate && key == "inertia")?;
@@ -198,7 +198,7 @@ impl Draft {
         Some(format!("taken as {roll}, {pitch}, {yaw}, {}", inertia.from))
     }
 
-    /// What is in the file as an estimate only.
+    /// The numbers in the file that are only estimates.
     pub fn estimated(&self) -> Vec<Wanting> {
         let is_estimate =
             |given: &Option<Given<f64>>| given.as_ref().is_some_and(|g| g.is_estimate);
@@ -344,18 +344,18 @@ mod tests {
         let draft = draft(COPTER, measured);
         assert_eq!(draft.missing(), []);
         let vehicle = VehicleParams::from_toml_str(&draft.to_toml()).expect("a vehicle");
-        // The throttle that hovers is the thrust's share.
+        // The throttle at hover is the share of the thrust.
         let thrust = 3.0 * GRAVITY / 4.0 / 0.39;
         close(vehicle.rotors[0].thrust_max_n, thrust);
         close(vehicle.rotors[0].position_m[1], 0.35);
         let curve =
             vehicle.modelled_effects.get::<vehicle::effects::ThrustCurve>().expect("a curve");
         close(curve.a, 0.65);
-        // Two motors at half each about roll.
+        // Two motors at half thrust each act about roll.
         let cascade = vehicle.attitude_cascade.expect("a cascade");
         close(cascade.rate_p_nms[0], 0.135 * thrust * 0.35);
         assert_eq!(cascade.input_time_constant_s, Some(0.15));
-        // The setpoint is followed within 0.15 s, its rate fed forward.
+        // The setpoint is followed with 0.15 s, and its rate is fed forward.
         close(vehicle.attitude_loop_pd().expect("a loop").kp[0], cascade.rate_p_nms[0] / 0.15);
     }
 
@@ -385,7 +385,7 @@ mod tests {
         assert_eq!(vehicle.remarks(), []);
         let estimated = keys(draft.estimated());
         assert!(estimated.contains(&"inertia"), "{estimated:?}");
-        // In the file too, with its tolerance.
+        // The file contains it too, with its tolerance.
         let share = vehicle.provenance["inertia"]["sigma_share"].as_f64().expect("a share");
         assert!(share >= 0.3, "{share}");
     }

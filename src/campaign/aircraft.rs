@@ -1,5 +1,5 @@
-//! The simulated vehicle of a script: what goes wrong with it, who flies it beside the station, and
-//! what is true of it.
+//! The simulated vehicle of a script: the faults that strike it, the others who command it, and its
+//! true state.
 
 use std::time::Duration;
 
@@ -21,11 +21,11 @@ use crate::clock::HostTime;
 const STATION: autopilot::Peer = autopilot::Peer(0);
 const PILOT: autopilot::Peer = autopilot::Peer(1);
 
-/// MAV_CMD_COMPONENT_ARM_DISARM's parameter 2 that disarms in the air.
+/// Parameter 2 of MAV_CMD_COMPONENT_ARM_DISARM that also disarms in the air.
 const FORCE: f32 = 21196.0;
 
-/// The vehicle as an operator sets it up: a short time-out of the stream, and on ArduCopter thrust as
-/// thrust and a failsafe that listens to the station. Its clock runs at `clock_rate` of the host's.
+/// The vehicle as an operator sets it up: a short time-out of the stream, and on ArduCopter direct
+/// thrust and a failsafe that watches the station. Its clock runs at `clock_rate` times the host's.
 pub fn set_up(autopilot: Autopilot, clock_rate: f64) -> SitlConfig {
     let parameters: &[(&str, f64)] = match autopilot {
         Autopilot::Bundled => &[],
@@ -44,11 +44,11 @@ pub fn set_up(autopilot: Autopilot, clock_rate: f64) -> SitlConfig {
     config
 }
 
-/// The vehicle, and its pilot. Times are of the host, us since it was first switched on.
+/// The vehicle and its pilot. Times are host times, us since the vehicle was first switched on.
 pub(super) struct Aircraft<'a> {
     script: &'a Script,
     kit: &'a Kit,
-    /// When it was first switched on.
+    /// Host time at which it was first switched on.
     epoch: HostTime,
     vehicle: Vehicle,
     booted_us: u64,
@@ -58,10 +58,10 @@ pub(super) struct Aircraft<'a> {
 }
 
 impl<'a> Aircraft<'a> {
-    /// Switched on at `epoch`.
+    /// Switches the vehicle on at `epoch`.
     ///
     /// # Errors
-    /// A vehicle that cannot be simulated.
+    /// The vehicle cannot be simulated.
     pub fn new(script: &'a Script, kit: &'a Kit, epoch: HostTime) -> Result<Self, VehicleRefused> {
         let mut vehicle = built(script, kit, script.seed, epoch)?;
         vehicle.connect(STATION, LinkKind::Datagrams);
@@ -81,10 +81,10 @@ impl<'a> Aircraft<'a> {
         self.epoch + Duration::from_micros(now_us)
     }
 
-    /// What of a fault happens to the vehicle in the instant in which it begins.
+    /// Applies the part of a fault that happens at the instant it begins.
     ///
     /// # Errors
-    /// A vehicle that cannot be simulated.
+    /// The vehicle cannot be simulated.
     pub fn begin(
         &mut self,
         fault: &Fault,
@@ -113,7 +113,7 @@ impl<'a> Aircraft<'a> {
         Ok(())
     }
 
-    /// A force on the vehicle from now on, in shares of its weight.
+    /// Applies a lasting force to the vehicle, in shares of its weight.
     fn push(&mut self, share: [f64; 3]) {
         let weight_n = self.kit.params.mass * self.kit.params.gravity;
         let everywhere = Foreign::Jet {
@@ -169,7 +169,7 @@ impl<'a> Aircraft<'a> {
         self.vehicle.receive(PILOT, &bytes);
     }
 
-    /// What the vehicle and others say at `now_us`, onto the link.
+    /// Puts the frames of the vehicle and of others at `now_us` onto the link.
     pub fn speak(&mut self, now_us: u64, channel: &mut Channel) {
         let faults = &self.script.faults;
         let Self { vehicle, tamper, .. } = self;
@@ -182,7 +182,7 @@ impl<'a> Aircraft<'a> {
         channel.intrude(faults, now_us);
     }
 
-    /// What arrives by `now_us`, given to the vehicle.
+    /// Passes the frames that arrive by `now_us` to the vehicle.
     pub fn listen(&mut self, now_us: u64, channel: &mut Channel, judge: &mut Judge) {
         let refuses = |timed: &Timed| timed.fault == Fault::Refusals && timed.acts(now_us);
         let refuses = self.script.faults.iter().any(refuses);
@@ -211,7 +211,7 @@ impl<'a> Aircraft<'a> {
         bytes
     }
 
-    /// The vehicle as it truly is.
+    /// The vehicle's true state.
     pub fn seen(&self, now_us: u64) -> Seen {
         let state = self.vehicle.plant().state();
         let flight = self.vehicle.flight();
@@ -225,7 +225,7 @@ impl<'a> Aircraft<'a> {
         }
     }
 
-    /// Who has it.
+    /// Who controls the vehicle at the end.
     pub fn ending(&self) -> Ending {
         let flight = self.vehicle.flight();
         match flight.mode() {
@@ -237,12 +237,12 @@ impl<'a> Aircraft<'a> {
         }
     }
 
-    /// When it may say something next, us.
+    /// The next time at which the vehicle may send a frame, us.
     pub fn next_event_us(&self) -> u64 {
         self.booted_us + self.vehicle.clock().host_us(self.vehicle.next_event_us())
     }
 
-    /// Lets time pass.
+    /// Advances the vehicle to `now_us`.
     pub fn advance_to(&mut self, now_us: u64) {
         let vehicle_us = self.vehicle.clock().vehicle_us(now_us - self.booted_us);
         self.vehicle.advance_to(vehicle_us);

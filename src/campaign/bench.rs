@@ -24,20 +24,21 @@ use crate::supervisor::EngagePolicy;
 
 const VEHICLE: Peer = Peer::new(0);
 
-/// The judge sees the true state this often, us.
+/// Interval at which the judge observes the true state, us.
 const SEEN_US: u64 = 10_000;
-/// The station runs at least this often, us.
+/// Longest interval between turns of the station, us.
 const LOOK_US: u64 = 20_000;
-/// A commanded flight ends within this; where the pilot switches, the station is stopped then, us.
+/// Time limit of a commanded flight; under the pilot's switch, the station is stopped at the second
+/// time, us.
 const LIMIT_US: u64 = 200_000_000;
 const SWITCHED_US: u64 = 26_000_000;
-/// Without setpoints, the vehicle's failsafe acts within this time, us.
+/// Time limit for the vehicle's failsafe to act without setpoints, us.
 const ADRIFT_US: u64 = 15_000_000;
 
 /// Flies a script.
 ///
 /// # Errors
-/// A vehicle that cannot be simulated.
+/// The vehicle cannot be simulated.
 pub fn fly(script: &Script, kit: &Kit) -> Result<Flown, VehicleRefused> {
     let planner_us: SharedTime = Arc::new(AtomicU64::new(0));
     let reference = planner::faulty(script, Arc::clone(&kit.settings.reference), &planner_us);
@@ -74,7 +75,7 @@ pub fn fly(script: &Script, kit: &Kit) -> Result<Flown, VehicleRefused> {
 struct Bench<'a> {
     script: &'a Script,
     settings: StationSettings,
-    /// None while its process does not run.
+    /// `None` while its process does not run.
     station: Option<Station>,
     aircraft: Aircraft<'a>,
     channel: Channel,
@@ -82,14 +83,14 @@ struct Bench<'a> {
     coverage: Coverage,
     planner_us: SharedTime,
     now_us: u64,
-    /// Faults that begin before this have begun.
+    /// All faults that start earlier have begun.
     begun_us: u64,
     /// When the station last ran.
     turned_us: u64,
-    /// When the judge sees the truth next.
+    /// When the judge next observes the true state.
     seen_us: u64,
     digest: crc32fast::Hasher,
-    /// The station's word on how the flight ended.
+    /// The station's own account of the flight's end.
     end: Option<String>,
 }
 
@@ -102,7 +103,8 @@ impl Bench<'_> {
         self.script.faults.iter().any(|timed| timed.fault == fault && timed.acts(self.now_us))
     }
 
-    /// From switching on until the station has ended and the vehicle is in good hands.
+    /// Runs from switching on until the station has ended and the vehicle is under someone's
+    /// control.
     fn fly(&mut self) -> Result<(), VehicleRefused> {
         let limit_us = LIMIT_US;
         loop {
@@ -121,7 +123,7 @@ impl Bench<'_> {
             }
             self.advance();
         }
-        // The program has ended: nobody answers any more.
+        // The program has ended, so nothing answers any more.
         let ended = self.station.take();
         self.end = ended.as_ref().and_then(Station::end).map(|end| format!("{end:?}"));
         let adrift_us = self.now_us + ADRIFT_US;
@@ -160,7 +162,7 @@ impl Bench<'_> {
         }
         let is_down = self.acts(Fault::Restart);
         if self.station.is_none() && !is_down {
-            // As the file that keeps stamps: what was heard until a second before is known.
+            // As in the stamps' file: stamps up to a second before the end are known.
             if let Some(signing) = &mut self.settings.session.signing {
                 signing.before = signing.ledger.get();
             }
@@ -171,11 +173,11 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// A turn of the station's process: reads what arrived, answers, looks at the clock.
+    /// One turn of the station's process: reads what arrived, answers, polls.
     fn turn(&mut self) {
         let now_us = self.now_us;
         if self.station.is_none() {
-            // Nobody reads: the system drops what comes.
+            // Nothing reads, so the system drops what arrives.
             while self.channel.heard(now_us).is_some() {}
             return;
         }

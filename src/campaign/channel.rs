@@ -1,4 +1,4 @@
-//! The link between vehicle and station, as its faults leave it.
+//! The link between vehicle and station, with its faults.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -9,28 +9,28 @@ use super::script::{Fault, Timed, Way};
 use super::word;
 use crate::exam::draw::Draw;
 
-/// Frames are remembered for this long, us.
+/// Time for which frames are remembered, us.
 const REMEMBERED_US: u64 = 6_000_000;
-/// Most frames on their way; what exceeds them is lost, as in a buffer that is full.
+/// Most frames in transit; further ones are lost, as in a full buffer.
 const FRAMES_MAX: usize = 20_000;
 
-/// Where a frame is from.
+/// The origin of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// The vehicle said just this, and it comes for the first time.
+    /// The vehicle sent exactly this, and it arrives for the first time.
     Vehicle,
-    /// The vehicle said it, and it came before.
+    /// The vehicle sent it, and it arrived before.
     Copy,
-    /// The vehicle never said it, or not so.
+    /// The vehicle never sent it, or sent something different.
     Nobody,
 }
 
-/// A frame on its way.
+/// A frame in transit.
 #[derive(Clone, Debug)]
 pub(super) struct Passing {
-    /// When it arrives, us.
+    /// Time of arrival, us.
     pub due_us: u64,
-    /// When the vehicle said it, us.
+    /// Time at which the vehicle sent it, us.
     pub said_us: u64,
     pub origin: Origin,
     pub bytes: Vec<u8>,
@@ -85,7 +85,7 @@ impl Channel {
         }
     }
 
-    /// The vehicle says something; `is_true` where no fault changed it.
+    /// Takes a frame from the vehicle; `is_true` means that no fault changed it.
     pub fn say(&mut self, faults: &[Timed], now_us: u64, bytes: Vec<u8>, is_true: bool) {
         let is_mode = word::is_mode(&bytes);
         if is_mode && acting(faults, now_us).any(|fault| fault == Fault::ModeLost) {
@@ -94,7 +94,7 @@ impl Channel {
         self.pass(faults, now_us, bytes, true, is_true);
     }
 
-    /// The station says something.
+    /// Takes a frame from the station.
     pub fn answer(&mut self, faults: &[Timed], now_us: u64, bytes: &[u8]) {
         self.pass(faults, now_us, bytes.to_vec(), false, true);
     }
@@ -141,7 +141,7 @@ impl Channel {
         queue.push(Passing { due_us, said_us: now_us, origin, bytes });
     }
 
-    /// Says what others say at `now_us`.
+    /// Adds the frames that others send at `now_us`.
     pub fn intrude(&mut self, faults: &[Timed], now_us: u64) {
         for fault in acting(faults, now_us) {
             let (index, rate_hz) = match fault {
@@ -181,7 +181,7 @@ impl Channel {
         self.down.push(Passing { due_us: now_us, said_us, origin: Origin::Copy, bytes });
     }
 
-    /// A vehicle of its own, or a ground station.
+    /// Sends a frame of a foreign vehicle or ground station.
     fn interfere(&mut self, now_us: u64, system: u8) {
         if self.draw.chance(0.1) {
             self.foreign = Encoder::new(system, if system == 255 { 190 } else { 1 });
@@ -210,8 +210,8 @@ impl Channel {
             child_frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
             ..Default::default()
         });
-        // Without signatures nothing tells an impostor with the vehicle's own ids from the vehicle:
-        // of system 1 only another component speaks.
+        // Without signatures an impostor with the vehicle's own ids cannot be distinguished from
+        // the vehicle, so only another component of system 1 sends.
         if system == 1 {
             self.foreign = Encoder::new(1, 191);
         }
@@ -236,7 +236,7 @@ impl Channel {
         self.up.push(Passing { due_us: now_us, said_us: now_us, origin: Origin::Nobody, bytes });
     }
 
-    /// What arrives at the station by now.
+    /// The next frame that has reached the station by `now_us`.
     pub fn heard(&mut self, now_us: u64) -> Option<Passing> {
         let passing = self.down.pop(now_us)?;
         if passing.origin == Origin::Vehicle {
@@ -248,12 +248,12 @@ impl Channel {
         Some(passing)
     }
 
-    /// What arrives at the vehicle by now.
+    /// The next frame that has reached the vehicle by `now_us`.
     pub fn asked(&mut self, now_us: u64) -> Option<Passing> {
         self.up.pop(now_us)
     }
 
-    /// When the next frame arrives, us.
+    /// The next arrival of a frame in either direction, us.
     pub fn next_us(&self) -> u64 {
         let next = [self.down.next_us(), self.up.next_us()];
         next.into_iter().flatten().min().unwrap_or(u64::MAX)

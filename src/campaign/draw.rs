@@ -7,11 +7,11 @@ use crate::control::LAWS;
 use crate::exam::draw::{Draw, rounded};
 use crate::supervisor::EngagePolicy;
 
-/// From connecting to disarming a drawn flight takes about this long, s.
+/// Approximate length of a drawn flight from connecting to disarming, s.
 const FLIGHT_S: f64 = 21.0;
-/// Most faults of a flight.
+/// Most scenes of faults in a flight.
 const FAULTS_MAX: usize = 4;
-/// When the pilot switches to OFFBOARD and arms, where that is his to do, s.
+/// When the pilot switches to OFFBOARD and arms, under the pilot's switch, s.
 const SWITCH_S: f64 = 5.5;
 
 /// Flight `number` of the campaign with this seed.
@@ -40,11 +40,11 @@ pub fn script(seed: u64, number: u64) -> Script {
         (timed.at_s, timed.for_s) = (thousandth(timed.at_s), thousandth(timed.for_s));
     }
     let seed = draw.seed();
-    // Drawn last: what went before is drawn as it was without signing.
+    // Drawn last, so that everything before is drawn as it was without signing.
     let signed = draw.chance(0.25);
     Script {
         schema_version: VERSION,
-        // A whole number that TOML and JSON keep.
+        // Shortened to an integer that TOML and JSON preserve.
         seed: seed >> 12,
         vehicle: vehicle.to_owned(),
         autopilot,
@@ -79,10 +79,10 @@ fn trajectory(draw: &mut Draw) -> String {
     }
 }
 
-/// One fault, or several that belong together.
+/// Draws one fault, or several that belong together.
 fn scene(draw: &mut Draw, faults: &mut Vec<Timed>) {
     let at_s = draw.within([0.5, FLIGHT_S]);
-    // As long as a flicker or as long as the flight.
+    // From a flicker to almost half the flight.
     let for_s = draw.log_within([0.03, 8.0]);
     let timed = |fault| Timed { at_s, for_s, fault };
     let pilot = |at_s, act| Timed { at_s, for_s: 0.0, fault: Fault::Pilot { act } };
@@ -103,7 +103,7 @@ fn scene(draw: &mut Draw, faults: &mut Vec<Timed>) {
                 PilotAct::Kill,
             ][draw.below(8)];
             faults.push(pilot(at_s, act));
-            // And back, and forth.
+            // The pilot may switch back and forth.
             let mut next_s = at_s;
             while draw.chance(0.3) {
                 next_s += draw.log_within([0.05, 3.0]);
@@ -113,7 +113,7 @@ fn scene(draw: &mut Draw, faults: &mut Vec<Timed>) {
             }
         }
         10 => {
-            // He takes over while nobody hears it, and what was said before comes again.
+            // The pilot takes over unheard, and earlier frames are repeated afterwards.
             let silent_s = draw.within([0.55, 2.2]);
             faults.push(Timed { at_s, for_s: silent_s, fault: Fault::Cut { way: Way::Down } });
             let act = if draw.chance(0.5) { PilotAct::Position } else { PilotAct::Hold };
@@ -129,7 +129,7 @@ fn scene(draw: &mut Draw, faults: &mut Vec<Timed>) {
             }
         }
         12 => {
-            // The vehicle does not hear, or will not do, that it is to land.
+            // The vehicle does not receive, or refuses, the request to land.
             let at_s = draw.within([11.0, 18.0]);
             let for_s = draw.within([2.0, 8.0]);
             let fault =

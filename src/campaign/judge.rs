@@ -1,4 +1,5 @@
-//! The judge: compares what leaves the station with what it heard, and watches the vehicle.
+//! The judge: compares the frames that the station sends with those that it receives, and watches
+//! the vehicle.
 //!
 //! It knows the frames in both directions with their true times, the vehicle's true state, and the
 //! bounds that the operator was promised. It knows nothing of supervisor, telemetry or guard, and
@@ -17,26 +18,27 @@ use crate::supervisor::EngagePolicy;
 
 pub use super::truth::{Ending, Seen};
 
-/// The mode's word is believed for this long, s.
+/// Time for which a reported mode is valid, s.
 const MODE_KNOWN_S: f64 = 2.5;
-/// After this silence the mode is not known, s.
+/// Silence after which the mode is unknown, s.
 const SILENCE_S: f64 = 0.5;
-/// A process that stood still for longer than this answers nothing that lay unread, s.
+/// A process stopped for longer than this must not answer unread messages, s.
 const STALL_S: f64 = 0.05;
-/// Setpoints go on for this long after landing was asked for, s.
+/// Time for which setpoints may continue after the request to land, s.
 const HANDOVER_S: f64 = 2.0;
-/// Under the pilot's switch the stream begins anew after this time in another mode, s.
+/// Time in another mode after which a new stream may begin under the pilot's switch, s.
 const RELEASE_S: f64 = 1.0;
-/// What is late by more than this is not answered, s.
+/// Delay beyond which a state must not be answered, s.
 const LATE_S: f64 = 0.2;
-/// The station checks its deadlines at intervals of up to this, s.
+/// Longest interval at which the station checks its deadlines, s.
 const LOOK_S: f64 = 0.03;
-/// What lay unread in a stall is read within this of its end, and nothing answered, s.
+/// Time after a stall within which unread messages are read, and none is answered, s.
 const DRAIN_S: f64 = 0.01;
-/// Time that an answer may take on sockets, s: a stall too short for the guard, and the system calls.
+/// Time that an answer may take on sockets, s: a stall too short for the guard, and the system
+/// calls.
 pub(super) const ON_ITS_WAY_S: f64 = STALL_S + 0.01;
 
-/// A word of the mode, and of the motors.
+/// A report of the mode and the motors.
 #[derive(Clone, Copy, Debug)]
 struct Mode {
     word: u32,
@@ -44,7 +46,7 @@ struct Mode {
     heard_us: u64,
 }
 
-/// A state that was heard.
+/// A received state.
 #[derive(Clone, Copy, Debug)]
 struct State {
     said_us: u64,
@@ -59,15 +61,15 @@ pub struct Judge {
     envelope: Envelope,
     violations: Vec<Violation>,
     mode: Option<Mode>,
-    /// Since when the newest word of the mode has been another one than OFFBOARD, as heard.
+    /// Since when the newest received mode has been other than OFFBOARD.
     left_us: Option<u64>,
     heard_us: Option<u64>,
     /// When the last silence began.
     silent_us: u64,
     armed: Option<bool>,
-    /// When the vehicle was started again, until a word of it since then comes.
+    /// Restart of the vehicle, until its first report after that arrives.
     rebooted_us: Option<u64>,
-    /// Setpoints left while the vehicle said that it obeys.
+    /// Whether setpoints left while the vehicle reported that it obeys.
     flew: bool,
     disarmed_us: Option<u64>,
     land_us: Option<u64>,
@@ -77,15 +79,16 @@ pub struct Judge {
     reached_us: Option<u64>,
     ran_us: u64,
     woke_us: u64,
-    /// How long an answer may be on its way, s; in lockstep it leaves in the instant of what it answers.
+    /// How long an answer may be in transit, s. In lockstep it leaves at the instant of the message
+    /// that it answers.
     on_its_way_s: f64,
     last: Option<Sent>,
-    /// Setpoints that left.
+    /// Number of setpoints that left.
     pub setpoints: u64,
 }
 
 impl Judge {
-    /// Before the flight of `script`; `path` is where the trajectory leads.
+    /// A judge before the flight of `script`; `path` is where the trajectory leads.
     pub fn new(script: &Script, bounds: Bounds, path: &[[f64; 3]]) -> Self {
         Self {
             bounds,
@@ -112,12 +115,12 @@ impl Judge {
         }
     }
 
-    /// A judge of a process on sockets, whose answers may be on their way for `seconds`.
+    /// Makes the judge allow answers `seconds` in transit, for a process on sockets.
     pub(super) fn patient(self, seconds: f64) -> Self {
         Self { on_its_way_s: seconds, ..self }
     }
 
-    /// What did not hold, in the order of time.
+    /// The broken rules, in order of time.
     pub fn violations(&self) -> &[Violation] {
         &self.violations
     }
@@ -129,7 +132,7 @@ impl Judge {
         }
     }
 
-    /// The station's process runs at `now_us`, whatever it does.
+    /// Notes that the station's process runs at `now_us`.
     pub fn runs(&mut self, now_us: u64) {
         if seconds(self.ran_us, now_us) > STALL_S {
             self.woke(now_us);
@@ -138,12 +141,12 @@ impl Judge {
         self.states.retain(|state| state.due_us + 1_000_000 > now_us);
     }
 
-    /// The station's process runs again after a stall.
+    /// Notes that the station's process runs again after a stall.
     pub(super) fn woke(&mut self, now_us: u64) {
         self.woke_us = now_us;
     }
 
-    /// Another process of the station begins, which knows nothing.
+    /// Notes that a new process of the station starts without any knowledge.
     pub fn restarted(&mut self, now_us: u64) {
         (self.mode, self.left_us, self.heard_us, self.armed) = (None, None, None, None);
         (self.flew, self.disarmed_us, self.land_us, self.last) = (false, None, None, None);
@@ -152,17 +155,17 @@ impl Judge {
         self.reached_us = None;
     }
 
-    /// The vehicle was started again: what its predecessor said holds no more, from its first word on.
+    /// Notes that the vehicle restarted: earlier reports expire with its first new one.
     pub fn rebooted(&mut self, now_us: u64) {
         self.rebooted_us = Some(now_us);
     }
 
-    /// The station is given a frame.
+    /// Takes a frame that the station receives.
     pub(super) fn heard(&mut self, now_us: u64, passing: &Passing) {
         let Passing { due_us, said_us, origin, bytes } = passing;
         let (frame, said_us) = (bytes.as_slice(), *said_us);
         if word::is_state(frame) {
-            // One that others changed is a state too, and the pilot must take it for one.
+            // A state changed by others is still a state, and the controller must take it for one.
             self.states.push(State { said_us, heard_us: now_us, due_us: *due_us });
             self.quickest_us = self.quickest_us.min(due_us.saturating_sub(said_us));
         }
@@ -197,7 +200,7 @@ impl Judge {
         }
     }
 
-    /// The station says something.
+    /// Takes a frame that the station sends.
     pub fn said(&mut self, now_us: u64, frame: &[u8]) {
         match word::id(frame) {
             Some(word::SET_ATTITUDE_TARGET) => {}
@@ -225,13 +228,13 @@ impl Judge {
         self.last = Some(sent);
     }
 
-    /// Answers to states: the newest that was heard in this instant, and no other. On sockets, one
-    /// that was heard just before; each state is answered once.
+    /// A setpoint must answer the newest state received at this instant. On sockets it answers one
+    /// received just before, and each state is answered once.
     fn check_fresh(&mut self, now_us: u64) {
         let on_its_way_s = self.on_its_way_s;
         let is_now = |state: &State| seconds(state.heard_us, now_us).abs() <= on_its_way_s;
         let newest = self.states.iter().copied().filter(is_now);
-        // A copy of an old one that came last on a socket need not be what is answered.
+        // On a socket, an old copy that arrived last need not be the answered state.
         let came_us = |state: &State| if on_its_way_s > 0.0 { 0 } else { state.due_us };
         let newest = newest.max_by_key(|state| (came_us(state), state.said_us));
         let answered = self.states.iter().position(is_now).filter(|_| on_its_way_s > 0.0);
@@ -239,7 +242,7 @@ impl Judge {
         let Some(state) = newest else {
             return self.violated(Rule::Fresh, now_us, "it answers no state that came just now");
         };
-        // Without a common clock nobody can tell a delay that the link always had.
+        // Without a common clock, a constant delay of the link cannot be detected.
         let base_s = self.quickest_us as f64 * 1e-6;
         let age_s = seconds(state.said_us, now_us);
         if age_s > LATE_S + LOOK_S + STALL_S + 3.0 * base_s + on_its_way_s {
@@ -295,13 +298,14 @@ impl Judge {
         }
     }
 
-    /// Whether what was told at `at_us` must be known: what leaves now may have been on its way then.
+    /// Whether a report at `at_us` must be known to a setpoint that leaves now, given its time in
+    /// transit.
     fn is_known_since(&self, at_us: u64, now_us: u64) -> bool {
         seconds(at_us, now_us) >= self.on_its_way_s
     }
 
-    /// Under the pilot's switch another flight may begin once the vehicle was in another mode for a
-    /// while: what leaves then is an offer.
+    /// Under the pilot's switch a new flight may begin once the vehicle was in another mode for a
+    /// while: setpoints that leave then are an offer.
     fn notice_release(&mut self, now_us: u64) {
         let least_s = RELEASE_S - LOOK_S - self.on_its_way_s;
         let is_released = self.left_us.is_some_and(|left| seconds(left, now_us) >= least_s);
@@ -313,7 +317,7 @@ impl Judge {
     fn commanded(&mut self, now_us: u64, frame: &[u8]) {
         let Some(MavMessage::COMMAND_LONG(data)) = word::message(frame) else { return };
         let sets_mode = data.command == MavCmd::MAV_CMD_DO_SET_MODE;
-        // Disarming is refused in the air by the vehicle itself.
+        // The vehicle itself refuses to disarm in the air.
         let arms = data.command == MavCmd::MAV_CMD_COMPONENT_ARM_DISARM && data.param1 != 0.0;
         if !sets_mode && !arms {
             return;
@@ -337,14 +341,14 @@ impl Judge {
         }
     }
 
-    /// A frame of the station reaches the vehicle.
+    /// Takes a frame from the station that reaches the vehicle.
     pub(super) fn reached(&mut self, now_us: u64, frame: &[u8]) {
         if word::id(frame) == Some(word::SET_ATTITUDE_TARGET) {
             self.reached_us = Some(now_us);
         }
     }
 
-    /// The vehicle as it truly is.
+    /// Takes the vehicle's true state.
     pub fn sees(&mut self, seen: &Seen) {
         let is_led = self.reached_us.is_some_and(|at| seconds(at, seen.now_us) < 0.3);
         if let Some((rule, what)) = self.envelope.sees(seen, is_led) {
@@ -352,7 +356,7 @@ impl Judge {
         }
     }
 
-    /// The flight's end as it truly is; `None` where it had none.
+    /// Judges the flight's true end; `None` where it had none.
     pub fn ends(&mut self, now_us: u64, ending: Option<Ending>) {
         match ending {
             None => self.violated(Rule::Ends, now_us, "the station never came to an end"),
@@ -365,7 +369,7 @@ impl Judge {
     }
 }
 
-/// From one time to a later one, s; negative where it is earlier.
+/// From one time to another, s; negative where the second is earlier.
 fn seconds(from_us: u64, to_us: u64) -> f64 {
     (to_us as f64 - from_us as f64) * 1e-6
 }

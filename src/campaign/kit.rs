@@ -1,4 +1,4 @@
-//! What a script is flown with, and how the flight went.
+//! The equipment for flying a script, and the outcome of the flight.
 
 use vehicle::VehicleParams;
 
@@ -6,33 +6,33 @@ use super::coverage::Coverage;
 use super::judge::{Bounds, Ending, Violation};
 use crate::station::StationSettings;
 
-/// What a script is flown with.
+/// Everything besides the script that a flight needs.
 pub struct Kit {
     /// The station's settings.
     pub settings: StationSettings,
-    /// The vehicle.
+    /// The vehicle's parameters.
     pub params: VehicleParams,
-    /// What was promised of its setpoints.
+    /// The promised bounds of its setpoints.
     pub bounds: Bounds,
-    /// Where the trajectory leads, from its origin: north, east, down, m.
+    /// Points on the trajectory, from its origin: north, east, down, m.
     pub path: Vec<[f64; 3]>,
 }
 
-/// How a flight went.
+/// The outcome of a flight.
 #[derive(Clone, Debug)]
 pub struct Flown {
-    /// The station's own word.
+    /// The station's own account of the end.
     pub end: String,
-    /// Who had the vehicle at the end; `None` where there was none.
+    /// Who controlled the vehicle at the end; `None` where there was no end.
     pub ending: Option<Ending>,
-    /// What did not hold.
+    /// The broken rules.
     pub violations: Vec<Violation>,
-    /// Setpoints that left.
+    /// Number of setpoints that left.
     pub setpoints: u64,
-    /// s
+    /// Length of the flight in simulated time, s.
     pub simulated_s: f64,
-    /// In which states of the flight which faults acted.
+    /// Which faults acted in which states of the flight.
     pub coverage: Coverage,
-    /// Of every byte in both directions.
+    /// Checksum of every byte in both directions.
     pub digest: u32,
 }

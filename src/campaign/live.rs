@@ -1,5 +1,5 @@
 //! One flight of a script in real time: the simulated vehicle and the link's faults here, the
-//! station in a process of its own on the other side of a socket.
+//! station in its own process on the other side of a socket.
 
 use std::io;
 use std::process::{Command, ExitStatus};
@@ -20,39 +20,39 @@ pub use super::signing::key;
 use crate::clock::HostTime;
 use crate::supervisor::EngagePolicy;
 
-/// The judge sees the true state this often, us.
+/// Interval at which the judge observes the true state, us.
 const SEEN_US: u64 = 10_000;
-/// The stage reads the socket at least this often, us.
+/// Longest interval between reads of the socket, us.
 const LOOK_US: u64 = 2_000;
-/// The judge calls a commanded flight endless after this, us.
+/// Time limit of a commanded flight, us.
 const LIMIT_US: u64 = 200_000_000;
-/// Where the pilot switches, the stage asks the station to land at this time, us.
+/// When the stage requests a landing under the pilot's switch, us.
 const SWITCHED_US: u64 = 26_000_000;
-/// Without setpoints, the vehicle's failsafe acts within this time, us.
+/// Time limit for the vehicle's failsafe to act without setpoints, us.
 const ADRIFT_US: u64 = 15_000_000;
 /// The process may not notice a shorter stop than this, us.
 const STALL_US: u64 = 60_000;
-/// A process that does not listen after this has failed.
+/// Time limit for the process to listen.
 const START_LIMIT: Duration = Duration::from_secs(30);
 /// The exit code of a program that panicked.
 const PANICKED: i32 = 101;
 
-/// Why a flight could not be flown.
+/// Why a flight was not flown.
 #[derive(Debug, thiserror::Error)]
 pub enum NotFlown {
     /// The vehicle cannot be simulated.
     #[error(transparent)]
     Vehicle(#[from] VehicleRefused),
-    /// The system gave no socket or no process.
+    /// The system provided no socket or no process.
     #[error("the station's process: {0}")]
     System(#[from] io::Error),
-    /// It was not to be flown to its end.
+    /// The flight was interrupted.
     #[error("interrupted")]
     Interrupted,
 }
 
-/// What of a script can be played on a process from outside: its planner and its records cannot be
-/// made to fail, and a transport that takes nothing is a way up that carries nothing.
+/// The part of a script that can be played on a process from outside. The process's planner and
+/// records cannot be made to fail, and a jammed transport becomes a cut of the way up.
 pub fn playable(script: &Script) -> Script {
     let outside = |timed: &Timed| {
         let fault = match timed.fault {
@@ -68,8 +68,8 @@ pub fn playable(script: &Script) -> Script {
     Script { faults: script.faults.iter().filter_map(outside).collect(), ..script.clone() }
 }
 
-/// Flies a [`playable`] script. `station` is the program that flies the vehicle, listening at a port
-/// on loopback.
+/// Flies a [`playable`] script. `station` is the program that flies the vehicle, and listens on a
+/// loopback port.
 ///
 /// # Errors
 /// [`NotFlown`].
@@ -114,15 +114,15 @@ struct Stage<'a> {
     relay: Relay,
     /// The vehicle's time, which follows the wall clock from event to event.
     now_us: u64,
-    /// Faults that begin before this have begun.
+    /// All faults that start earlier have begun.
     begun_us: u64,
-    /// When the judge sees the truth next.
+    /// When the judge next observes the true state.
     seen_us: u64,
     /// When the process was stopped.
     stopped_us: u64,
-    /// Whether it was asked to end.
+    /// Whether the process was asked to end.
     is_asked: bool,
-    /// How it ended.
+    /// Exit status of the process, once it ended.
     end: Option<ExitStatus>,
 }
 
@@ -131,7 +131,8 @@ impl Stage<'_> {
         self.script.faults.iter().any(|timed| timed.fault == fault && timed.acts(self.now_us))
     }
 
-    /// From switching on until the station has ended and the vehicle is in good hands.
+    /// Runs from switching on until the station has ended and the vehicle is under someone's
+    /// control.
     fn fly(&mut self, stop: &AtomicBool) -> Result<(), NotFlown> {
         let mut adrift_us = None;
         loop {
@@ -168,12 +169,12 @@ impl Stage<'_> {
             setpoints: self.judge.setpoints,
             simulated_s: self.now_us as f64 * 1e-6,
             coverage: self.coverage,
-            // No two flights are alike to the byte.
+            // No two flights are identical to the byte.
             digest: 0,
         }
     }
 
-    /// What the station has said, onto the way up.
+    /// Puts the station's frames onto the way up.
     fn hear_station(&mut self) -> io::Result<()> {
         let Self { relay, judge, channel, script, .. } = self;
         relay.take(|sent_us, frame| {
@@ -182,7 +183,7 @@ impl Stage<'_> {
         })
     }
 
-    /// Lets the vehicle's time go on to the wall clock's.
+    /// Advances the vehicle's time to the wall clock's.
     fn follow(&mut self, wall_us: u64) -> Result<(), NotFlown> {
         loop {
             self.begin_faults()?;
@@ -267,7 +268,7 @@ impl Stage<'_> {
     }
 }
 
-/// A program that was told to end, or ended by itself, has an exit code, and did not panic.
+/// Whether a process crashed: it has no exit code, or the code of a panic.
 fn is_crash(end: ExitStatus) -> bool {
     end.code().is_none_or(|code| code == PANICKED)
 }

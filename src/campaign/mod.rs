@@ -1,5 +1,5 @@
-//! Flights under drawn faults, and a judge that knows nothing of the controller but what it says on the
-//! wire and what becomes of the vehicle.
+//! Flights under drawn faults, and an independent judge. It knows nothing of the controller except
+//! its frames on the wire and the vehicle's true motion.
 
 mod aircraft;
 pub mod bench;

@@ -9,12 +9,12 @@ use super::script::{Fault, Script};
 use crate::plan::reference::{FeedForward, ReferenceSource};
 use crate::setpoint::{Expected, Reference};
 
-/// The time of the simulation, which the planner's faults go by.
+/// The simulated time, which triggers the planner's faults.
 pub type SharedTime = Arc<AtomicU64>;
 
 type Source = Arc<dyn ReferenceSource + Send + Sync>;
 
-/// `source` with the planner's faults of a script; as it is where there are none.
+/// `source` with the planner faults of a script; unchanged where there are none.
 pub fn faulty(script: &Script, source: Source, now_us: &SharedTime) -> Source {
     let is_planners = |fault: &Fault| {
         matches!(fault, Fault::PlannerStalls | Fault::PlannerLies { .. } | Fault::PlannerFails)
@@ -35,7 +35,7 @@ struct Faulty {
     script: Script,
     source: Source,
     now_us: SharedTime,
-    /// Bits of the time that a stalled planner stays at.
+    /// Bits of the time at which a stalled planner stopped.
     held: AtomicU64,
 }
 

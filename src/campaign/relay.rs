@@ -7,13 +7,13 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-/// The relay probes this often whether the station listens.
+/// Interval at which the relay checks whether the station listens.
 const LOOK: Duration = Duration::from_millis(5);
 /// Longest datagram.
 const DATAGRAM_MAX: usize = 65_536;
 
-/// A socket towards the station. What it says bears the time at which the kernel took it, so that
-/// neither end is judged by how busy the other is.
+/// A socket to the station. Its frames carry the kernel's time of receipt, so that a busy machine
+/// does not affect the judgement of either end.
 pub(super) struct Relay {
     socket: UdpSocket,
     station_port: u16,
@@ -22,10 +22,10 @@ pub(super) struct Relay {
 }
 
 impl Relay {
-    /// Opens it, and finds a port for the station.
+    /// Opens the socket, and finds a port for the station.
     ///
     /// # Errors
-    /// If the system gives no socket.
+    /// The system provides no socket.
     pub fn open() -> io::Result<Self> {
         let free = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
@@ -36,13 +36,13 @@ impl Relay {
         Ok(Self { socket, station_port, began: SystemTime::now(), buffer })
     }
 
-    /// Waits until the station listens; times begin then.
+    /// Waits until the station listens, which is time 0.
     ///
     /// # Errors
-    /// If it does not for so long.
+    /// The station does not listen within `limit`.
     pub fn await_station(&mut self, limit: Duration) -> io::Result<()> {
         let asked = Instant::now();
-        // To a port at which nobody listens, what follows an empty datagram is refused.
+        // If nothing listens at the port, the send after an empty datagram is refused.
         while self.is_refused() {
             if asked.elapsed() > limit {
                 let message = "it does not listen at its port";
@@ -62,17 +62,17 @@ impl Relay {
         refused(self.socket.send(&[])) || before
     }
 
-    /// The port at which the station is to listen.
+    /// The port on which the station is to listen.
     pub fn station_port(&self) -> u16 {
         self.station_port
     }
 
-    /// When it was opened, since 1970.
+    /// Start of the time, since 1970: when the station began to listen.
     pub fn began(&self) -> Duration {
         self.began.duration_since(UNIX_EPOCH).unwrap_or_default()
     }
 
-    /// Time since it was opened, us.
+    /// Time since then, us.
     pub fn now_us(&self) -> u64 {
         self.us(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default())
     }
@@ -81,15 +81,15 @@ impl Relay {
         since_epoch.saturating_sub(self.began()).as_micros() as u64
     }
 
-    /// Sends a frame to the station. Where nobody listens it is lost, as on any link.
+    /// Sends a frame to the station. If nothing listens it is lost, as on any link.
     pub fn send(&self, frame: &[u8]) {
         let _ = self.socket.send(frame);
     }
 
-    /// Gives every datagram that the station sent, with the time at which it did, us.
+    /// Passes every datagram from the station to `deliver`, with the time at which it was sent, us.
     ///
     /// # Errors
-    /// If the socket is of no use any more.
+    /// The socket is no longer usable.
     pub fn take(&mut self, mut deliver: impl FnMut(u64, &[u8])) -> io::Result<()> {
         loop {
             match receive(&self.socket, &mut self.buffer) {
@@ -98,18 +98,18 @@ impl Relay {
                     deliver(sent_us, self.buffer.get(..len).unwrap_or_default());
                 }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(()),
-                // The station does not run yet, or no more.
+                // The station does not run yet, or no longer.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
                 Err(error) => return Err(error),
             }
         }
     }
 
-    /// Waits until the station says something, or until `until_us`.
+    /// Waits until the station sends something, or until `until_us`.
     pub fn wait(&self, until_us: u64) {
         let wait = Duration::from_micros(until_us.saturating_sub(self.now_us()));
         let limit = Timespec { tv_sec: wait.as_secs() as i64, tv_nsec: wait.subsec_nanos().into() };
-        // A signal ends it early, which does no harm.
+        // A signal ends the wait early, which does no harm.
         let _ = poll(&mut [PollFd::new(&self.socket, PollFlags::IN)], Some(&limit));
     }
 }
@@ -131,12 +131,12 @@ fn stamped(socket: &UdpSocket) -> io::Result<()> {
     if result == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
 }
 
-/// A datagram's length and when the kernel took it, since 1970.
+/// A datagram's length, and the time at which the kernel took it, since 1970.
 #[cfg(target_os = "linux")]
 fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, Option<Duration>)> {
     let mut part = libc::iovec { iov_base: buffer.as_mut_ptr().cast(), iov_len: buffer.len() };
     let mut control = [0_u64; 8];
-    // SAFETY: zeros are a valid header, and its pointers are to what lives until the call is over.
+    // SAFETY: zeros are a valid header, and its pointers refer to memory that outlives the call.
     let (len, header) = unsafe {
         let mut header: libc::msghdr = std::mem::zeroed();
         header.msg_iov = &raw mut part;
@@ -146,7 +146,7 @@ fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, Option<D
         (libc::recvmsg(socket.as_raw_fd(), &raw mut header, libc::MSG_DONTWAIT), header)
     };
     let Ok(len) = usize::try_from(len) else { return Err(io::Error::last_os_error()) };
-    // SAFETY: the kernel has filled the header's control buffer, within which these stay.
+    // SAFETY: the kernel has filled the header's control buffer, and these stay within it.
     let at = unsafe {
         let first = libc::CMSG_FIRSTHDR(&raw const header);
         let is_stamp = !first.is_null()

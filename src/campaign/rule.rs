@@ -1,9 +1,9 @@
-//! What must hold of every flight, whatever went wrong.
+//! The rules that every flight must keep, whatever went wrong.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What must hold.
+/// A rule for every flight.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, JsonSchema, Serialize, Deserialize,
 )]
@@ -11,39 +11,39 @@ use serde::{Deserialize, Serialize};
 pub enum Rule {
     /// A setpoint is within the limits.
     Limits,
-    /// A setpoint changes no quicker than its limits say.
+    /// A setpoint changes no faster than its limits allow.
     Changes,
-    /// A setpoint answers a state that just came, and that is not late.
+    /// A setpoint answers a state that just arrived and is not late.
     Fresh,
-    /// After a stall the first setpoint answers a state that came after it.
+    /// After a stall the first setpoint answers a state that arrived after it.
     Stalled,
-    /// No setpoint rests on a mode that the vehicle reported long ago, or before a silence.
+    /// No setpoint relies on a mode that was reported long ago, or before a silence.
     OldMode,
-    /// No setpoint after the vehicle told that it left the mode in which it obeys.
+    /// No setpoint leaves after the vehicle reported that it left the mode that obeys.
     AgainstThePilot,
-    /// No setpoint after the time to hand over to landing.
+    /// No setpoint leaves after the time for the hand-over to landing.
     AfterLanding,
-    /// No setpoint after the motors stopped.
+    /// No setpoint leaves after the motors stopped.
     AfterDisarming,
-    /// No mode and no arming is asked for after others lead.
+    /// Neither a mode nor arming is requested after someone else took control.
     Commands,
-    /// The vehicle stays near its trajectory, upright and slow, while the daemon flies it.
+    /// The vehicle stays near its trajectory, upright and slow, while the controller flies it.
     Envelope,
-    /// A vehicle that cannot be flown any more is let go.
+    /// The controller lets go of a vehicle that can no longer be flown.
     LetGo,
     /// The flight ends.
     Ends,
-    /// It ends landed, holding, in the pilot's or in the failsafe's hands.
+    /// It ends landed, holding, or under the control of the pilot or a failsafe.
     GoodEnd,
 }
 
-/// A rule that did not hold.
+/// A broken rule.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Violation {
-    /// Which.
+    /// The rule.
     pub rule: Rule,
     /// Simulated time, s.
     pub at_s: f64,
-    /// What was seen.
+    /// What the judge observed.
     pub what: String,
 }

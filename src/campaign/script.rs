@@ -1,49 +1,49 @@
-//! A flight and its faults as data: what a campaign draws, shrinks, and plays again.
+//! A flight and its faults as data, which a campaign draws, shrinks and replays.
 
 use serde::{Deserialize, Serialize};
 use sitl::config::Autopilot;
 
 use crate::supervisor::EngagePolicy;
 
-/// Version of the form.
+/// Version of the format.
 pub const VERSION: u32 = 1;
 
-/// A flight with faults. The same script gives the same flight, to the byte.
+/// A flight with faults. The same script always gives the same flight, to the byte.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Script {
     /// [`VERSION`].
     pub schema_version: u32,
-    /// Seed of noise, delays and gusts, and of what the faults draw on the way.
+    /// Seed of noise, delays and gusts, and of the faults' random choices.
     pub seed: u64,
-    /// A shipped vehicle.
+    /// Name of a shipped vehicle.
     pub vehicle: String,
-    /// Whose manners the simulated vehicle has.
+    /// The autopilot whose behaviour the simulated vehicle has.
     pub autopilot: Autopilot,
     /// The id of the control law.
     pub law: String,
     /// Who decides that the flight begins: a command, or the pilot's switch.
     pub policy: EngagePolicy,
-    /// Seconds of the vehicle's clock in one of the host's.
+    /// Seconds of the vehicle's clock per second of the host's.
     pub clock_rate: f64,
-    /// Whether both ends sign what they say (MAVLink 2), and believe nothing else.
+    /// Whether both ends sign their frames (MAVLink 2), and reject all others.
     #[serde(default)]
     pub signed: bool,
     /// The trajectory, as the text of its file.
     pub trajectory: String,
-    /// What happens on the way.
+    /// The faults of the flight.
     pub faults: Vec<Timed>,
 }
 
-/// A fault and when it acts.
+/// A fault and its time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Timed {
-    /// From which simulated time on, s.
+    /// Simulated time at which it begins, s.
     pub at_s: f64,
-    /// For how long, s; what happens in an instant has none.
+    /// Duration, s; zero for an instantaneous fault.
     pub for_s: f64,
-    /// What.
+    /// The fault.
     pub fault: Fault,
 }
 
@@ -55,173 +55,173 @@ pub enum Way {
     Down,
     /// To the vehicle.
     Up,
-    /// Both.
+    /// Both directions.
     Both,
 }
 
 impl Way {
-    /// Whether it is from the vehicle.
+    /// Whether frames from the vehicle are included.
     pub fn is_down(self) -> bool {
         self != Self::Up
     }
 
-    /// Whether it is to the vehicle.
+    /// Whether frames to the vehicle are included.
     pub fn is_up(self) -> bool {
         self != Self::Down
     }
 }
 
-/// What the pilot asks of the vehicle with his own ground station.
+/// The pilot's command from another ground station.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PilotAct {
-    /// Position hold.
+    /// Select position hold.
     Position,
-    /// The mode that stays.
+    /// Select the mode that keeps its place.
     Hold,
-    /// The way home.
+    /// Return home.
     Return,
-    /// Landing.
+    /// Land.
     Land,
-    /// The mode in which setpoints are obeyed.
+    /// Select the mode that obeys setpoints.
     Offboard,
-    /// Arming.
+    /// Arm.
     Arm,
-    /// Disarming, which the vehicle refuses in the air.
+    /// Disarm, which the vehicle refuses in the air.
     Disarm,
-    /// Motors off, in the air too.
+    /// Stop the motors, even in the air.
     Kill,
 }
 
-/// What goes wrong.
+/// A fault of the link, the vehicle, the pilot or a process.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Fault {
     /// Each frame is lost with a probability.
     Loss {
-        /// Which frames.
+        /// Affected direction.
         way: Way,
-        /// 0..1
+        /// Probability, 0..1.
         share: f64,
     },
     /// No frame passes.
     Cut {
-        /// Which frames.
+        /// Affected direction.
         way: Way,
     },
     /// Frames of the mode (HEARTBEAT, CURRENT_MODE) do not arrive.
     ModeLost,
-    /// Frames come later, each by its own delay: with jitter they overtake one another.
+    /// Each frame gets its own delay. With jitter, frames overtake one another.
     Delay {
-        /// Which frames.
+        /// Affected direction.
         way: Way,
-        /// At least, s.
+        /// Least delay, s.
         least_s: f64,
-        /// More than that by up to, s.
+        /// Largest addition to it, s.
         jitter_s: f64,
     },
-    /// Each frame comes twice with a probability.
+    /// Each frame is duplicated with a probability.
     Duplicates {
-        /// 0..1
+        /// Probability, 0..1.
         share: f64,
-        /// The copy comes later by this, s.
+        /// Delay of the copy, s.
         after_s: f64,
     },
     /// A byte of each frame is changed with a probability.
     Corruption {
-        /// 0..1
+        /// Probability, 0..1.
         share: f64,
     },
-    /// Frames of the vehicle that were heard a while ago come again, most of them of its mode.
+    /// Earlier frames from the vehicle are repeated, most of them its mode.
     Replay {
-        /// How old they are, s.
+        /// Their age, s.
         age_s: f64,
-        /// How many in a second.
+        /// Repeated frames a second, Hz.
         rate_hz: f64,
     },
-    /// Another system, with an autopilot of its own, is on the link.
+    /// Another system with its own autopilot is on the link.
     Foreign {
         /// Its system id.
         system: u8,
     },
-    /// Somebody else sends the vehicle setpoints.
+    /// Someone else sends setpoints to the vehicle.
     Injected {
-        /// Thrust field.
+        /// Thrust field, 0..1.
         thrust: f64,
-        /// rad
+        /// Pitch, rad.
         pitch_rad: f64,
     },
-    /// The stamps of the vehicle's clock are off by this.
+    /// The stamps of the vehicle's clock are off by a constant.
     ClockStep {
-        /// s
+        /// Offset, s.
         by_s: f64,
     },
-    /// Stamps of 32 bits wrap at 12 s; at no time in particular.
+    /// 32-bit stamps wrap at 12 s, whatever the time of the fault.
     ClockWrap,
     /// The vehicle repeats one state under new stamps.
     Freeze,
     /// The vehicle reports a wrong position.
     Jump {
-        /// North, m; half of it east.
+        /// Step to the north, m; half of it to the east.
         metres: f64,
-        /// Whether the vehicle reports that it reset its estimate.
+        /// Whether the vehicle reports a reset of its estimate.
         is_told: bool,
     },
-    /// The state holds NaN.
+    /// The state contains NaN.
     NotANumber,
-    /// The state comes with the stamps of a while ago.
+    /// The state carries earlier stamps.
     OldStamps {
-        /// s
+        /// Age of the stamps, s.
         by_s: f64,
     },
-    /// ODOMETRY comes in another frame.
+    /// ODOMETRY uses another frame.
     OtherFrame,
     /// A rotor loses a share of its thrust, for good.
     Rotor {
-        /// Which.
+        /// The rotor.
         index: usize,
-        /// 0..1
+        /// Lost share of its thrust, 0..1.
         loss: f64,
     },
-    /// The pack is down to this charge.
+    /// The pack's charge drops to a value.
     Battery {
-        /// 0..1
+        /// The charge, 0..1.
         charge: f64,
     },
-    /// A force on the vehicle from now on, as by a step of the wind.
+    /// A lasting force on the vehicle, as from a step of the wind.
     Wind {
-        /// Share of its weight.
+        /// Share of the vehicle's weight.
         share: f64,
-        /// Where to, rad from north.
+        /// Direction, rad from north.
         towards_rad: f64,
     },
-    /// A load is dropped: a share of the weight less.
+    /// A load is dropped.
     Dropped {
-        /// 0..1
+        /// Its share of the weight, 0..1.
         share: f64,
     },
-    /// The vehicle is started again: it stands disarmed where it began.
+    /// The vehicle restarts: it is disarmed at its starting place.
     Reboot,
-    /// The vehicle denies commands.
+    /// The vehicle refuses commands.
     Refusals,
-    /// The pilot does something.
+    /// The pilot acts.
     Pilot {
-        /// What.
+        /// The act.
         act: PilotAct,
     },
-    /// The daemon's process is stopped.
+    /// The controller's process is stopped.
     Pause,
-    /// The daemon's process is killed, and started again after this fault's time.
+    /// The controller's process is killed, and restarted at the end of this fault.
     Restart,
     /// The transport takes no frames.
     Jammed,
-    /// Nobody takes the records: no room for the log, or a viewer that is too slow.
+    /// Nothing takes the records: the disk is full, or a viewer is too slow.
     LogStuck,
-    /// The planner answers with what it said when this began.
+    /// The planner repeats its answer from the start of this fault.
     PlannerStalls,
-    /// The planner answers with a place that is this far off.
+    /// The planner answers with a wrong place.
     PlannerLies {
-        /// m
+        /// Size of the error, m.
         metres: f64,
     },
     /// The planner answers with NaN.
@@ -267,49 +267,49 @@ impl Fault {
 }
 
 impl Timed {
-    /// Whether it acts at `now_us`.
+    /// Whether the fault acts at `now_us`.
     pub fn acts(&self, now_us: u64) -> bool {
         let now_s = now_us as f64 * 1e-6;
         (self.at_s..self.at_s + self.for_s).contains(&now_s)
     }
 
-    /// Whether it begins in the time from `from_us` on, before `to_us`.
+    /// Whether the fault begins from `from_us` on and before `to_us`.
     pub fn begins(&self, from_us: u64, to_us: u64) -> bool {
         let at_us = self.at_us();
         from_us <= at_us && at_us < to_us
     }
 
-    /// When it begins, us.
+    /// Begin of the fault, us.
     pub fn at_us(&self) -> u64 {
         (self.at_s * 1e6).round() as u64
     }
 
-    /// When it is over, us.
+    /// End of the fault, us.
     pub fn end_us(&self) -> u64 {
         ((self.at_s + self.for_s) * 1e6).round() as u64
     }
 }
 
-/// Why a script is refused.
+/// Why a script is rejected.
 #[derive(Debug, thiserror::Error)]
 pub enum ScriptError {
-    /// Not JSON or TOML of this form.
+    /// The text is not JSON or TOML of this format.
     #[error("fault script: {0}")]
     Syntax(String),
-    /// A value that cannot be.
+    /// A value is impossible.
     #[error("fault script: {field}: expected {expected}, found {found}")]
     Value {
-        /// Which.
+        /// The field.
         field: &'static str,
-        /// What would be right.
+        /// What would be valid.
         expected: &'static str,
-        /// What is there.
+        /// The value in the script.
         found: String,
     },
 }
 
 impl Script {
-    /// A script's text, JSON or TOML.
+    /// Parses a script from JSON or TOML.
     ///
     /// # Errors
     /// [`ScriptError`].
@@ -323,7 +323,7 @@ impl Script {
         Ok(script)
     }
 
-    /// When the next fault begins or ends after `now_us`, us.
+    /// The next begin or end of a fault after `now_us`, us.
     pub(super) fn next_change_us(&self, now_us: u64) -> u64 {
         let times = self.faults.iter().flat_map(|timed| [timed.at_us(), timed.end_us()]);
         times.filter(|at| *at > now_us).min().unwrap_or(u64::MAX)

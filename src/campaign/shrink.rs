@@ -2,13 +2,13 @@
 
 use super::script::Script;
 
-/// Most flights that are flown for it.
+/// Most flights spent on shrinking.
 const FLIGHTS_MAX: usize = 120;
-/// A time is halved down to this, s.
+/// Times are halved down to this, s.
 const SHORTEST_S: f64 = 0.03;
 
-/// Leaves out what `fails` does not need: faults first, then their times, then what is unusual of
-/// the flight itself.
+/// Removes what `fails` does not need: first faults, then their duration, then unusual settings of
+/// the flight.
 pub fn shrunk(script: &Script, mut fails: impl FnMut(&Script) -> bool) -> Script {
     let mut best = script.clone();
     let mut left = FLIGHTS_MAX;

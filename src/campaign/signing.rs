@@ -1,4 +1,4 @@
-//! The key of flights that are signed, and their stamps.
+//! The key of signed flights, and their stamps.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use super::script::Script;
 use crate::clock::HostTime;
 use crate::link::signing::{Ledger, Remembered, SigningSettings};
 
-/// Others than vehicle and station sign on links with this number.
+/// Link id used by signers other than vehicle and station.
 const LINK: u8 = 200;
 
 /// The key that station, vehicle and pilot share.
@@ -17,12 +17,12 @@ pub fn key() -> Key {
     Key::new([0x5A; wire::signing::KEY_LEN])
 }
 
-/// The stamp of a time.
+/// The stamp of a host time.
 pub(super) fn stamp(now: HostTime) -> Stamp {
     Stamp::from_unix_ns(now.as_ns())
 }
 
-/// The station's settings.
+/// The station's signing settings.
 pub(super) fn settings() -> SigningSettings {
     SigningSettings {
         key: key(),
@@ -34,14 +34,14 @@ pub(super) fn settings() -> SigningSettings {
     }
 }
 
-/// A sender that signs where the script says so.
+/// An encoder that signs where the script says so.
 pub(super) fn encoder(script: &Script, system: u8, component: u8, now: HostTime) -> Encoder {
     let mut encoder = Encoder::new(system, component);
     encoder.set_signer(script.signed.then(|| Signer::new(key(), LINK, stamp(now))));
     encoder
 }
 
-/// Advances a sender's time.
+/// Advances an encoder's time.
 pub(super) fn turn(encoder: &mut Encoder, now: HostTime) {
     encoder.signer().into_iter().for_each(|signer| signer.turn(stamp(now)));
 }

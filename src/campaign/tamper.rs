@@ -1,14 +1,14 @@
-//! What a fault makes of the vehicle's words.
+//! The faults' changes to the vehicle's messages.
 
 use wire::dialect::*;
 
 use super::script::{Fault, Timed};
 use super::{signing, word};
 
-/// A step of a clock that is this near to the wrap of 32 bits of ms, us.
+/// A clock offset this close to the 32-bit wrap of milliseconds, us.
 const BEFORE_WRAP_US: i64 = 4_294_967_296_000 - 12_000_000;
 
-/// Rewrites what the vehicle tells, as the faults that act say.
+/// Rewrites the vehicle's messages according to the acting faults.
 #[derive(Debug, Default)]
 pub(super) struct Tamper {
     frozen: Option<[Option<MavMessage>; 4]>,
@@ -41,7 +41,7 @@ impl Tamper {
         word::in_place_of(frame, &message, &signing::key())
     }
 
-    /// The state as it was, under the new stamp.
+    /// Replaces a state by an earlier one, under the new stamp.
     fn freeze(&mut self, message: &mut MavMessage) {
         let slot = match message {
             MavMessage::ODOMETRY(_) => 0,
@@ -69,7 +69,8 @@ impl Tamper {
     }
 }
 
-/// A clock that is near its wrap was so from the start; one that stepped stays so, as a reset does.
+/// A clock close to its wrap is so from the start; a stepped clock stays off, like a reset
+/// estimate.
 fn lasts(timed: &Timed, now_us: u64) -> bool {
     match timed.fault {
         Fault::ClockWrap => !timed.acts(now_us),
@@ -123,7 +124,7 @@ fn spoil(fault: &Fault, message: &mut MavMessage) {
     }
 }
 
-/// Moves stamps of samples by `sample_us`, and the clock's own word by `clock_us`.
+/// Moves the stamps of samples by `sample_us`, and the clock's own reports by `clock_us`.
 fn stamp(message: &mut MavMessage, clock_us: i64, sample_us: i64) {
     let ms = |stamp: u32| stamp.wrapping_add((sample_us / 1000) as u32);
     let us = |stamp: u64| stamp.saturating_add_signed(sample_us);

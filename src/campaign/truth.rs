@@ -1,4 +1,4 @@
-//! What becomes of the vehicle: where it may be while the daemon flies it, and how flights end.
+//! The vehicle's true motion: where it may be while the controller flies it, and how flights end.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,17 +6,18 @@ use serde::{Deserialize, Serialize};
 use super::rule::Rule;
 use super::script::{Fault, PilotAct, Script};
 
-/// From the trajectory's box, m.
+/// Margin around the trajectory's box, m.
 const MARGIN_M: f64 = 3.0;
-/// The fence, m.
+/// Radius of the fence, m.
 const FENCE_M: f64 = 30.0;
-/// rad
+/// Largest tilt, rad.
 const TILT_MAX_RAD: f64 = 1.2;
-/// m/s
+/// Largest speed, m/s.
 const SPEED_MAX_M_S: f64 = 6.0;
-/// A rotor that lost more than this cannot be flown with three others.
+/// Loss of thrust beyond which a rotor makes the vehicle impossible to fly.
 const FLYABLE_LOSS: f64 = 0.35;
-/// The setpoints to a vehicle that cannot be flown end within this, s: the tilt's time, and the hand-over.
+/// Time within which setpoints to such a vehicle must end, s: the tilt's dwell time, and the
+/// hand-over.
 const LET_GO_S: f64 = 4.0;
 
 /// The vehicle's true state.
@@ -24,19 +25,19 @@ const LET_GO_S: f64 = 4.0;
 pub struct Seen {
     /// Simulated time, us.
     pub now_us: u64,
-    /// North, east, down, m.
+    /// Position north, east, down, m.
     pub position: [f64; 3],
-    /// m/s
+    /// Speed, m/s.
     pub speed: f64,
-    /// rad
+    /// Tilt, rad.
     pub tilt_rad: f64,
     /// Whether its motors are armed.
     pub is_armed: bool,
-    /// Whether it is in the mode in which it obeys setpoints.
+    /// Whether its mode obeys setpoints.
     pub obeys: bool,
 }
 
-/// Who has the vehicle at the end.
+/// Who controls the vehicle at the end.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
 )]
@@ -44,33 +45,32 @@ pub struct Seen {
 pub enum Ending {
     /// Nobody: the motors are off.
     Landed,
-    /// It holds its place.
+    /// The vehicle holds its place.
     Holding,
     /// The pilot.
     Pilot,
     /// Its own failsafe, or its own landing.
     Failsafe,
-    /// It obeys setpoints, and there are none.
+    /// The vehicle obeys setpoints, and none arrive.
     Adrift,
 }
 
-/// Where the vehicle may be: about the trajectory, which begins where the vehicle was armed.
+/// Where the vehicle may be: around the trajectory, which begins where the vehicle was armed.
 pub(super) struct Envelope {
-    /// North and east of the place where it last stood disarmed, m.
+    /// North and east of the place where it was last disarmed, m.
     origin: [f64; 2],
     low: [f64; 3],
     high: [f64; 3],
     is_possible: bool,
     lost_us: Option<u64>,
-    /// Whether it got out while nobody led it, as where setpoints do not reach it, and was not back
-    /// since.
+    /// Whether it left the envelope while no setpoints reached it, and has not been back since.
     is_astray: bool,
 }
 
 impl Envelope {
     pub fn new(script: &Script, path: &[[f64; 3]]) -> Self {
         let (mut low, mut high) = ([0.0; 3], [0.0; 3]);
-        // A planner that lies leads anywhere within the fence.
+        // A lying planner leads anywhere within the fence.
         let lies = |fault: &Fault| matches!(fault, Fault::PlannerLies { .. });
         let is_led_astray = script.faults.iter().any(|timed| lies(&timed.fault));
         let margin_m = if is_led_astray { FENCE_M + MARGIN_M } else { MARGIN_M };
@@ -80,7 +80,7 @@ impl Envelope {
                 high[axis] = f64::max(high[axis], point[axis] + margin_m);
             }
         }
-        // What no controller can do anything about.
+        // Faults that no controller can compensate.
         let breaks = |fault: &Fault| match fault {
             Fault::Rotor { loss, .. } => *loss > FLYABLE_LOSS,
             Fault::Injected { .. } | Fault::Reboot => true,
@@ -91,7 +91,7 @@ impl Envelope {
         Self { origin: [0.0; 2], low, high, is_possible, lost_us: None, is_astray: false }
     }
 
-    /// What is wrong, while the vehicle obeys and setpoints reach it.
+    /// The broken rule, if any, while the vehicle obeys and setpoints reach it.
     pub fn sees(&mut self, seen: &Seen, is_led: bool) -> Option<(Rule, String)> {
         let [north, east, down] = seen.position;
         if !seen.is_armed {
@@ -110,7 +110,8 @@ impl Envelope {
             self.is_astray &= !is_well;
             return (!is_well && !self.is_astray).then_some((Rule::Envelope, what));
         }
-        // Where it is, or how fast, is not the daemon's doing; that it fell over must be seen.
+        // The controller is not responsible for its position and speed, but must notice that it
+        // fell over.
         if seen.tilt_rad <= TILT_MAX_RAD {
             self.lost_us = None;
             return None;

@@ -1,4 +1,4 @@
-//! What frames on the wire say, in as far as faults and judge ask.
+//! The content of frames on the wire, as far as faults and judge need it.
 
 use wire::dialect::*;
 use wire::signing::{Key, Signer, Stamp};
@@ -23,12 +23,12 @@ pub fn id(frame: &[u8]) -> Option<u32> {
     }
 }
 
-/// Whether it tells the state.
+/// Whether the frame carries the state.
 pub fn is_state(frame: &[u8]) -> bool {
     matches!(id(frame), Some(ATTITUDE | ATTITUDE_QUATERNION | LOCAL_POSITION_NED | ODOMETRY))
 }
 
-/// Whether it tells the mode.
+/// Whether the frame carries the mode.
 pub fn is_mode(frame: &[u8]) -> bool {
     matches!(id(frame), Some(HEARTBEAT | CURRENT_MODE))
 }
@@ -38,7 +38,7 @@ pub fn message(frame: &[u8]) -> Option<MavMessage> {
     Frame::parse(frame)?.message().ok()
 }
 
-/// What a frame tells of mode and motors.
+/// The mode that a frame reports, and whether the motors are armed.
 pub fn told(frame: &[u8]) -> Option<(u32, Option<bool>)> {
     if !is_mode(frame) {
         return None;
@@ -53,8 +53,8 @@ pub fn told(frame: &[u8]) -> Option<(u32, Option<bool>)> {
     }
 }
 
-/// A frame with the ids, the number and the stamp of another, so that no gap is left. What was signed
-/// is signed anew, with `key`: it is the vehicle itself that errs.
+/// A frame with the ids, the number and the stamp of another, so that no gap remains. A signed
+/// frame is signed again with `key`, because the vehicle itself is at fault.
 pub fn in_place_of(frame: &[u8], message: &MavMessage, key: &Key) -> Vec<u8> {
     let Some(original) = Frame::parse(frame) else { return frame.to_vec() };
     let mut encoder = Encoder::new(original.system() as u8, original.component());

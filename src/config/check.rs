@@ -1,4 +1,4 @@
-//! What no value may be, whichever layer it comes from.
+//! Checks of values that no layer may set.
 
 use std::time::Duration;
 
@@ -17,11 +17,11 @@ const SIGNED: [&str; 5] = [
     "mocap.nose_deg",
 ];
 
-/// The longest time that a state of the flight may last.
+/// The longest time limit or wait of a flight state.
 const TIME_MAX: Duration = Duration::from_secs(24 * 60 * 60);
 
-/// Every number is finite, because a limit that is NaN would limit nothing, and none is negative
-/// but the [`SIGNED`] ones and those in tables of an array, such as positions and parameters.
+/// Checks that every number is finite, because a NaN limit would limit nothing. Only the [`SIGNED`]
+/// ones may be negative, and those in tables of an array, such as positions and parameters.
 pub(super) fn check_numbers(path: &str, value: &Value) -> Result<(), String> {
     check_number(path, value, SIGNED.contains(&path))
 }
@@ -47,18 +47,18 @@ fn check_number(path: &str, value: &Value, is_signed: bool) -> Result<(), String
     Err(format!("{path}: expected a finite number{least}, found {value}"))
 }
 
-/// A value with which no flight is possible.
+/// A value that makes a flight impossible.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Impossible {
-    /// The setting, and one that it contradicts, if any.
+    /// The setting, and the one that it contradicts, if any.
     pub settings: &'static [&'static str],
-    /// What would be right.
+    /// What would be valid.
     pub expected: String,
-    /// What is there.
+    /// The value found.
     pub found: f64,
 }
 
-/// Whether the limits of setpoints can be kept, and the offboard controller's times counted.
+/// Checks that the setpoint limits can be kept and that the controller's times can be counted.
 pub(super) fn check_offboard(settings: &OffboardSettings) -> Result<(), Impossible> {
     check_limits(&settings.limits)?;
     let GuidanceSettings {
@@ -79,7 +79,7 @@ pub(super) fn check_offboard(settings: &OffboardSettings) -> Result<(), Impossib
     check_times(&settings.supervisor)
 }
 
-/// Whether parameters can be adapted.
+/// Checks that the adaptation's settings are usable.
 pub(super) fn check_adaptation(settings: &AdaptationSettings) -> Result<(), Impossible> {
     let AdaptationSettings { forgetting_s, trust_per_s, thrust_share_max, .. } = *settings;
     positive(&["control.adaptation.forgetting_s"], forgetting_s)?;
@@ -121,7 +121,7 @@ fn check_limits(limits: &Limits) -> Result<(), Impossible> {
 }
 
 fn check_times(times: &SupervisorSettings) -> Result<(), Impossible> {
-    // Named one by one, so that a new one is not forgotten.
+    // Listed one by one, so that a new field is not forgotten.
     let SupervisorSettings {
         link_lost_after_s,
         release_s,

@@ -1,4 +1,4 @@
-//! The settings, with their defaults.
+//! All settings, with their defaults.
 
 use std::path::PathBuf;
 
@@ -13,7 +13,7 @@ use crate::plan::FlightEnvelope;
 use crate::plan::planner::PlanSettings;
 use crate::plan::programme::ProgrammeSettings;
 
-/// Everything that can be set. Each section is the settings of the module that it is named after.
+/// All settings. Each section has the settings of the module that it is named after.
 #[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
@@ -21,29 +21,29 @@ pub struct Settings {
     pub schema_version: u32,
     /// Vehicle file.
     pub vehicle: Option<PathBuf>,
-    /// Trajectory file that the daemon flies.
+    /// Trajectory file to fly.
     pub trajectory: Option<PathBuf>,
     /// Endpoint of the vehicle, such as `udpin://0.0.0.0:14540`.
     pub connect: Option<String>,
     /// Folder of the flight logs.
     pub log_dir: Option<PathBuf>,
-    /// The link.
+    /// The link to the vehicle.
     pub link: LinkSettings,
-    /// Ground stations beside this one.
+    /// Other ground stations.
     pub forward: ForwardSettings,
     /// The bridge from a motion-capture room.
     pub mocap: MocapSettings,
-    /// Whether the vehicle changes in flight.
+    /// The monitor of the vehicle's health.
     pub health: HealthSettings,
-    /// What a trajectory may ask for.
+    /// The limits that a trajectory must keep.
     pub envelope: FlightEnvelope,
-    /// Flights that a model is learned from.
+    /// Flights for learning a model.
     pub collect: ProgrammeSettings,
-    /// Plans through a model.
+    /// Plans made with a learned model.
     pub plan: PlanSettings,
-    /// The control law and its gains. Its rate is that of the control ticks.
+    /// The control law and its gains. Its rate is the rate of the control ticks.
     pub control: ControlSettings,
-    /// Telemetry, flight states, reactions to faults, take-off, limits of the setpoint.
+    /// Telemetry, flight states, reactions to faults, take-off, setpoint limits.
     #[serde(alias = "pilot")]
     pub offboard: OffboardSettings,
 }
@@ -56,13 +56,13 @@ pub struct ForwardSettings {
     pub allow: Vec<String>,
 }
 
-/// Settings of the monitor of the vehicle's health. It warns, and does nothing else.
+/// Settings of the health monitor, which warns and does nothing else.
 #[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HealthSettings {
-    /// Whether it watches.
+    /// Whether the monitor runs.
     pub monitor: bool,
-    /// Mean time between false alarms that its bound is for, h of flight.
+    /// Mean time between false alarms that sets its bound, h of flight.
     pub false_alarm_h: f64,
 }
 
@@ -76,16 +76,16 @@ impl Default for HealthSettings {
 #[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LinkSettings {
-    /// Own MAVLink system id. Ground stations are 255 by custom: a daemon with that id would keep
-    /// ArduCopter from seeing that the pilot's station is gone.
+    /// Own MAVLink system id. Ground stations use 255 by convention. With that id, this program
+    /// would keep ArduCopter from noticing the loss of the pilot's station.
     pub system: u8,
     /// Own MAVLink component id.
     pub component: u8,
-    /// The vehicle's system id; none takes the first autopilot that is heard.
+    /// The vehicle's system id; without it, the first autopilot that appears is the vehicle.
     pub vehicle_system: Option<u8>,
-    /// What setpoints carry.
+    /// The content of the setpoints.
     pub attitude_target: FormSetting,
-    /// Whether the vehicle's TIMESYNC requests are answered.
+    /// Whether to answer the vehicle's TIMESYNC requests.
     pub answer_timesync: bool,
     /// Silence after which the link is stale, s.
     pub stale_after_s: f64,
@@ -93,25 +93,25 @@ pub struct LinkSettings {
     pub lost_after_s: f64,
     /// MAVLink 2 signing.
     pub signing: SigningSettings,
-    /// `fly` gives up when no vehicle is heard for this long, s.
+    /// Time without any vehicle after which `fly` gives up, s.
     pub search_timeout_s: f64,
 }
 
-/// Signing of the link. Without a key, here or in `DOWNWASH_SIGNING_KEY`, nothing is signed and
-/// everybody is believed.
+/// Signing of the link. Without a key, here or in `DOWNWASH_SIGNING_KEY`, nothing is signed and all
+/// frames are accepted.
 #[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SigningSettings {
-    /// File of the key, of mode 0600.
+    /// File of the key, with mode 0600.
     pub key_file: Option<PathBuf>,
-    /// Own number of the link: programs that sign with the same system and component take different
-    /// ones.
+    /// Own link id: programs that sign with the same system and component use different ones.
     pub link_id: u8,
-    /// File of the stamps that must not be used again; none takes the key's file with `.stamps`.
+    /// File of the stamps that must not be used again; by default the key's file name with
+    /// `.stamps`.
     pub state_file: Option<PathBuf>,
-    /// Names of the messages that are believed without a signature.
+    /// Names of the messages that are accepted without a signature.
     pub accept_unsigned: Vec<String>,
-    /// Stamps further ahead of this computer's clock are not believed, s.
+    /// Stamps further ahead of this computer's clock are rejected, s.
     pub ahead_max_s: f64,
 }
 
@@ -121,25 +121,26 @@ impl Default for SigningSettings {
             key_file: None,
             link_id: 0,
             state_file: None,
-            // What a radio says itself, which has no key.
+            // A radio's own messages; a radio has no key.
             accept_unsigned: vec!["RADIO_STATUS".to_owned()],
             ahead_max_s: 86_400.0,
         }
     }
 }
 
-/// What SET_ATTITUDE_TARGET carries.
+/// The content of SET_ATTITUDE_TARGET.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FormSetting {
-    /// What the autopilot's profile says: the safe form for it.
+    /// As in the autopilot's profile: the safe form for it.
     Profile,
-    /// Rates and thrust, with the attitude loop closed by the daemon.
+    /// Rates and thrust, with the attitude loop closed by the controller.
     RatesThrust,
-    /// Attitude, rates and thrust, for a vehicle that flies them as a PD and cannot say so. Unsafe
-    /// on PX4.
+    /// Attitude, rates and thrust, for a vehicle that flies them as a PD law without declaring it.
+    /// Unsafe on PX4.
     ForceAttitudeRatesThrust,
-    /// On ArduCopter attitude, rates and thrust, the rates turned back by the commanded attitude.
+    /// On ArduCopter attitude, rates and thrust, with the rates rotated back by the commanded
+    /// attitude.
     ArducopterRates,
 }
 

@@ -18,7 +18,7 @@ fn at(ms: u64) -> HostTime {
     START + Duration::from_millis(ms)
 }
 
-/// A level setpoint that answers a sample which came at `ms`, as its stamp says too.
+/// A level setpoint in answer to a sample that arrived at `ms`, with a matching stamp.
 fn level(ms: u64) -> Proposal {
     let setpoint = Setpoint { thrust_n: 5.0, ..Setpoint::default() };
     let vehicle = VehicleTime::from_us(1000 * ms);
@@ -64,7 +64,7 @@ fn each_sample_is_answered_once_and_none_after_a_newer_one() {
     let late = Proposal { sample: Answered { host: at(14), ..level(9).sample }, ..level(9) };
     assert_eq!(guard.pass(at(14), &late, OBEYED), Err(Withheld::Answered));
     guard.pass(at(20), &level(20), OBEYED).expect("the next");
-    // A vehicle that was started again counts from zero.
+    // The clock of a restarted vehicle counts from zero.
     guard.forget();
     let anew = Proposal { sample: Answered { host: at(30), ..level(1).sample }, ..level(1) };
     guard.pass(at(30), &anew, OBEYED).expect("another clock");
@@ -85,15 +85,16 @@ fn after_a_stall_the_first_answer_is_to_a_sample_that_left_after_it() {
     let mut guard = guard();
     guard.pass(at(10), &level(10), OBEYED).expect("before");
     guard.propose(at(20), &level(20), OBEYED).expect("before");
-    // The line stands still until 90 ms, and finds what lay unread: by the vehicle's clock these
-    // are late.
+    // The control path stalls until 90 ms and finds unread samples, late according to the vehicle's
+    // clock.
     for sampled in [30, 50, 70, 88] {
         let excess_delay_s = (90 - sampled) as f64 * 1e-3;
         let sample = Answered { host: at(90), excess_delay_s, ..level(sampled).sample };
         let found = Proposal { sample, ..level(sampled) };
         assert_eq!(guard.pass(at(90), &found, OBEYED), Err(Withheld::Stalled), "{sampled}");
     }
-    // Where clocks mislead they seem not late at all: while what lay unread is read, nothing proves it.
+    // With misleading clocks they seem punctual: nothing proves otherwise until the backlog is
+    // read.
     for (read, sampled) in [(90, 90), (99, 99)] {
         let found = guard.pass(at(read), &level(sampled), OBEYED);
         assert_eq!(found, Err(Withheld::Stalled), "read at {read} ms");
@@ -134,7 +135,7 @@ fn a_setpoint_changes_no_quicker_than_its_limits_say() {
     assert!(met.thrust && met.tilt && !met.yaw_error);
 }
 
-/// A controller that says anything, at any time, about any sample.
+/// A controller that proposes anything, at any time, about any sample.
 fn talk() -> impl Strategy<Value = (u64, Proposal, Order)> {
     let number = || prop_oneof![-10.0..10.0f64, prop::num::f64::ANY];
     let stance = prop_oneof![Just(Stance::Silent), Just(Stance::Offer), Just(Stance::Control)];
@@ -147,7 +148,7 @@ fn talk() -> impl Strategy<Value = (u64, Proposal, Order)> {
                 attitude: Euler::new(n[1], n[2], n[3]),
                 body_rate: Frd::new(n[4], n[5], n[6]),
             };
-            // Ages, made times by the test.
+            // These fields hold ages here; the test turns them into times.
             let host = HostTime::from_ns(age);
             let vehicle = VehicleTime::from_us(lag);
             let sample = Answered { host, vehicle, excess_delay_s, yaw };
@@ -194,7 +195,7 @@ proptest! {
             prop_assert!(setpoint.body_rate.to_array().iter().all(|rate| rate.abs() <= 6.0));
             let off = wrap_angle(setpoint.attitude.yaw - proposal.sample.yaw);
             prop_assert!(off.abs() <= limits.yaw_error_max_rad + 1e-9);
-            // And their changes.
+            // And changes within their limits.
             if let Some((ms, before)) = before.filter(|(ms, _)| now_ms - ms <= 500) {
                 let dt_s = (now_ms - ms).max(5) as f64 * 1e-3;
                 prop_assert!((setpoint.thrust_n - before.thrust_n).abs() <= 500.0 * dt_s + 1e-9);
@@ -209,14 +210,14 @@ proptest! {
     }
 }
 
-/// The system's allocator, which counts what this thread takes.
+/// The system's allocator, with a count of this thread's allocations.
 struct Counting;
 
 thread_local! {
     static TAKEN: Cell<u64> = const { Cell::new(0) };
 }
 
-// SAFETY: all of it is the system's allocator's.
+// SAFETY: every call is forwarded to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let _ = TAKEN.try_with(|taken| taken.set(taken.get() + 1));

@@ -1,10 +1,10 @@
-//! The vehicle's clock by the stamps of its messages alone.
+//! The vehicle's clock from the stamps of its messages alone.
 //!
-//! Delay makes a stamp look older, so that the largest offsets of stamps to arrivals had the least
-//! of it: the line over them is the clock, late by the shortest transport time. Of the lines above
-//! all offsets it is the one with the least area between (Moon, Skelly and Towsley, "Estimation and
-//! removal of clock skew from network delay measurements", 1999). A queue that grows by less than
-//! the largest skew cannot be told from a clock that is slow: only TIMESYNC tells them apart.
+//! Delay makes a stamp look older, so the largest offsets of stamp to arrival had the least delay.
+//! The line through them is the clock, late by the shortest transport time. It is the line above
+//! all offsets with the least area in between (Moon, Skelly and Towsley, "Estimation and removal of
+//! clock skew from network delay measurements", 1999). A queue that grows by less than the largest
+//! skew looks like a slow clock; only TIMESYNC distinguishes the two.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -13,15 +13,15 @@ use super::clock_estimate::{ClockEstimate, ClockSource, SKEW_MAX, TOLERANCE_NS};
 use super::clock_estimate::{nanoseconds, ns_between};
 use crate::clock::{HostTime, VehicleTime};
 
-/// One largest offset is kept for so long.
+/// Time over which one largest offset is kept.
 const SPAN: Duration = Duration::from_secs(1);
-/// Spans that are kept. What was quickest before them is forgotten, so that a clock which stood
-/// still for a while is followed after as many seconds.
+/// Spans that are kept. Older fast messages are forgotten, so that a clock which stood still for a
+/// while is followed after as many seconds.
 const SPANS: usize = 7;
-/// Whole spans that a skew needs.
+/// Whole spans required for a skew.
 const SPANS_MIN: usize = 3;
 
-/// The message of a span that was quickest.
+/// The fastest message of a span.
 #[derive(Clone, Copy, Debug)]
 struct Quickest {
     at: HostTime,
@@ -34,7 +34,7 @@ impl Quickest {
     }
 }
 
-/// Keeps the quickest messages of the last seconds in which something came.
+/// Keeps the fastest messages of recent spans that had any.
 #[derive(Debug, Default)]
 pub(super) struct Arrival {
     spans: VecDeque<Quickest>,
@@ -65,7 +65,7 @@ impl Arrival {
         }
     }
 
-    /// The line at `now`.
+    /// The estimated clock at `now`: the kept message with the largest offset there, and the skew.
     pub(super) fn estimate(&self, now: HostTime) -> Option<ClockEstimate> {
         let by_offset = |a: &&Quickest, b: &&Quickest| {
             a.offset_at(now, self.skew).total_cmp(&b.offset_at(now, self.skew))
@@ -79,7 +79,7 @@ impl Arrival {
         })
     }
 
-    /// The slope of the line above all offsets that is closest to them, where it is beyond chance.
+    /// The slope of the closest line above all offsets; 0 where it is too small to be significant.
     fn fit(&self) -> f64 {
         let (Some(first), Some(last)) = (self.spans.front(), self.spans.back()) else { return 0.0 };
         if self.spans.len() < SPANS_MIN {

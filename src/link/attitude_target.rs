@@ -1,4 +1,4 @@
-//! Setpoint to SET_ATTITUDE_TARGET: intent in, the profile's message out.
+//! From setpoint to SET_ATTITUDE_TARGET, in the form of the autopilot's profile.
 
 use vehicle::frame::{Attitude, Frd};
 use wire::dialect::{AttitudeTargetTypemask, SET_ATTITUDE_TARGET_DATA};
@@ -7,20 +7,20 @@ use super::profile::{AttitudeTargetForm, Profile, RateFrame};
 use crate::guard::Cleared;
 use crate::setpoint::Setpoint;
 
-/// Collective thrust in newtons to the thrust field, 0..1.
+/// Maps collective thrust in newtons to the thrust field, 0..1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ThrustMap {
     full_scale_n: f64,
     square_share: f64,
 }
 
-/// Why a thrust map was refused.
+/// Why a thrust map is rejected.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum ThrustMapError {
     /// The thrust at full output is not a positive number.
     #[error("full-scale thrust must be a positive number of newtons, not {0}")]
     FullScale(f64),
-    /// The share is outside 0..1.
+    /// The share of the square is outside 0..1.
     #[error("share of the square in the thrust curve must be within 0..1, not {0}")]
     SquareShare(f64),
 }
@@ -34,8 +34,9 @@ impl ThrustMap {
         Self::curve(full_scale_n, 0.0)
     }
 
-    /// A vehicle that does not linearise its motors: `T = full_scale_n * ((1 - s) u + s u^2)`,
-    /// s being `square_share` (what PX4 calls THR_MDL_FAC, left at 0 on board).
+    /// Thrust of a vehicle that does not linearise its motors:
+    /// `T = full_scale_n * ((1 - s) u + s u^2)`, with s = `square_share` (PX4's THR_MDL_FAC, which
+    /// is then 0 on board).
     ///
     /// # Errors
     /// [`ThrustMapError`] unless the full scale is finite and positive, and the share in 0..1.
@@ -49,7 +50,7 @@ impl ThrustMap {
         Ok(Self { full_scale_n, square_share })
     }
 
-    /// The thrust field for a thrust, limited to 0..1.
+    /// The thrust field for a thrust in N, limited to 0..1.
     pub fn fraction(&self, thrust_n: f64) -> f64 {
         let thrust = (thrust_n / self.full_scale_n).clamp(0.0, 1.0);
         let s = self.square_share;
@@ -59,7 +60,7 @@ impl ThrustMap {
         if denominator > 0.0 { 2.0 * thrust / denominator } else { 0.0 }
     }
 
-    /// The thrust in N that a field asks for.
+    /// The thrust in N that a field commands.
     pub fn thrust_n(&self, fraction: f64) -> f64 {
         self.full_scale_n * fraction * (1.0 - self.square_share + self.square_share * fraction)
     }
@@ -71,16 +72,17 @@ pub enum EncodeError {
     /// A component is NaN or infinite.
     #[error("setpoint is not finite")]
     NotFinite,
-    /// Rates are to be sent, which needs the vehicle's attitude, and none is fresh.
+    /// The form sends rates, which needs the vehicle's attitude, and no fresh one is known.
     #[error("no fresh attitude to close the attitude loop with")]
     NoAttitude,
 }
 
-/// The message for a setpoint. `attitude` is the vehicle's, for the form that closes the loop
-/// here. Header fields (time, target) are left to the sender. The quaternion is always unit.
+/// The message for a setpoint. `attitude` is the vehicle's, for the form that closes the attitude
+/// loop here. The sender fills in the header fields (time, target). The quaternion always has unit
+/// length.
 ///
 /// # Errors
-/// [`EncodeError`]: a message that is not finite is never made.
+/// [`EncodeError`]. A message with a non-finite value is never made.
 pub fn encode(
     cleared: &Cleared,
     attitude: Option<Attitude>,
@@ -105,7 +107,7 @@ fn encode_bounded(
         (AttitudeTargetForm::AttitudeThrust, _) => Frd::zero(),
         (AttitudeTargetForm::AttitudeRatesThrust, RateFrame::Body) => setpoint.body_rate,
         (AttitudeTargetForm::AttitudeRatesThrust, RateFrame::RotatedByCommand) => {
-            // The vehicle will turn these by the command again, so that the body's come out.
+            // The vehicle rotates these by the command again, which gives the body rates.
             let [x, y, z] = setpoint.body_rate.to_array();
             Frd::from(desired.to_body([x, y, z].into()).to_array())
         }

@@ -1,4 +1,4 @@
-//! What a serial line has room for: the telemetry that is asked for, lowered until it fits.
+//! The capacity of a serial line: the requested telemetry, lowered until it fits.
 
 use std::fmt;
 
@@ -7,12 +7,12 @@ use wire::dialect::MavMessage;
 
 use super::profile::MessageRate;
 
-/// Share of a serial line above which rates fall short: what is not asked for, such as
-/// parameters, texts and the vehicle's own default streams, needs the rest.
+/// Share of a serial line above which rates fall short. Unrequested traffic needs the rest:
+/// parameters, texts and the vehicle's own default streams.
 pub const LINE_SHARE_MAX: f64 = 0.7;
 /// Bytes of a MAVLink 2 frame around its payload.
 const FRAME_OVERHEAD: usize = 12;
-/// Bits on a serial line per byte: start, eight, stop.
+/// Bits on a serial line per byte: start, eight data, stop.
 const BITS_PER_BYTE: f64 = 10.0;
 
 const BATTERY_STATUS: u32 = 147;
@@ -24,10 +24,10 @@ const HIGHRES_IMU: u32 = 105;
 const ODOMETRY: u32 = 331;
 const ACTUATOR_OUTPUT_STATUS: u32 = 375;
 
-/// What is given up for a line that is too slow, in this order until the rest fits: the message
-/// and the most that is still asked for, in Hz; 0 is none. First what only the log keeps, at rates
-/// that learning can do with, then ODOMETRY, which repeats attitude and position in 245 bytes, and
-/// last what drives the feedback. Rates are those that PX4 serves exactly.
+/// Economies for a line that is too slow, applied in this order until the rest fits: the message
+/// and the highest rate that is still requested, in Hz; 0 requests none. First what only the log
+/// keeps, at rates that learning can work with. Then ODOMETRY, which repeats attitude and position
+/// in 245 bytes. Last what drives the feedback. PX4 serves these rates exactly.
 const ECONOMIES: &[(u32, f64)] = &[
     (HIGHRES_IMU, 100.0),
     (ACTUATOR_OUTPUT_STATUS, 50.0),
@@ -51,31 +51,31 @@ const ECONOMIES: &[(u32, f64)] = &[
     (SERVO_OUTPUT_RAW, 2.0),
 ];
 
-/// The messages to ask for over a serial line, and what they cost.
+/// The messages to request over a serial line, and what they cost.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineBudget {
     /// Bits per second of the line.
     pub baud: u32,
-    /// What to ask for.
+    /// The messages to request.
     pub messages: Vec<MessageRate>,
-    /// Share of the line that these take up, frames included.
+    /// Share of the line that they use, frames included.
     pub share: f64,
-    /// Share that the wanted rates would have taken up.
+    /// Share that the wanted rates would have used.
     pub wanted_share: f64,
-    /// What was lowered: the message and the rate that was wanted, Hz.
+    /// The lowered messages, with the rate that was wanted, Hz.
     pub lowered: Vec<MessageRate>,
 }
 
 impl LineBudget {
-    /// Exactly the wanted messages, whatever they cost.
+    /// A budget of exactly the wanted messages, whatever they cost.
     pub fn unlimited(wanted: &[MessageRate], baud: u32) -> Self {
         let share = line_share(wanted, baud);
         let (messages, lowered) = (wanted.to_vec(), Vec::new());
         Self { baud, messages, share, wanted_share: share, lowered }
     }
 
-    /// The wanted messages, lowered step by step until they take up at most [`LINE_SHARE_MAX`] of
-    /// the line, or until nothing is left to lower.
+    /// Lowers the wanted messages step by step until they use at most [`LINE_SHARE_MAX`] of the
+    /// line, or until no economy is left.
     pub fn fit(wanted: &[MessageRate], baud: u32) -> Self {
         let mut budget = Self::unlimited(wanted, baud);
         for &(id, most_hz) in ECONOMIES {
@@ -93,17 +93,17 @@ impl LineBudget {
         budget
     }
 
-    /// Whether the messages leave the line the room that it needs.
+    /// Whether the messages leave the rest of the line free.
     pub fn fits(&self) -> bool {
         self.share <= LINE_SHARE_MAX
     }
 
-    /// Bytes a second that the line carries.
+    /// Capacity of the line, bytes/s.
     pub fn bytes_per_s(&self) -> f64 {
         f64::from(self.baud) / BITS_PER_BYTE
     }
 
-    /// The rate at which the messages tell the state, Hz.
+    /// The rate at which the messages carry the state, Hz.
     pub fn state_hz(&self) -> f64 {
         self.hz(ODOMETRY).max(self.hz(ATTITUDE_QUATERNION).min(self.hz(LOCAL_POSITION_NED)))
     }
@@ -132,12 +132,12 @@ impl fmt::Display for LineBudget {
     }
 }
 
-/// Bytes a second that attitude and position take, each at `hz`.
+/// Bytes a second for attitude and position, each at `hz`.
 pub fn state_bytes_per_s(hz: f64) -> f64 {
     (frame_len(ATTITUDE_QUATERNION) + frame_len(LOCAL_POSITION_NED)) as f64 * hz
 }
 
-/// The share of a serial line that messages at these rates take up, frames included.
+/// The share of a serial line that messages at these rates use, frames included.
 fn line_share(messages: &[MessageRate], baud: u32) -> f64 {
     let bits: f64 = messages
         .iter()
@@ -149,13 +149,13 @@ fn line_share(messages: &[MessageRate], baud: u32) -> f64 {
 /// Length of a message's frame with a full payload.
 pub(super) fn frame_len(id: u32) -> usize {
     let mut payload = [0; 255];
-    // MAVLink 1 does not cut trailing zeros.
+    // MAVLink 1 keeps trailing zeros.
     let payload_len = MavMessage::default_message_from_id(id)
         .map_or(0, |message| message.ser(mavlink::MavlinkVersion::V1, &mut payload));
     FRAME_OVERHEAD + payload_len
 }
 
-/// The name of a message of the dialect.
+/// The name of a message in the dialect, or its number.
 pub fn message_name(id: u32) -> String {
     MavMessage::default_message_from_id(id)
         .map_or_else(|| format!("message {id}"), |message| message.message_name().to_owned())
@@ -196,7 +196,7 @@ mod tests {
             assert!(budget.fits(), "{baud}: {}", budget.share);
             assert_eq!(rates(&budget), expected, "{baud}");
         }
-        // What a slower line could not do without is not thrown away on a quick one.
+        // A fast line keeps everything that a slower one gives up.
         assert_eq!(px4(3_000_000).messages, Profile::PX4.telemetry);
         assert!(px4(3_000_000).lowered.is_empty());
     }

@@ -1,36 +1,36 @@
-//! What is known of the vehicle's clock: a line over the host's, and its error.
+//! The estimate of the vehicle's clock: a line over the host's clock, and its error.
 
 use crate::clock::{HostTime, VehicleTime};
 
 /// Largest skew that is followed, vehicle seconds per host second less one. Simulators that run
 /// late have several per cent; crystals have 0.01 %.
 pub(super) const SKEW_MAX: f64 = 0.06;
-/// What two bounds on an offset may contradict each other by, ns: stamps in whole milliseconds and
+/// Tolerated contradiction between two bounds on an offset, ns: stamps in whole milliseconds, and
 /// the time from the stamp to the wire.
 pub(super) const TOLERANCE_NS: f64 = 20e6;
 
-/// The vehicle's clock as a line over the host's.
+/// The vehicle's clock as a line over the host's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockEstimate {
     /// Vehicle time minus host time at `at`, ns.
     pub offset_ns: i64,
-    /// Where the line is anchored.
+    /// Host time at which the line is anchored.
     pub at: HostTime,
     /// Vehicle seconds per host second, less one.
     pub skew: f64,
-    /// Half the width of the interval that holds the true offset, ns. For [`ClockSource::Arrival`]
-    /// it is not known.
+    /// Half the width of the interval that contains the true offset, ns; unknown for
+    /// [`ClockSource::Arrival`].
     pub error_ns: Option<u64>,
-    /// Where the estimate comes from.
+    /// The source of the estimate.
     pub source: ClockSource,
 }
 
-/// Where a [`ClockEstimate`] comes from.
+/// The source of a [`ClockEstimate`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClockSource {
     /// Answers to TIMESYNC.
     Timesync,
-    /// The least delay of stamped messages.
+    /// The minimum delay of stamped messages.
     Arrival,
 }
 
@@ -40,7 +40,7 @@ impl ClockEstimate {
         u64::try_from(self.host_ns(time)).ok().map(HostTime::from_ns)
     }
 
-    /// What the vehicle's clock reads at `host`; zero before it was switched on.
+    /// The reading of the vehicle's clock at `host`; zero before it was switched on.
     pub fn to_vehicle(&self, host: HostTime) -> VehicleTime {
         let since = ns_between(self.at, host);
         let ns = (host.as_ns() as i64)
@@ -60,7 +60,7 @@ pub(super) fn nanoseconds(time: VehicleTime) -> i64 {
     i64::try_from(time.as_us()).unwrap_or(i64::MAX).saturating_mul(1000)
 }
 
-/// Nanoseconds from `earlier` to `later`, negative if it is the other way round.
+/// Nanoseconds from `earlier` to `later`, negative in reverse order.
 pub(super) fn ns_between(earlier: HostTime, later: HostTime) -> f64 {
     (later.as_ns() as i64).saturating_sub(earlier.as_ns() as i64) as f64
 }

@@ -1,4 +1,4 @@
-//! The connection: an endpoint that is opened, and opened again whenever it is lost.
+//! The connection: an endpoint that is opened, and reopened whenever it is lost.
 
 use std::fmt;
 use std::future::{Future, poll_fn};
@@ -12,50 +12,50 @@ use tokio::time::{Sleep, sleep, timeout};
 use wire::Endpoint;
 use wire::transport::{Incoming, OpenError, Peer, Transport, TransportStats};
 
-/// The first pause before opening again; each further one is twice as long.
+/// The first pause before reopening; each further one is twice as long.
 const PAUSE_MIN: Duration = Duration::from_millis(100);
 /// The longest pause.
 const PAUSE_MAX: Duration = Duration::from_secs(3);
-/// Time that opening may take: a TCP connection to a host that is off would take minutes.
+/// Longest time for opening: a TCP connection to a host that is off would take minutes.
 const OPEN_LIMIT: Duration = Duration::from_secs(5);
 
-/// What [`Connection::recv`] brings.
+/// What [`Connection::recv`] returns.
 #[derive(Debug)]
 pub enum Input {
     /// Bytes from a peer, at the start of the buffer.
     Bytes {
-        /// Who sent them.
+        /// The sender.
         peer: Peer,
-        /// How many.
+        /// Number of bytes.
         len: usize,
     },
-    /// The endpoint is open. Peer numbers start anew.
+    /// The endpoint is open. Peer numbers start again.
     Opened,
-    /// The endpoint could not be opened; it will be tried again.
+    /// The endpoint could not be opened. The connection retries.
     Failed {
-        /// Why.
+        /// The reason.
         error: OpenFailure,
-        /// When it is tried again.
+        /// Time until the next attempt.
         retry_in: Duration,
     },
-    /// The endpoint was open and is lost; it will be opened again.
+    /// The open endpoint was lost. The connection reopens it.
     Lost(io::Error),
     /// A peer connected.
     PeerOpened(Peer),
-    /// A peer is gone.
+    /// A peer closed its connection.
     PeerClosed(Peer),
 }
 
 /// Why an endpoint could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenFailure {
-    /// The system refused.
+    /// The system refused to open it.
     #[error(transparent)]
     Refused(#[from] OpenError),
-    /// Nothing happened for too long.
+    /// Opening took longer than the limit.
     #[error("cannot open {endpoint}: no answer within {} s; is the host up?", OPEN_LIMIT.as_secs())]
     TimedOut {
-        /// The endpoint.
+        /// The endpoint that did not open.
         endpoint: Endpoint,
     },
 }
@@ -68,7 +68,7 @@ enum State {
     Waiting(Pin<Box<Sleep>>),
 }
 
-/// An endpoint that is kept open.
+/// An endpoint that stays open, across losses.
 pub struct Connection {
     endpoint: Endpoint,
     state: State,
@@ -83,9 +83,9 @@ impl Connection {
         Self { endpoint, state, pause: PAUSE_MIN, peers: Vec::new() }
     }
 
-    /// Waits for bytes or for a change. Cancel-safe: a dropped future loses nothing, and an
-    /// attempt to open goes on. It never fails: what is lost is opened again, after a pause that
-    /// grows with every attempt and is short again once bytes have come.
+    /// Waits for bytes or for a change. Cancel-safe: a dropped future loses nothing, and an attempt
+    /// to open continues. Never fails: a lost endpoint is reopened after a pause, which grows with
+    /// each attempt and is short again once bytes arrive.
     pub async fn recv(&mut self, buffer: &mut [u8]) -> Input {
         poll_fn(|cx| self.poll_recv(cx, buffer)).await
     }
@@ -114,14 +114,14 @@ impl Connection {
         }
     }
 
-    /// Whether [`wait`](Self::wait) can be used now.
+    /// Whether [`wait`](Self::wait) works now: the endpoint is open and carries datagrams.
     pub fn can_wait(&self) -> bool {
         matches!(&self.state, State::Open(transport) if transport.is_datagram())
     }
 
-    /// As [`recv`](Self::recv), in the calling thread and past the runtime, which is quicker:
-    /// `None` once `timeout` is over, or earlier. At once where it [cannot](Self::can_wait) be
-    /// used.
+    /// Like [`recv`](Self::recv), but in the calling thread and without the runtime, which is
+    /// faster. Returns `None` after `timeout` or earlier, and at once where
+    /// [`can_wait`](Self::can_wait) is false.
     pub fn wait(&mut self, buffer: &mut [u8], timeout: Duration) -> Option<Input> {
         let State::Open(transport) = &mut self.state else { return None };
         if !transport.is_datagram() {
@@ -154,8 +154,8 @@ impl Connection {
         pause
     }
 
-    /// Sends a frame to a peer, or to every peer there is. Never waits; returns whether the system
-    /// took it everywhere. Without a connection it is dropped.
+    /// Sends a frame to one peer, or to every peer. Never waits; returns whether the system took
+    /// every copy. Without a connection the frame is dropped.
     pub fn send(&mut self, to: Option<Peer>, frame: &[u8]) -> bool {
         let State::Open(transport) = &mut self.state else { return false };
         if let Some(peer) = to {
@@ -170,14 +170,14 @@ impl Connection {
         is_taken
     }
 
-    /// The peer that makes room for no newer one; see [`Transport::keep`].
+    /// Protects a peer from being displaced by newer ones; see [`Transport::keep`].
     pub fn keep(&mut self, peer: Option<Peer>) {
         if let State::Open(transport) = &mut self.state {
             transport.keep(peer);
         }
     }
 
-    /// Whether bytes come as datagrams.
+    /// Whether bytes arrive as datagrams.
     pub fn is_datagram(&self) -> bool {
         matches!(self.endpoint, Endpoint::UdpIn(_) | Endpoint::UdpOut(_))
     }
@@ -187,12 +187,12 @@ impl Connection {
         matches!(self.state, State::Open(_))
     }
 
-    /// The endpoint.
+    /// The endpoint as it was given.
     pub fn endpoint(&self) -> &Endpoint {
         &self.endpoint
     }
 
-    /// The local address, while open: tells the port that the system chose.
+    /// The local address while open, with the port that the system chose.
     pub fn local_addr(&self) -> Option<SocketAddr> {
         match &self.state {
             State::Open(transport) => transport.local_addr(),
@@ -200,7 +200,7 @@ impl Connection {
         }
     }
 
-    /// The counters of the open transport.
+    /// The counters of the open transport; zero while it is closed.
     pub fn stats(&self) -> TransportStats {
         match &self.state {
             State::Open(transport) => transport.stats(),

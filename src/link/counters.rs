@@ -1,4 +1,4 @@
-//! What the link counts: rates, losses, refusals.
+//! The link's counters: rates, losses, rejections.
 
 use std::fmt;
 use std::time::Duration;
@@ -10,15 +10,15 @@ use wire::{DecoderStats, Frame};
 use super::vehicle_clock::ClockEstimate;
 use crate::clock::HostTime;
 
-/// Time over which rates are taken.
+/// Window over which rates are measured.
 pub const RATE_WINDOW: Duration = Duration::from_secs(1);
 
-/// How the link is.
+/// State of the link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkState {
-    /// No vehicle was heard yet.
+    /// No vehicle was found yet.
     Searching,
-    /// The vehicle is heard.
+    /// The vehicle's messages arrive.
     Connected,
     /// The vehicle has been silent for a while.
     Stale,
@@ -29,24 +29,24 @@ pub enum LinkState {
 /// A snapshot of the link for the log and the status.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkStats {
-    /// State.
+    /// State of the link.
     pub state: LinkState,
     /// System and component id of the vehicle.
     pub vehicle: Option<(u32, u8)>,
-    /// What the decoders saw, all peers together.
+    /// Statistics of the decoders, all peers together.
     pub received: DecoderStats,
-    /// Frames of other systems and components.
+    /// Frames from other systems and components.
     pub foreign: u64,
     /// Frames with the vehicle's ids from a peer that is not the vehicle's.
     pub stray: u64,
-    /// Frames of the vehicle whose content could not be true.
+    /// Frames from the vehicle whose content is impossible.
     pub refused: u64,
-    /// Frames of the vehicle that were heard.
+    /// Frames received from the vehicle.
     pub heard: u64,
-    /// Frames of the vehicle that were lost on the way, by gaps in its sequence; less those that
-    /// came late.
+    /// Frames from the vehicle that were lost on the way, counted from gaps in its sequence, less
+    /// those that arrived late.
     pub lost: u64,
-    /// Frames of the vehicle that came again, or later than others that say the same anew.
+    /// Frames from the vehicle that were repeated, or older than others with newer values.
     pub repeated: u64,
     /// Frames sent.
     pub sent_frames: u64,
@@ -56,7 +56,7 @@ pub struct LinkStats {
     pub dropped: u64,
     /// Round trip of the newest TIMESYNC answer.
     pub round_trip: Option<Duration>,
-    /// The vehicle's clock against the host's.
+    /// The vehicle's clock relative to the host's.
     pub clock: Option<ClockEstimate>,
     /// The vehicle's messages by id.
     pub messages: Vec<MessageCount>,
@@ -73,16 +73,16 @@ pub struct MessageCount {
     pub rate_hz: f64,
 }
 
-/// Someone who is heard beside the vehicle.
+/// A sender besides the vehicle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sender {
     /// System id.
     pub system: u32,
     /// Component id.
     pub component: u8,
-    /// MAV_AUTOPILOT and MAV_TYPE, once its HEARTBEAT came.
+    /// MAV_AUTOPILOT and MAV_TYPE, once its HEARTBEAT arrived.
     pub kind: Option<(u8, u8)>,
-    /// Its frames.
+    /// Number of its frames.
     pub frames: u64,
 }
 
@@ -96,17 +96,17 @@ impl fmt::Display for Sender {
     }
 }
 
-/// Most of them that are remembered.
+/// Most senders that are remembered.
 const SENDERS_MAX: usize = 32;
 
-/// Messages of one kind that were not believed.
+/// Messages of one kind that were rejected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RefusalCount {
     /// MAVLink message id.
     pub id: u32,
-    /// Why the newest of them was not.
+    /// Why the newest of them was rejected.
     pub refusal: Refusal,
-    /// How many, since the vehicle was found.
+    /// Their number since the vehicle was found.
     pub count: u64,
 }
 
@@ -116,13 +116,13 @@ struct Arrivals {
     in_window: u32,
 }
 
-/// Counts frames and messages of the vehicle, and what is not its own.
+/// Counts the vehicle's frames and messages, and those of other senders.
 #[derive(Debug, Default)]
 pub(super) struct Counters {
     pub(super) foreign: u64,
     pub(super) stray: u64,
     pub(super) refused: u64,
-    /// Frames of the vehicle.
+    /// Frames received from the vehicle.
     pub(super) heard: u64,
     pub(super) repeated: u64,
     refusals: Vec<RefusalCount>,
@@ -136,7 +136,7 @@ pub(super) struct Counters {
 }
 
 impl Counters {
-    /// Counts a frame that is not the vehicle's.
+    /// Counts a frame from another sender.
     pub(super) fn foreign(&mut self, frame: &Frame) {
         self.foreign += 1;
         let (system, component) = (frame.system(), frame.component());
@@ -154,7 +154,7 @@ impl Counters {
         }
     }
 
-    /// A sender is the vehicle.
+    /// Removes the vehicle from the other senders.
     pub(super) fn is_vehicle(&mut self, system: u8, component: u8) {
         self.senders.retain(|s| (s.system, s.component) != (system.into(), component));
     }
@@ -163,7 +163,7 @@ impl Counters {
         &self.senders
     }
 
-    /// Counts a message of the vehicle that cannot be true.
+    /// Counts a message from the vehicle with impossible content.
     pub(super) fn refuse(&mut self, id: u32, refusal: Refusal) {
         self.refused += 1;
         match self.refusals.iter_mut().find(|known| known.id == id) {
@@ -176,7 +176,7 @@ impl Counters {
         &self.refusals
     }
 
-    /// Counts a message of the vehicle.
+    /// Counts a message from the vehicle.
     pub(super) fn arrival(&mut self, id: u32) {
         match self.arrivals.binary_search_by_key(&id, |arrivals| arrivals.count.id) {
             Ok(index) => {
@@ -197,19 +197,19 @@ impl Counters {
         found.map_or(0, |index| self.arrivals[index].count.total)
     }
 
-    /// Forgets the vehicle's messages.
+    /// Forgets the vehicle's messages, and starts a window.
     pub(super) fn restart(&mut self, now: HostTime) {
         self.arrivals.clear();
         self.refusals.clear();
         self.window_start = now;
     }
 
-    /// When the current window ends.
+    /// The end of the present window.
     pub(super) fn window_end(&self) -> HostTime {
         self.window_start + RATE_WINDOW
     }
 
-    /// Takes the rates at the end of a window.
+    /// Computes the rates at the end of a window.
     pub(super) fn roll(&mut self, now: HostTime) {
         let seconds = now.since(self.window_start).as_secs_f64();
         for arrivals in &mut self.arrivals {

@@ -1,4 +1,4 @@
-//! A pose that somebody else measures, as a message to the vehicle.
+//! An externally measured pose, as a message to the vehicle.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -22,12 +22,12 @@ pub enum PoseForm {
     Odometry,
 }
 
-/// Where a vehicle is, by a measurement that is not its own.
+/// A vehicle's pose from a measurement outside it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExternalPose {
-    /// When it was there.
+    /// Vehicle time of the measurement.
     pub time: VehicleTime,
-    /// Position, m.
+    /// Position in the vehicle's local frame, m.
     pub position: Ned,
     /// Attitude.
     pub attitude: Attitude,
@@ -35,12 +35,12 @@ pub struct ExternalPose {
     pub position_deviation_m: f64,
     /// Standard deviation of the attitude, about each axis, rad.
     pub attitude_deviation_rad: f64,
-    /// How often the poses have begun anew, modulo 256.
+    /// Number of restarts of the pose stream, modulo 256.
     pub reset_count: u8,
 }
 
 impl ExternalPose {
-    /// The message.
+    /// The MAVLink message for the pose.
     pub fn message(&self, form: PoseForm) -> MavMessage {
         let [x, y, z] = self.position.to_array().map(|value| value as f32);
         let covariance = self.covariance();
@@ -60,7 +60,7 @@ impl ExternalPose {
                 })
             }
             PoseForm::Odometry => {
-                // NaN is what is not measured. In a covariance it is the first element that says so.
+                // NaN marks a value that is not measured; in a covariance, its first element does.
                 let mut unknown = [0.0; 21];
                 unknown[0] = f32::NAN;
                 MavMessage::ODOMETRY(ODOMETRY_DATA {

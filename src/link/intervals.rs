@@ -1,7 +1,7 @@
-//! Message intervals: asked for, verified by counting arrivals, asked for again.
+//! Message intervals: requested, verified by counting arrivals, requested again.
 //!
-//! An ACK proves nothing (PX4 accepts what it will never send) and another ground station may
-//! lower a rate at any time, so only arrivals count.
+//! An ACK proves nothing: PX4 accepts intervals for messages that it will never send. Another
+//! ground station may lower a rate at any time. So only arrivals count.
 
 use std::fmt;
 use std::time::Duration;
@@ -9,47 +9,47 @@ use std::time::Duration;
 use super::profile::MessageRate;
 use crate::clock::HostTime;
 
-/// Arrivals are counted over this long before they are judged.
+/// Arrivals are counted for this long before they are judged.
 pub const VERIFY: Duration = Duration::from_secs(2);
-/// Time that an ACK may take before the next message is asked for.
+/// Longest wait for an ACK before the next request.
 const ACK_WAIT: Duration = Duration::from_millis(300);
-/// Time between requests for a rate that does not come.
+/// Time between requests for a rate that is not served.
 const RETRY_SLOW: Duration = Duration::from_secs(10);
 /// Requests at the full pace before slowing down.
 const QUICK_TRIES: u32 = 3;
-/// What counts as served: autopilots quantise rates to their own periods.
+/// Share of a rate that counts as served: autopilots quantise rates to their own periods.
 const SERVED: f64 = 0.7;
-/// Fewer expected arrivals than this cannot be judged.
+/// Fewest expected arrivals that allow a judgement.
 const COUNT_MIN: f64 = 4.0;
-/// Refused rates are halved down to this one.
+/// Refused rates are halved down to this one, Hz.
 const HZ_MIN: f64 = 1.0;
 
 /// News about an interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum IntervalEvent {
-    /// A message comes too seldom, and was asked for again.
+    /// A message arrives too rarely, and is requested again.
     Short {
         /// MAVLink message id.
         id: u32,
-        /// Rate that was asked for, Hz.
+        /// Requested rate, Hz.
         asked_hz: f64,
         /// Rate of arrivals, Hz.
         found_hz: f64,
     },
-    /// A message that came too seldom comes as asked.
+    /// A message that arrived too rarely now arrives as requested.
     Served {
         /// MAVLink message id.
         id: u32,
         /// Rate of arrivals, Hz.
         found_hz: f64,
     },
-    /// The vehicle refused a rate; a lower one was asked for, or none if `next_hz` is.
+    /// The vehicle refused a rate. A lower one is requested, or none where `next_hz` is `None`.
     Refused {
         /// MAVLink message id.
         id: u32,
-        /// Rate that was refused, Hz.
+        /// Refused rate, Hz.
         refused_hz: f64,
-        /// The next rate to ask for, Hz.
+        /// The next rate to request, Hz.
         next_hz: Option<f64>,
     },
 }
@@ -80,7 +80,7 @@ impl fmt::Display for IntervalEvent {
 struct Interval {
     id: u32,
     asked_hz: f64,
-    /// When to ask next; `None` once it is asked for and until it is found short.
+    /// When to request next; `None` from a request until the rate is found short.
     due: Option<HostTime>,
     tries: u32,
     given_up: bool,
@@ -90,22 +90,22 @@ struct Interval {
 }
 
 impl Interval {
-    /// Time over which arrivals are counted.
+    /// Time for which arrivals are counted.
     fn span(&self) -> Duration {
         VERIFY.max(Duration::try_from_secs_f64(COUNT_MIN / self.asked_hz).unwrap_or(Duration::MAX))
     }
 }
 
-/// The intervals that the daemon wants.
+/// The wanted message intervals of one vehicle.
 #[derive(Debug, Default)]
 pub struct Intervals {
     wanted: Vec<Interval>,
-    /// Index of the message whose ACK is awaited, and until when.
+    /// Index of the message with a pending ACK, and the end of the wait.
     awaiting: Option<(usize, HostTime)>,
 }
 
 impl Intervals {
-    /// Wants these messages from now on.
+    /// Replaces the wanted messages.
     pub fn start(&mut self, now: HostTime, messages: &[MessageRate]) {
         self.awaiting = None;
         self.wanted.clear();
@@ -121,7 +121,7 @@ impl Intervals {
         }));
     }
 
-    /// Wants nothing any more.
+    /// Removes all wanted messages.
     pub fn stop(&mut self) {
         self.awaiting = None;
         self.wanted.clear();
@@ -132,7 +132,8 @@ impl Intervals {
         self.wanted.iter().any(|wanted| wanted.id == id)
     }
 
-    /// The next message to ask for, if it is time. One at a time: an ACK does not say for which.
+    /// The next message to request, if one is due. Requests go out one at a time, because an ACK
+    /// does not name the message.
     pub fn next_request(&mut self, now: HostTime) -> Option<MessageRate> {
         if self.awaiting.is_some_and(|(_, until)| now < until) {
             return None;
@@ -165,7 +166,7 @@ impl Intervals {
         Some(IntervalEvent::Refused { id: wanted.id, refused_hz, next_hz })
     }
 
-    /// Judges the arrivals; `total` gives those of a message so far.
+    /// Judges the arrivals; `total` returns the number of arrivals of a message so far.
     pub fn verify(
         &mut self,
         now: HostTime,
@@ -198,7 +199,7 @@ impl Intervals {
         }
     }
 
-    /// When the next request is due, or the next judgement.
+    /// When the next request or judgement is due.
     pub fn next_deadline(&self) -> Option<HostTime> {
         let blocked_until = self.awaiting.map(|(_, until)| until);
         let request = self.wanted.iter().filter_map(|wanted| wanted.due).min();
@@ -235,7 +236,7 @@ mod tests {
         assert_eq!(intervals.next_request(START), None);
         intervals.acknowledged(START, true);
         assert_eq!(intervals.next_request(START), Some(position));
-        // Without an ACK the next one waits its time.
+        // Without an ACK, the next request waits for its time.
         assert_eq!(intervals.next_request(at(0.2)), None);
     }
 

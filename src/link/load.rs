@@ -1,4 +1,4 @@
-//! What fills a link: which messages take how many bytes a second of it.
+//! The load of a link: the bytes a second of each message.
 
 use std::fmt;
 
@@ -7,23 +7,23 @@ use super::counters::MessageCount;
 
 /// Bytes of a signature at the end of a frame.
 const SIGNATURE_LEN: usize = 13;
-/// As many of the messages that take most are named.
+/// Number of the largest messages that are named.
 const NAMED: usize = 4;
-/// What takes less is not worth naming, bytes/s.
+/// Smaller loads are not worth naming, bytes/s.
 const WORTH_NAMING: f64 = 50.0;
 
-/// What arrives, in bytes a second, with full payloads but no extensions: MAVLink 2 leaves out zeros
-/// at their end.
+/// The arriving load in bytes a second, for full payloads without extensions. MAVLink 2 omits
+/// trailing zeros, so the true load may be lower.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LinkLoad {
-    /// All messages of the vehicle.
+    /// All messages from the vehicle.
     pub bytes_per_s: f64,
-    /// Those that nobody here asked for, by message id, those that take most first.
+    /// Messages that nothing here requested, by id, largest load first.
     pub unasked: Vec<(u32, f64)>,
 }
 
 impl LinkLoad {
-    /// Of the messages that arrive. `is_asked` tells those that were asked for.
+    /// The load of the messages that arrive; `is_asked` returns whether one was requested.
     pub fn of(messages: &[MessageCount], is_signed: bool, is_asked: impl Fn(u32) -> bool) -> Self {
         let signature = if is_signed { SIGNATURE_LEN } else { 0 };
         let load = |count: &MessageCount| {

@@ -1,37 +1,37 @@
-//! What a vehicle does by itself when setpoints stop or this program vanishes, by its parameters.
+//! The vehicle's own reaction when setpoints stop or this program vanishes, from its parameters.
 
 use message::parameters::Parameters;
 
-/// By which parameters an autopilot reacts to a loss.
+/// The rules by which an autopilot reacts to a loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LossLaw {
-    /// PX4 leaves OFFBOARD after COM_OF_LOSS_T without a setpoint. It does so always.
+    /// PX4 leaves OFFBOARD after COM_OF_LOSS_T without a setpoint. It always does so.
     Px4,
-    /// ArduCopter only levels after GUID_TIMEOUT, stays in Guided and drifts. What remains is its
-    /// failsafe for the loss of a ground station, which listens to the HEARTBEATs of one system id.
+    /// ArduCopter only levels after GUID_TIMEOUT, stays in Guided and drifts. Only its failsafe for
+    /// the loss of a ground station acts, which watches the HEARTBEATs of one system id.
     ArduCopter,
-    /// Not known.
+    /// The rules are unknown.
     Unknown,
 }
 
-/// What the vehicle does when this program vanishes.
+/// The vehicle's reaction when this program vanishes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LossReaction {
-    /// It acts, in words.
+    /// The vehicle acts, as this message says.
     Acts(String),
     /// Nothing acts.
     Nothing {
-        /// Why.
+        /// Why nothing acts.
         why: String,
-        /// What to do about it.
+        /// How to fix that.
         cure: String,
     },
-    /// A parameter that decides has not been read.
+    /// A parameter that decides has not been read yet.
     Unread(&'static str),
 }
 
 impl LossLaw {
-    /// The parameters that decide. An autopilot has only some of them, by its version.
+    /// The parameters that decide. An autopilot has only some of them, depending on its version.
     pub fn parameters(self) -> &'static [&'static str] {
         match self {
             Self::Px4 => &["COM_OF_LOSS_T", "COM_OBL_RC_ACT", "NAV_RCL_ACT"],
@@ -48,7 +48,7 @@ impl LossLaw {
         }
     }
 
-    /// What happens, by the parameters that were read, to a program whose HEARTBEATs bear
+    /// The reaction that the read parameters imply for a program whose HEARTBEATs carry
     /// `own_system`.
     pub fn reaction(self, read: &Parameters, own_system: u8) -> LossReaction {
         match self {
@@ -133,7 +133,7 @@ fn arducopter(read: &Parameters, own_system: u8) -> LossReaction {
         format!("after {} s without a setpoint ArduCopter levels; ", *wait_s as f32)
     });
     let wait_s = read.get("FS_GCS_TIMEOUT").copied().unwrap_or(5.0) as f32;
-    // Bit 4: not in modes that the pilot flies by the sticks. ArduCopter's default has it set.
+    // Bit 4 exempts modes that the pilot flies with the sticks. ArduCopter sets it by default.
     let spares_pilot = read.get("FS_OPTIONS").is_none_or(|options| *options as i64 & 16 != 0);
     let over_pilot = match spares_pilot {
         true => "",

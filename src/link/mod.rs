@@ -1,7 +1,7 @@
 //! The link to a vehicle: connection, codec, session, time synchronisation, counters.
 //!
-//! A [`connection::Connection`] keeps an endpoint open and moves bytes; a [`session::Session`] is
-//! the protocol, sans I/O. Their driver is one loop:
+//! A [`connection::Connection`] keeps an endpoint open and moves bytes. A [`session::Session`] is
+//! the protocol, sans I/O. One loop drives both:
 //!
 //! ```no_run
 //! # use downwash::clock::HostTime;
@@ -19,8 +19,8 @@
 //!             let is_datagram = connection.is_datagram();
 //!             session.receive(now, peer, &buffer[..len], is_datagram, &mut |heard| match heard {
 //!                 Heard::Frame { .. } => {} // to the log
-//!                 Heard::Replaced => {} // to the controller, whose flight is over
-//!                 Heard::Message(_) => {} // kept for the controller, whose setpoint goes out below
+//!                 Heard::Replaced => {} // to the controller, which ends its flight
+//!                 Heard::Message(_) => {} // for the controller, whose setpoint goes out below
 //!             });
 //!         }
 //!         Ok(Input::PeerClosed(peer)) => {

@@ -1,68 +1,70 @@
-//! Words of the mode that were heard before, byte for byte.
+//! Detects mode reports that repeat an earlier one byte for byte.
 //!
-//! HEARTBEAT and CURRENT_MODE bear no time. A copy that comes after more frames than the sequence
-//! remembers looks new, and would give back a permission that the vehicle has taken meanwhile.
+//! HEARTBEAT and CURRENT_MODE carry no time. A copy that arrives after more frames than the
+//! sequence remembers looks new, and would restore a permission that the vehicle has withdrawn
+//! meanwhile.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use crate::clock::HostTime;
 
-/// Words that are remembered: some ten seconds of them where both messages come.
+/// Number of remembered reports: about ten seconds where both messages arrive.
 const REMEMBERED: usize = 32;
-/// After such a silence the mode may have changed.
+/// Silence after which the mode may have changed.
 const SILENCE: Duration = Duration::from_millis(500);
 
-/// What a frame says beside what is known.
+/// What a frame adds to what is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Newness {
-    /// Something new.
+    /// New content.
     New,
-    /// Nothing: it was heard before, or is older.
+    /// Nothing: it was received before, or is older.
     Old,
-    /// A mode that may be an old word, or the vehicle's newest.
+    /// A mode report that may be an old one, or the vehicle's newest.
     Doubtful,
 }
 
-/// A frame that tells the mode.
+/// A frame that reports the mode.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ModeWord<'a> {
     /// Its bytes.
     pub frame: &'a [u8],
-    /// The mode.
+    /// The reported mode.
     pub word: u32,
     /// The mode in which setpoints are obeyed, where it is known.
     pub obeys: Option<u32>,
-    /// Whether its place among the vehicle's frames is after that of the newest word.
+    /// Whether its place in the vehicle's sequence is after that of the newest report.
     pub is_newer: bool,
     /// Whether the places of the last second are certain.
     pub is_settled: bool,
 }
 
-/// What the vehicle said of its mode lately.
+/// The vehicle's recent mode reports.
 #[derive(Debug, Default)]
 pub(super) struct ModeWords {
     hashes: VecDeque<u32>,
     newest: Option<u32>,
     heard: HostTime,
-    /// Nothing was said of the mode since the link was silent.
+    /// Whether no mode was reported since the last silence.
     is_in_doubt: bool,
 }
 
 impl ModeWords {
-    /// A frame of the vehicle came.
+    /// Notes that a frame arrived from the vehicle.
     pub fn heard(&mut self, now: HostTime) {
         self.is_in_doubt |= now.since(self.heard) > SILENCE;
         self.heard = now;
     }
 
-    /// What a word of the mode says.
+    /// Judges a mode report.
     ///
-    /// One that gives, because setpoints are obeyed in its mode and that is not known anyway, is
-    /// doubted where it is a copy of one that was heard before, or where its place among the
-    /// vehicle's frames is not settled. About one in eight true words is doubted for being like an
-    /// older one; the next tells the same. One that takes is doubted, and not dropped, where it
-    /// seems older than what is known and the places are not settled.
+    /// A report grants permission if setpoints are obeyed in its mode and this is not known
+    /// already. Such a report is doubtful if it copies an earlier one, or if its place in the
+    /// vehicle's sequence is not settled. About one in eight true reports is doubtful because it
+    /// equals an older one; the next one resolves that. A report that withdraws permission is
+    /// doubtful, and not dropped, if it seems older than what is known and the places are not
+    /// settled.
     pub fn judge(&mut self, heard: &ModeWord) -> Newness {
         let ModeWord { frame, word, obeys, is_newer, is_settled } = *heard;
         let is_known = !self.is_in_doubt && self.newest == Some(word);
@@ -90,7 +92,7 @@ mod tests {
 
     const OFFBOARD: u32 = 6;
 
-    /// A word in its place, of which the order is settled.
+    /// A report in its place, in a settled order.
     fn word(frame: &[u8], word: u32) -> ModeWord<'_> {
         ModeWord { frame, word, obeys: Some(OFFBOARD), is_newer: true, is_settled: true }
     }

@@ -1,10 +1,10 @@
-//! Autopilot profiles: what differs between autopilots, as values.
+//! Autopilot profiles: the differences between autopilots, as values.
 //!
-//! What SET_ATTITUDE_TARGET means is a property of the autopilot. The three that are known:
-//! the bundled vehicle takes attitude, rates and thrust together, as a PD; PX4 must never get
-//! attitude and rates together, because the rates then override its attitude loop once a message;
-//! ArduCopter may, but rotates the rates by the commanded attitude. Anything else gets attitude
-//! and thrust, which all of them fly.
+//! The meaning of SET_ATTITUDE_TARGET is a property of the autopilot. Three are known. The bundled
+//! vehicle takes attitude, rates and thrust together, as a PD law. PX4 must never get attitude and
+//! rates together, because the rates then override its attitude loop once per message. ArduCopter
+//! may, but rotates the rates by the commanded attitude. Any other autopilot gets attitude and
+//! thrust, which all of them fly.
 
 use std::fmt;
 
@@ -21,7 +21,7 @@ const PX4: u8 = 12;
 /// together.
 pub const PD_VEHICLE: (u16, u16) = (0x4457, 1);
 
-/// What the daemon puts into SET_ATTITUDE_TARGET.
+/// The content of SET_ATTITUDE_TARGET.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AttitudeTargetForm {
     /// Mask 0x00: attitude, rates and thrust.
@@ -29,10 +29,10 @@ pub enum AttitudeTargetForm {
     /// Mask 0x07: attitude and thrust.
     AttitudeThrust,
     /// Mask 0x80: rates and thrust. The attitude loop is closed here:
-    /// `omega = omega_des + gain * e`, e being the rotation vector from the vehicle's attitude to
-    /// the desired one, in body axes.
+    /// `omega = omega_des + gain * e`, where e is the rotation vector from the vehicle's attitude
+    /// to the desired one, in body axes.
     RatesThrust {
-        /// Per body axis, 1/s: Kp/Kd of the on-board PD that this stands for.
+        /// Gain per body axis, 1/s: Kp/Kd of the on-board PD law that it replaces.
         gain: [f64; 3],
     },
 }
@@ -48,7 +48,7 @@ impl AttitudeTargetForm {
     }
 }
 
-/// How the vehicle reads the rates that come with an attitude.
+/// How the vehicle interprets the rates that come with an attitude.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RateFrame {
     /// As body rates.
@@ -57,10 +57,10 @@ pub enum RateFrame {
     RotatedByCommand,
 }
 
-/// A mode: how it reads in HEARTBEAT and CURRENT_MODE, and how DO_SET_MODE asks for it.
+/// A mode: its value in HEARTBEAT and CURRENT_MODE, and the DO_SET_MODE parameters that select it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mode {
-    /// The word in HEARTBEAT.custom_mode.
+    /// The value of HEARTBEAT.custom_mode.
     pub custom_mode: u32,
     /// DO_SET_MODE param 2.
     pub main: u8,
@@ -69,7 +69,7 @@ pub struct Mode {
 }
 
 impl Mode {
-    /// PX4 sends main and sub mode as separate parameters and reports them packed.
+    /// PX4 takes main and sub mode as separate parameters and reports them packed.
     const fn px4(main: u8, sub: u8) -> Self {
         Self { custom_mode: (main as u32) << 16 | (sub as u32) << 24, main, sub }
     }
@@ -79,25 +79,25 @@ impl Mode {
     }
 }
 
-/// The modes that the daemon asks for; `None` where the autopilot has none or is not known.
+/// The modes that this program requests; `None` where the autopilot has none or is unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Modes {
-    /// Takes SET_ATTITUDE_TARGET.
+    /// Obeys SET_ATTITUDE_TARGET.
     pub offboard: Option<Mode>,
     /// Holds position without sticks.
     pub hold: Option<Mode>,
-    /// Lands where it is.
+    /// Lands where the vehicle is.
     pub land: Option<Mode>,
 }
 
-/// A parameter and the value it should have.
+/// A parameter and the requirement on its value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ParameterRule {
-    /// Name.
+    /// The parameter's name.
     pub name: &'static str,
     /// The requirement on the value.
     pub rule: Rule,
-    /// Why, in words for the pilot.
+    /// The reason, for the pilot.
     pub why: &'static str,
 }
 
@@ -123,7 +123,7 @@ impl fmt::Display for Rule {
 }
 
 impl ParameterRule {
-    /// Whether a value obeys the rule.
+    /// Whether a value meets the rule.
     pub fn holds(&self, value: f64) -> bool {
         match self.rule {
             Rule::Equals(wanted) => (value - wanted).abs() <= 1e-6 * wanted.abs().max(1.0),
@@ -133,56 +133,56 @@ impl ParameterRule {
     }
 }
 
-/// A message that the daemon wants and how often.
+/// A message that this program wants, and its rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MessageRate {
     /// MAVLink message id.
     pub id: u32,
-    /// Hz.
+    /// Wanted rate, Hz.
     pub hz: f64,
 }
 
-/// Everything about an autopilot that the daemon must know to fly it.
+/// Everything about an autopilot that this program must know to fly it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Profile {
     /// Name for people.
     pub name: &'static str,
-    /// What SET_ATTITUDE_TARGET carries.
+    /// The content of SET_ATTITUDE_TARGET.
     pub attitude_target: AttitudeTargetForm,
-    /// How it reads rates.
+    /// How it interprets rates.
     pub rate_frame: RateFrame,
-    /// Whether its attitude loop compares roll, pitch and yaw each for itself, as the paper's, and
-    /// does not turn to the attitude as a whole.
+    /// Whether its attitude loop compares roll, pitch and yaw separately, as the paper's does,
+    /// instead of the rotation as a whole.
     pub compares_angles: bool,
-    /// The modes that are asked for.
+    /// The modes that are requested.
     pub modes: Modes,
-    /// What it calls each of its modes, by the word in HEARTBEAT.custom_mode.
+    /// Its name for each mode, by HEARTBEAT.custom_mode.
     pub mode_names: &'static [(u32, &'static str)],
-    /// Whether it tells the intended mode, by CURRENT_MODE.
+    /// Whether it reports the intended mode in CURRENT_MODE.
     pub reports_intended_mode: bool,
-    /// The parameter that holds how long setpoints may be missing, in s, and the value to use.
+    /// The parameter that sets how long setpoints may be missing, in s, and the rule for it.
     pub loss_timeout: Option<ParameterRule>,
-    /// What happens then, by which parameters.
+    /// Its reaction to that, and the parameters that decide.
     pub loss: LossLaw,
-    /// Rules without which it must not be flown.
+    /// Rules without which it must not fly.
     pub required: &'static [ParameterRule],
-    /// The message that tells its motor outputs.
+    /// The message that reports its motor outputs.
     pub motor_outputs: MotorSource,
-    /// How it sends integer parameters.
+    /// How it encodes integer parameters.
     pub parameter_cast: ParameterCast,
-    /// The parameters by which it sends less unasked over a serial line, in words.
+    /// The parameters that reduce its unrequested traffic on a serial line, for people.
     pub stream_parameters: &'static str,
-    /// The messages that serve control best, at the rates to ask for.
+    /// The messages that serve control best, with their rates.
     pub telemetry: &'static [MessageRate],
 }
 
-/// What a user can decide about the form of setpoints.
+/// The user's choice of the setpoints' form.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum FormChoice {
-    /// As the autopilot's profile says.
+    /// As in the autopilot's profile.
     #[default]
     Profile,
-    /// Attitude, rates and thrust, for a vehicle with an on-board PD that cannot say so.
+    /// Attitude, rates and thrust, for a vehicle with an on-board PD law that it does not declare.
     /// Unsafe on PX4.
     ForceAttitudeRatesThrust,
     /// Rates and thrust, with the attitude loop closed here.
@@ -190,8 +190,8 @@ pub enum FormChoice {
         /// See [`AttitudeTargetForm::RatesThrust`].
         gain: [f64; 3],
     },
-    /// Attitude and rates on ArduCopter, the rates turned back by the commanded attitude; probe it
-    /// in simulation first, since it depends on the version. Elsewhere as the profile says.
+    /// Attitude and rates on ArduCopter, with the rates rotated back by the commanded attitude.
+    /// Test it in simulation first, because it depends on the version. Elsewhere as in the profile.
     ArduCopterRates,
 }
 
@@ -199,7 +199,7 @@ const fn rate(id: u32, hz: f64) -> MessageRate {
     MessageRate { id, hz }
 }
 
-/// PX4 quantises to its sources' periods: 100 and 250 Hz come as asked, 200 does not.
+/// PX4 quantises to its sources' periods: 100 and 250 Hz are served exactly, 200 Hz is not.
 const PX4_TELEMETRY: &[MessageRate] = &[
     rate(331, 100.0), // ODOMETRY
     rate(31, 250.0),  // ATTITUDE_QUATERNION
@@ -300,7 +300,8 @@ impl Profile {
         telemetry: PX4_TELEMETRY,
     };
 
-    /// A vehicle with the PX4 face and an on-board PD on attitude and rates together.
+    /// A vehicle that presents itself as PX4, with an on-board PD law on attitude and rates
+    /// together.
     pub const BUNDLED: Self = Self {
         name: "bundled",
         attitude_target: AttitudeTargetForm::AttitudeRatesThrust,
@@ -331,7 +332,7 @@ impl Profile {
             ParameterRule {
                 name: "GUID_OPTIONS",
                 rule: Rule::HasBits(8),
-                // With it, thrust also takes off: no NAV_TAKEOFF is needed before setpoints.
+                // With it, thrust also takes off: setpoints need no NAV_TAKEOFF before them.
                 why: "without bit 3 the thrust field is a climb rate",
             },
             ParameterRule {
@@ -346,7 +347,7 @@ impl Profile {
         telemetry: COPTER_TELEMETRY,
     };
 
-    /// An autopilot that is not known: the form that all fly, and no modes.
+    /// An unknown autopilot: the form that all of them fly, and no modes.
     pub const UNKNOWN: Self = Self {
         name: "unknown",
         attitude_target: AttitudeTargetForm::AttitudeThrust,
@@ -364,11 +365,11 @@ impl Profile {
         telemetry: SAFE_TELEMETRY,
     };
 
-    /// The profile of a vehicle, from MAV_AUTOPILOT and MAV_TYPE of its HEARTBEAT and vendor and
+    /// The profile of a vehicle, from MAV_AUTOPILOT and MAV_TYPE of its HEARTBEAT, and vendor and
     /// product of its AUTOPILOT_VERSION (if it answered).
     ///
-    /// Attitude, rates and thrust together go only to a vehicle that says it takes them and whose
-    /// file has `attitude_pd`, or where the user forces it.
+    /// Attitude, rates and thrust go together only to a vehicle that declares that it takes them
+    /// and whose file has `attitude_pd`, or where the user forces it.
     pub fn identify(
         autopilot: u8,
         vehicle_type: u8,
@@ -418,7 +419,7 @@ mod tests {
             (PX4, QUADROTOR, None, false, rates, 0x80),
             (ARDUPILOT, QUADROTOR, None, false, C::Profile, 0x07),
             (ARDUPILOT, QUADROTOR, None, false, C::ArduCopterRates, 0x00),
-            // The vendor id means nothing without the PX4 face.
+            // The vendor id means nothing on an autopilot that does not present itself as PX4.
             (ARDUPILOT, QUADROTOR, Some(PD_VEHICLE), true, C::Profile, 0x07),
             (ARDUPILOT, PLANE, None, false, C::ArduCopterRates, 0x07),
             (0, QUADROTOR, None, true, C::Profile, 0x07),

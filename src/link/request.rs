@@ -1,4 +1,4 @@
-//! Requests to the vehicle: sent, repeated until answered, and believed only when read back.
+//! Requests to the vehicle: sent, repeated until answered, and done only when read back.
 
 use std::fmt;
 use std::time::Duration;
@@ -10,13 +10,14 @@ use crate::clock::HostTime;
 
 /// Time between repetitions.
 const REPEAT: Duration = Duration::from_millis(300);
-/// Times a request is sent.
+/// Number of times a request is sent.
 const ATTEMPTS: u8 = 5;
-/// Time that an accepted mode has to show in HEARTBEAT, which comes once a second, or CURRENT_MODE.
+/// Time limit for an accepted mode to show in HEARTBEAT, which arrives once a second, or in
+/// CURRENT_MODE.
 const READ_BACK: Duration = Duration::from_millis(2500);
-/// Time that "in progress" buys.
+/// Extra time after an "in progress".
 const IN_PROGRESS: Duration = Duration::from_secs(3);
-/// Two values of a parameter that are the same one, relative: it went through an f32.
+/// Relative difference up to which two parameter values are equal: one went through an f32.
 const SAME: f64 = 1e-6;
 
 const DO_SET_MODE: MavCmd = MavCmd::MAV_CMD_DO_SET_MODE;
@@ -25,7 +26,7 @@ const ARM_DISARM: MavCmd = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM;
 /// A request to the vehicle.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Request {
-    /// Change mode.
+    /// Change the mode.
     SetMode(FlightMode),
     /// Arm the motors.
     Arm,
@@ -35,17 +36,17 @@ pub enum Request {
     ReadParameter(String),
     /// Set a parameter. It is read first where its type is not known.
     SetParameter {
-        /// Name.
+        /// The parameter's name.
         name: String,
         /// New value.
         value: f64,
     },
 }
 
-/// A mode by what it is for.
+/// A mode by its purpose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlightMode {
-    /// Takes setpoints.
+    /// Obeys setpoints.
     Offboard,
     /// Holds position.
     Hold,
@@ -53,14 +54,14 @@ pub enum FlightMode {
     Land,
 }
 
-/// Names a request in its outcome.
+/// Identifies a request in its outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RequestId(u32);
 
 /// How a request ended.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
-    /// As asked; a mode was read back.
+    /// Done; a mode was read back.
     Done,
     /// The parameter's value, read or set.
     Parameter(f64),
@@ -69,19 +70,19 @@ pub enum Outcome {
         /// MAV_RESULT.
         result: u8,
     },
-    /// Accepted, but another mode is in force, or the parameter has another value.
+    /// Accepted, but a different mode or parameter value was read back.
     NotInForce,
     /// No answer to any repetition.
     NoAnswer,
-    /// The autopilot's profile has no such thing, or the value is not a number.
+    /// The autopilot's profile lacks it, or the value is not a number.
     Unsupported,
-    /// The vehicle is not identified yet, so how to ask is not known.
+    /// The vehicle is not identified yet, so the form of the request is unknown.
     NotIdentified,
     /// No vehicle is connected.
     NotConnected,
-    /// A newer request of the same kind took its place.
+    /// A newer request of the same kind replaced it.
     Superseded,
-    /// It is not wanted any more.
+    /// It is no longer wanted.
     Withdrawn,
 }
 
@@ -108,7 +109,7 @@ impl fmt::Display for Outcome {
     }
 }
 
-/// A MAV_RESULT of a refusal.
+/// A refusing MAV_RESULT, for people.
 fn result_in_words(result: u8) -> Option<&'static str> {
     match result {
         1 => Some("temporarily rejected"),
@@ -119,7 +120,7 @@ fn result_in_words(result: u8) -> Option<&'static str> {
     }
 }
 
-/// What goes out for a request.
+/// The message that a request sends.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Action<'a> {
     Command { command: MavCmd, params: [f32; 7], confirmation: u8 },
@@ -135,7 +136,7 @@ enum Task {
 }
 
 impl Task {
-    /// Requests of one kind replace each other.
+    /// The command, by which requests replace each other.
     fn command(&self) -> Option<MavCmd> {
         match self {
             Self::Command { command, .. } => Some(*command),
@@ -157,7 +158,7 @@ struct Pending {
 /// A request that ended.
 pub(super) type Ended = (RequestId, Request, Outcome);
 
-/// The requests under way.
+/// The pending requests.
 #[derive(Debug, Default)]
 pub(super) struct Requests {
     next_id: u32,
@@ -166,7 +167,7 @@ pub(super) struct Requests {
 }
 
 impl Requests {
-    /// Takes a request; its outcome comes later.
+    /// Takes a request; its outcome follows later.
     pub(super) fn submit(
         &mut self,
         now: HostTime,
@@ -186,7 +187,7 @@ impl Requests {
         id
     }
 
-    /// Ends a request before it began.
+    /// Ends a request before it starts.
     pub(super) fn refuse(&mut self, request: Request, outcome: Outcome) -> RequestId {
         let id = self.next_id();
         self.ended.push((id, request, outcome));
@@ -199,7 +200,7 @@ impl Requests {
         id
     }
 
-    /// Gives what is due to be sent, and ends what had its chances.
+    /// Passes due messages to `send`, and ends requests that ran out of attempts or time.
     pub(super) fn poll(&mut self, now: HostTime, mut send: impl FnMut(Action<'_>)) {
         for pending in self.pending.iter_mut().filter(|pending| pending.next <= now) {
             if pending.accepted || pending.attempts == ATTEMPTS {
@@ -254,7 +255,7 @@ impl Requests {
         }
     }
 
-    /// Takes the mode in force.
+    /// Takes the vehicle's present mode.
     pub(super) fn mode(&mut self, custom_mode: u32) {
         self.end_where(Outcome::Done, |pending| {
             let Task::Command { mode: Some(mode), .. } = pending.task else { return false };
@@ -295,12 +296,12 @@ impl Requests {
         }
     }
 
-    /// Ends everything: the vehicle is gone.
+    /// Ends all requests, because the vehicle is gone.
     pub(super) fn abandon(&mut self) {
         self.end_where(Outcome::NoAnswer, |_| true);
     }
 
-    /// Ends requests that make the vehicle act: they are not wanted any more. Reading goes on.
+    /// Ends requests that make the vehicle act, because they are no longer wanted. Reads continue.
     pub(super) fn withdraw(&mut self) {
         self.end_where(Outcome::Withdrawn, |pending| !matches!(pending.task, Task::Read));
     }
@@ -310,7 +311,7 @@ impl Requests {
         self.ended.drain(..)
     }
 
-    /// When something is due.
+    /// When the next request is due.
     pub(super) fn next_deadline(&self) -> Option<HostTime> {
         self.pending.iter().map(|pending| pending.next).min()
     }
@@ -327,7 +328,7 @@ impl Requests {
     }
 }
 
-/// What a request takes, or how it ends at once.
+/// The task of a request, or the outcome that ends it at once.
 fn task_of(
     request: &Request,
     profile: Option<&Profile>,

@@ -1,39 +1,39 @@
-//! The order in which the vehicle sent its frames, by their sequence numbers.
+//! The order in which the vehicle sent its frames, from their sequence numbers.
 //!
-//! A second radio, or a route that forks, brings frames twice, late and out of order. What a frame
-//! says of the vehicle's mode is then older than what is known. The number wraps after 256 frames,
-//! which a quick link sends in half a second: a copy that comes later shows by its bytes.
+//! A second radio, or a forked route, delivers frames twice, late and out of order. A late frame's
+//! mode is then older than the known one. The number wraps after 256 frames, which a fast link
+//! sends in half a second: a later copy is recognised by its bytes.
 
 use std::time::Duration;
 
 use crate::clock::HostTime;
 
-/// A step of the sequence by up to so many is a loss of those between.
+/// A step of the sequence up to this size is a loss of the frames in between.
 const STEP_MAX: u8 = 101;
-/// A frame that was overtaken by up to so many others is late; beyond, the sequence began anew.
+/// A frame that up to this many others overtook is late; beyond that, the sequence restarted.
 const BEHIND_MAX: u64 = 100;
-/// So many frames behind the newest, with none that is newer between: the sequence began anew.
+/// After this many frames behind the newest, with no newer one in between, the sequence restarted.
 const RESTART: u32 = 8;
-/// After such a silence nothing is known of the sequence.
+/// Silence after which the sequence is unknown.
 const SILENCE: Duration = Duration::from_secs(1);
-/// For so long after it began anew the order is not settled: what seemed a restart may be frames that
-/// come a hundred late.
+/// Time after a restart for which the order is not settled: an apparent restart may be frames that
+/// arrive a hundred late.
 const UNSETTLED: Duration = Duration::from_secs(1);
-/// Frames with the same number that are remembered.
+/// Remembered frames with one number.
 const WRAPS: usize = 4;
-/// A copy of the link's frames goes on within so many.
+/// A copy of the link's frames continues within this many numbers.
 const COPY_STEP_MAX: u8 = 8;
-/// A copy was seen so many frames ago at most.
+/// A copied stream counts as present for this many frames after its last copy.
 const COPY_ALIVE: u64 = 64;
 
-/// What the sequence says of a frame.
+/// The place of a frame in the sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Order {
-    /// It was sent after all that were heard; its place among them.
+    /// Sent after all received frames; its place.
     New(u64),
-    /// It was sent before others that were heard; its place among them.
+    /// Sent before other received frames; its place.
     Overtaken(u64),
-    /// It was heard before.
+    /// Received before.
     Copy,
 }
 
@@ -43,22 +43,23 @@ struct Heard {
     hash: u32,
 }
 
-/// Follows the sequence of one sender. An autopilot numbers the frames of each link by itself, so
-/// that nobody else's frames leave a gap.
+/// Follows the sequence of one sender. An autopilot numbers the frames of each link separately, so
+/// other senders' frames leave no gap.
 #[derive(Debug)]
 pub(super) struct Sequence {
-    /// By number: the newest frames that had it. Places begin at 256, so that 0 is none.
+    /// By number: the newest frames with that number. Places begin at 256, so 0 means none.
     heard: Box<[[Heard; WRAPS]; 256]>,
-    /// Place of the newest frame; its lowest byte is its number. `None` where any may follow.
+    /// Place of the newest frame; its lowest byte is its number. `None` where any number may
+    /// follow.
     newest: Option<u64>,
-    /// No place is given twice: those given so far are below.
+    /// The highest place given so far. No place is given twice.
     floor: u64,
-    /// Place of the newest copy, and of the newest frame when it came.
+    /// Place of the newest copy, and of the newest frame when the copy arrived.
     copy: Option<(u64, u64)>,
-    /// Frames in a row that were behind.
+    /// Consecutive frames that were behind.
     behind: u32,
     at: HostTime,
-    /// When the sequence last seemed to begin anew.
+    /// When the sequence last seemed to restart.
     anew: Option<HostTime>,
     lost: u64,
 }
@@ -79,23 +80,23 @@ impl Default for Sequence {
 }
 
 impl Sequence {
-    /// Frames that were lost on the way, less those that came late.
+    /// Frames lost on the way, less those that arrived late.
     pub(super) fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// Whether the sequence seemed to begin anew a short while ago.
+    /// Whether the sequence seemed to restart recently.
     pub(super) fn is_unsettled(&self, now: HostTime) -> bool {
         self.anew.is_some_and(|anew| now.since(anew) < UNSETTLED)
     }
 
-    /// The next frame has any number: the vehicle is another, or is heard another way.
+    /// Accepts any number in the next frame, because the vehicle or the path to it is another.
     pub(super) fn restart(&mut self) {
         (self.newest, self.copy, self.behind) = (None, None, 0);
     }
 
-    /// Takes a frame that arrived; `is_unique` where no other frame has the same bytes, as with those
-    /// that hold a time.
+    /// Places a frame that arrived. `is_unique` means that no other frame has the same bytes, as
+    /// with frames that contain a time.
     pub(super) fn take(
         &mut self,
         now: HostTime,
@@ -114,7 +115,7 @@ impl Sequence {
         let step = number.wrapping_sub(newest as u8);
         let after_copy = self.copy_place(newest, number);
         match step {
-            // A sender that does not count.
+            // A sender that does not count its frames.
             0 => self.advance(newest + 256, hash),
             1..=COPY_STEP_MAX => self.go_on(newest, step, hash),
             _ if after_copy.is_some() => {
@@ -133,7 +134,7 @@ impl Sequence {
                     self.anew = Some(now);
                     return self.begin(number, hash);
                 }
-                // Counted as lost before.
+                // It was counted as lost.
                 self.lost = self.lost.saturating_sub(1);
                 self.remember(newest - behind, hash);
                 Order::Overtaken(newest - behind)
@@ -141,7 +142,8 @@ impl Sequence {
         }
     }
 
-    /// The first frame, or the first after a restart of the vehicle, which counts from zero.
+    /// Starts at the first frame, or at the first after a restart of the vehicle, which counts from
+    /// zero.
     fn begin(&mut self, number: u8, hash: u32) -> Order {
         self.copy = None;
         let place = (self.floor / 256 + 1) * 256 + u64::from(number);
@@ -167,9 +169,9 @@ impl Sequence {
         }
     }
 
-    /// Where a frame with the same bytes was, if this is a copy of it. Some messages, such as
-    /// HEARTBEAT, are sent with the same bytes again: one that is the next in order and whose like
-    /// is long past is a copy only where those before it were.
+    /// The place of an earlier frame with the same bytes, if this is a copy of it. Some messages,
+    /// such as HEARTBEAT, repeat their bytes. If such a frame is next in order and its equal is
+    /// long past, it is a copy only if the frames before it were.
     fn copied(&self, newest: u64, number: u8, hash: u32, is_unique: bool) -> Option<u64> {
         let is_certain = is_unique || number != (newest as u8).wrapping_add(1);
         let after_copy = self.copy_place(newest, number);
@@ -179,7 +181,7 @@ impl Sequence {
         })
     }
 
-    /// The place of a frame with this number, if it goes on where a copy was.
+    /// The place of a frame with this number, if it continues a sequence of copies.
     fn copy_place(&self, newest: u64, number: u8) -> Option<u64> {
         let (place, _) = self.copy.filter(|(_, at)| newest.saturating_sub(*at) <= COPY_ALIVE)?;
         let step = number.wrapping_sub(place as u8);
@@ -187,7 +189,7 @@ impl Sequence {
     }
 }
 
-/// FNV-1a over words: enough to tell frames with the same number apart.
+/// FNV-1a over words: enough to distinguish frames with the same number.
 fn hash(bytes: &[u8]) -> u32 {
     const OFFSET: u64 = 0xcbf2_9ce4_8422_2325;
     const PRIME: u64 = 0x0000_0100_0000_01b3;
@@ -209,7 +211,7 @@ mod tests {
 
     const START: HostTime = HostTime::from_ns(1_000_000_000_000);
 
-    /// Frames with these numbers, 10 ms apart, each with other bytes than those before.
+    /// Losses after frames with these numbers, 10 ms apart, each with different bytes.
     fn lost_after(numbers: impl IntoIterator<Item = u8>) -> u64 {
         let mut sequence = Sequence::default();
         for (k, number) in numbers.into_iter().enumerate() {
@@ -277,7 +279,7 @@ mod tests {
         }
     }
 
-    /// Frame `k` of a vehicle: every fiftieth has no stamp and says one of two things.
+    /// Frame `k` of a vehicle: every fiftieth has no stamp and carries one of two contents.
     fn bytes(k: u32) -> Vec<u8> {
         let state = [b'a' + u8::from(k / 1000 % 2 == 1)];
         match k.is_multiple_of(50) {
@@ -295,7 +297,7 @@ mod tests {
                 let at = START + Duration::from_millis(2) * k;
                 let order = sequence.take(at, k as u8, &bytes(k), k % 50 != 0);
                 assert!(matches!(order, Order::New(_)), "lag {lag}: frame {k} is {order:?}");
-                // The first copy may be one that looks like the next frame.
+                // The first copy may look like the next frame.
                 if let Some(old) = k.checked_sub(lag).filter(|old| *old > 0) {
                     let order = sequence.take(at, old as u8, &bytes(old), old % 50 != 0);
                     assert_eq!(order, Order::Copy, "lag {lag}: frame {old} at {k}");

@@ -1,7 +1,7 @@
 //! The session with one vehicle, sans I/O: bytes and time in; messages, events and frames out.
 //!
-//! The driver calls [`Session::receive`] for what arrives and [`Session::poll`] when
-//! [`Session::next_deadline`] has come, and after either drains [`Session::transmit`] and
+//! The driver calls [`Session::receive`] for arriving bytes, and [`Session::poll`] at
+//! [`Session::next_deadline`]. After either it drains [`Session::transmit`] and
 //! [`Session::next_event`].
 
 mod core;
@@ -36,7 +36,7 @@ use crate::guard::Cleared;
 
 /// Message id of the frames that carry setpoints.
 pub const SETPOINT_ID: u32 = SET_ATTITUDE_TARGET_DATA::ID;
-/// Messages that answer what was asked.
+/// Messages that answer requests.
 const ANSWERS: [u32; 5] = [
     TIMESYNC_DATA::ID,
     COMMAND_ACK_DATA::ID,
@@ -52,31 +52,31 @@ pub struct Settings {
     pub system: u8,
     /// Own component id.
     pub component: u8,
-    /// The vehicle's system id; `None` takes the first autopilot that is heard.
+    /// The vehicle's system id; `None` takes the first autopilot that appears.
     pub vehicle_system: Option<u8>,
     /// Whether the vehicle file has `attitude_pd`.
     pub vehicle_has_attitude_pd: bool,
     /// The form of setpoints.
     pub form: FormChoice,
-    /// Newtons to the thrust field.
+    /// Maps newtons to the thrust field.
     pub thrust: ThrustMap,
-    /// Messages to ask for, whatever they cost; `None` takes the profile's, as far as the line has
-    /// room for them.
+    /// Messages to request, whatever they cost; `None` requests the profile's, as far as the line
+    /// has room.
     pub telemetry: Option<Vec<MessageRate>>,
-    /// Whether the vehicle's TIMESYNC requests are answered. Two that answer confuse it.
+    /// Whether to answer the vehicle's TIMESYNC requests. Two stations that answer confuse it.
     pub answer_timesync: bool,
-    /// Whether these answers tell the vehicle its own clock, as it is known here: then it takes stamps of its
-    /// clock for what they are.
+    /// Whether these answers carry the vehicle's own clock as estimated here. The vehicle then
+    /// accepts stamps of its own clock unchanged.
     pub answers_in_vehicle_time: bool,
     /// Silence after which the link is stale.
     pub stale_after: Duration,
     /// Silence after which the vehicle is lost.
     pub lost_after: Duration,
-    /// What the link is called in messages, such as its URL.
+    /// The link's name in messages, such as its URL.
     pub endpoint: Option<String>,
-    /// Bits per second of a serial line, which the profile's messages are made to fit.
+    /// Bits per second of a serial line, to which the profile's messages are fitted.
     pub baud: Option<u32>,
-    /// Signing; `None` signs nothing and believes everybody.
+    /// Signing; `None` signs nothing and accepts all frames.
     pub signing: Option<SigningSettings>,
 }
 
@@ -102,20 +102,20 @@ impl Settings {
     }
 }
 
-/// What [`Session::receive`] heard, in order of arrival.
+/// What [`Session::receive`] takes in, in order of arrival.
 #[derive(Debug)]
 pub enum Heard<'a> {
     /// A frame of any sender, as it was on the wire.
     Frame {
-        /// Where it came from.
+        /// The peer that sent it.
         peer: Peer,
         /// The whole frame.
         bytes: &'a [u8],
     },
-    /// From here on it is another vehicle under the ids of the one that was found, as
-    /// [`Event::VehicleReplaced`] tells afterwards.
+    /// From here on a different vehicle answers under the ids of the known one.
+    /// [`Event::VehicleReplaced`] reports it afterwards.
     Replaced,
-    /// A message of the vehicle.
+    /// A message from the vehicle.
     Message(Received),
 }
 
@@ -129,19 +129,19 @@ pub enum Event {
         /// New state.
         to: LinkState,
     },
-    /// A vehicle was heard, for the first time or again after it was lost.
+    /// A vehicle was found, for the first time or again after it was lost.
     VehicleFound(VehicleId),
-    /// Another autopilot than the vehicle's is heard, and nothing says which of them is meant.
+    /// A second autopilot appeared, and nothing decides which one is meant.
     AnotherAutopilot {
-        /// The one that was heard first.
+        /// The first one.
         vehicle: VehicleId,
-        /// The other.
+        /// The second one.
         other: VehicleId,
     },
-    /// By its HEARTBEAT another vehicle answers under the ids of the one that was found. It is
-    /// identified before it gets setpoints, and requests to the other end.
+    /// The HEARTBEAT shows that a different vehicle answers under the known ids. It is identified
+    /// before it gets setpoints, and requests to the former vehicle end.
     VehicleReplaced(VehicleId),
-    /// The vehicle is identified and can be sent setpoints.
+    /// The vehicle is identified and can get setpoints.
     Identified {
         /// Its profile.
         profile: Box<Profile>,
@@ -150,7 +150,7 @@ pub enum Event {
     },
     /// A request ended.
     Request {
-        /// Which.
+        /// Its id.
         id: RequestId,
         /// The request.
         request: Request,
@@ -159,21 +159,21 @@ pub enum Event {
     },
     /// News of a message interval.
     Interval(IntervalEvent),
-    /// The wanted messages take up more of the serial line than works.
+    /// The wanted messages need more of the serial line than it can carry reliably.
     LineBudget(Box<LineBudget>),
-    /// The vehicle answered to TIMESYNC: so long after it was asked.
+    /// The vehicle answered a TIMESYNC request after this round trip.
     RoundTrip(Duration),
-    /// The vehicle's clock jumped. After more than a second, back or forward, it may be another's:
-    /// the vehicle is identified again before it gets setpoints.
+    /// The vehicle's clock jumped. A jump beyond a second, in either direction, may mean another
+    /// vehicle, so it is identified again before it gets setpoints.
     ClockJump {
-        /// By how much, ns.
+        /// Size of the jump, ns.
         by_ns: i64,
     },
-    /// A frame was refused, for a reason that is new.
+    /// A frame was rejected, for a new reason.
     Disbelieved(Disbelief),
 }
 
-/// Who the vehicle is.
+/// The identity of a vehicle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct VehicleId {
     /// System id.
@@ -184,17 +184,18 @@ pub struct VehicleId {
     pub autopilot: u8,
     /// MAV_TYPE.
     pub vehicle_type: u8,
-    /// Where it was heard.
+    /// The peer from which it was received.
     pub peer: Peer,
 }
 
 impl VehicleId {
-    /// Whether it can be flown, by its autopilot: the others take the place of none that can.
+    /// Whether its autopilot is one that can be flown. An unknown autopilot replaces a known one
+    /// only under the same ids, once that one is lost.
     pub fn is_known(&self) -> bool {
         matches!(self.autopilot, 3 | 12)
     }
 
-    /// Whether `other`, which has the same system and component, is not this vehicle.
+    /// Whether `other`, which has the same system and component, is a different vehicle.
     fn is_another(&self, other: &Self) -> bool {
         (self.autopilot, self.vehicle_type) != (other.autopilot, other.vehicle_type)
     }
@@ -227,10 +228,10 @@ pub enum SetpointError {
     /// No vehicle is connected.
     #[error("no vehicle is connected")]
     NotConnected,
-    /// What the vehicle takes is not known yet.
+    /// The form that the vehicle takes is not known yet.
     #[error("the vehicle is not identified yet")]
     NotIdentified,
-    /// The setpoint has no message.
+    /// The setpoint has no message in that form.
     #[error(transparent)]
     Encode(#[from] EncodeError),
 }
@@ -240,13 +241,13 @@ pub enum SetpointError {
 pub struct Session {
     datagrams: Decoder,
     streams: Vec<(Peer, Decoder)>,
-    /// What the decoders of closed streams saw.
+    /// Statistics of the decoders of closed streams.
     closed: DecoderStats,
     core: Core,
 }
 
 impl Session {
-    /// A session that has heard nothing yet.
+    /// A session that has received nothing yet.
     pub fn new(settings: Settings, now: HostTime) -> Self {
         Self {
             datagrams: Decoder::new(),
@@ -256,7 +257,7 @@ impl Session {
         }
     }
 
-    /// Takes bytes that arrived from a peer.
+    /// Takes bytes that arrived from a peer, and passes what they contain to `on`.
     pub fn receive(
         &mut self,
         now: HostTime,
@@ -287,8 +288,8 @@ impl Session {
         }
     }
 
-    /// A peer's connection closed; whether it was the vehicle's, whose next heartbeat tells the new
-    /// one.
+    /// Notes that a peer's connection closed. Returns whether it was the vehicle's, whose next
+    /// heartbeat then gives the new one.
     pub fn peer_closed(&mut self, peer: Peer) -> bool {
         for (_, decoder) in self.streams.extract_if(.., |(known, _)| *known == peer) {
             self.closed = sum(self.closed, decoder.stats());
@@ -297,7 +298,7 @@ impl Session {
         vehicle.map(|vehicle| vehicle.peer = None).is_some()
     }
 
-    /// The transport is gone: all peers are, and their numbers may be used anew.
+    /// Notes that the transport closed: all peers are gone, and their numbers may be reused.
     pub fn transport_closed(&mut self) {
         for (_, decoder) in self.streams.drain(..) {
             self.closed = sum(self.closed, decoder.stats());
@@ -308,12 +309,12 @@ impl Session {
         self.core.transport_closed();
     }
 
-    /// Does what is due.
+    /// Does what is due at `now`.
     pub fn poll(&mut self, now: HostTime) {
         self.core.poll(now);
     }
 
-    /// When [`poll`](Self::poll) has something to do next.
+    /// The next time at which [`poll`](Self::poll) must run.
     pub fn next_deadline(&self) -> HostTime {
         self.core.next_deadline()
     }
@@ -321,7 +322,7 @@ impl Session {
     /// Queues a setpoint for the vehicle, in the form of its profile.
     ///
     /// # Errors
-    /// [`SetpointError`]; nothing is sent then.
+    /// [`SetpointError`]; then nothing is sent.
     pub fn send_setpoint(
         &mut self,
         now: HostTime,
@@ -330,7 +331,8 @@ impl Session {
         self.core.send_setpoint(now, setpoint)
     }
 
-    /// Queues a pose for the vehicle, stamped by its own clock; whether there is a vehicle to take it.
+    /// Queues a pose for the vehicle, stamped with its clock. Returns whether a vehicle is
+    /// connected.
     pub fn send_pose(&mut self, pose: &ExternalPose, form: PoseForm) -> bool {
         let is_there = self.core.state == LinkState::Connected && self.vehicle_peer().is_some();
         if is_there {
@@ -339,7 +341,7 @@ impl Session {
         is_there
     }
 
-    /// Asks something of the vehicle. [`Event::Request`] tells how it ended.
+    /// Sends a request to the vehicle. [`Event::Request`] reports how it ended.
     pub fn request(&mut self, now: HostTime, request: Request) -> RequestId {
         let core = &mut self.core;
         if matches!(core.state, LinkState::Searching | LinkState::Lost) {
@@ -354,19 +356,19 @@ impl Session {
         id
     }
 
-    /// Sends the vehicle a key and the time to sign with, or word to sign nothing. Nothing
-    /// acknowledges it, and no log has it.
+    /// Sends the vehicle a key and the time to sign with, or an empty key to stop signing. Nothing
+    /// acknowledges it, and no log contains it.
     pub fn set_up_signing(&mut self, key: Option<(&Key, Stamp)>) {
         self.core.set_up_signing(key);
     }
 
-    /// Ends the commands under way: none is repeated.
+    /// Ends all pending commands; none is repeated.
     pub fn withdraw_commands(&mut self) {
         self.core.requests.withdraw();
         self.core.collect_ended();
     }
 
-    /// Passes a frame of somebody else on to the vehicle, where there is one.
+    /// Forwards another station's frame to the vehicle, if there is one.
     pub fn pass_on(&mut self, frame: &[u8]) {
         let Core { vehicle, outbox, .. } = &mut self.core;
         if let Some(peer) = vehicle.as_ref().and_then(|vehicle| vehicle.peer) {
@@ -374,8 +376,9 @@ impl Session {
         }
     }
 
-    /// Gives the frames to send since the last call, each with its peer; `None` is every peer.
-    /// `send` says whether the frame left; one that did not is dropped, and counted so.
+    /// Passes the frames to send since the last call to `send`, each with its peer; `None` means
+    /// every peer. `send` returns whether the frame left. A frame that did not is dropped and
+    /// counted.
     pub fn transmit(&mut self, mut send: impl FnMut(Option<Peer>, &[u8]) -> bool) {
         let counters = &mut self.core.counters;
         self.core.outbox.drain(|to, frame| {
@@ -403,27 +406,27 @@ impl Session {
         self.core.vehicle.as_ref().map(|vehicle| vehicle.id)
     }
 
-    /// Where the vehicle is heard; `None` before it is, and once that connection closed.
+    /// The vehicle's peer; `None` before it is found, and after its connection closed.
     pub fn vehicle_peer(&self) -> Option<Peer> {
         self.core.vehicle.as_ref().and_then(|vehicle| vehicle.peer)
     }
 
-    /// Autopilots beside the vehicle, none of which was chosen.
+    /// Autopilots besides the vehicle's, where none was chosen.
     pub fn others(&self) -> &[VehicleId] {
         &self.core.others
     }
 
-    /// What the link is called.
+    /// The link's name in messages.
     pub fn endpoint(&self) -> Option<&str> {
         self.core.settings.endpoint.as_deref()
     }
 
-    /// The system id that was chosen.
+    /// The system id from the settings.
     pub fn wanted_system(&self) -> Option<u8> {
         self.core.settings.vehicle_system
     }
 
-    /// Who was heard beside the vehicle, in order of appearance.
+    /// Senders besides the vehicle, in order of appearance.
     pub fn senders(&self) -> &[Sender] {
         self.core.counters.senders()
     }
@@ -433,35 +436,36 @@ impl Session {
         self.core.vehicle.as_ref().is_some_and(|vehicle| vehicle.is_signed)
     }
 
-    /// Whether the vehicle has answered what was sent to it, signed or not: a TIMESYNC comes back with
-    /// the stamp that it went with.
+    /// Whether the vehicle has answered any frame from this session, signed or not: a TIMESYNC
+    /// answer carries the stamp of its request.
     pub fn is_answered(&self) -> bool {
         self.core.clock.round_trip().is_some()
     }
 
-    /// What is asked for over a serial line; `None` over another, and before the vehicle is known.
+    /// The messages requested over a serial line; `None` on any other link, and before the vehicle
+    /// is known.
     pub fn budget(&self) -> Option<&LineBudget> {
         self.core.budget.as_ref()
     }
 
-    /// What arrives of the vehicle, and what of it was not asked for.
+    /// The load of the vehicle's messages, and the part of it that was not requested.
     pub fn load(&self) -> LinkLoad {
         let Core { counters, intervals, .. } = &self.core;
         let is_asked = |id| intervals.wants(id) || ANSWERS.contains(&id);
         LinkLoad::of(&counters.messages(), self.is_signed(), is_asked)
     }
 
-    /// Whether this session signs, and believes only what is signed.
+    /// Whether this session signs, and accepts only signed frames.
     pub fn signs(&self) -> bool {
         self.core.signing.is_some()
     }
 
-    /// Frames that were not believed for want of a signature, by why.
+    /// Frames that were rejected for their signature, by reason.
     pub fn disbelieved(&self) -> impl Iterator<Item = (Refused, u64)> + '_ {
         self.core.signing.iter().flat_map(|signing| signing.refused())
     }
 
-    /// The protocol's version in the vehicle's newest frame, 1 or 2.
+    /// The MAVLink version of the vehicle's newest frame, 1 or 2.
     pub fn protocol(&self) -> Option<u8> {
         self.core.vehicle.as_ref().map(|vehicle| match vehicle.version {
             MavlinkVersion::V1 => 1,
@@ -469,18 +473,18 @@ impl Session {
         })
     }
 
-    /// Messages of the vehicle that were not believed, by id.
+    /// Messages from the vehicle that were rejected, by id.
     pub fn refusals(&self) -> &[RefusalCount] {
         self.core.counters.refusals()
     }
 
-    /// Bytes that the decoders took, of all peers.
+    /// Statistics of the decoders of all peers, closed ones included.
     pub fn received(&self) -> DecoderStats {
         let streams = self.streams.iter().map(|(_, decoder)| decoder.stats());
         streams.fold(sum(self.closed, self.datagrams.stats()), sum)
     }
 
-    /// When the vehicle was last heard, once found.
+    /// When the vehicle's last frame arrived, once it was found.
     pub fn last_heard(&self) -> Option<HostTime> {
         self.core.vehicle.as_ref().map(|vehicle| vehicle.last_heard)
     }
@@ -495,12 +499,12 @@ impl Session {
         self.core.clock.to_host(time)
     }
 
-    /// The vehicle's clock against the host's.
+    /// The vehicle's clock relative to the host's.
     pub fn clock(&self) -> Option<ClockEstimate> {
         self.core.clock.estimate()
     }
 
-    /// Newtons to the thrust field.
+    /// Maps newtons to the thrust field.
     pub fn thrust_map(&self) -> ThrustMap {
         self.core.settings.thrust
     }

@@ -1,5 +1,5 @@
-//! MAVLink 2 signing of one link: what is sent is signed, and what is heard is believed only with
-//! a signature of the same key.
+//! MAVLink 2 signing of one link: outgoing frames are signed, and incoming ones are accepted only
+//! with a signature by the same key.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,7 +10,7 @@ use wire::signing::{Key, Refused, Signer, Stamp, StreamStamp, Verifier, Verifier
 
 use crate::clock::HostTime;
 
-/// Period at which the newest stamps go to the state file.
+/// Period at which the newest stamps are written to the state file.
 const REMEMBER_PERIOD: Duration = Duration::from_secs(1);
 
 /// Settings of a signed link.
@@ -18,38 +18,38 @@ const REMEMBER_PERIOD: Duration = Duration::from_secs(1);
 pub struct SigningSettings {
     /// The key that both ends share.
     pub key: Key,
-    /// Own number of the link: each that signs with the same ids takes one of its own.
+    /// Own link id: programs that sign with the same system and component use different ones.
     pub link: u8,
-    /// Ids of messages that are believed without a signature.
+    /// Ids of messages that are accepted without a signature.
     pub unsigned: Vec<u32>,
-    /// Stamps further ahead of the host's clock than this are not believed.
+    /// Stamps further ahead of the host's clock than this are rejected.
     pub ahead_max: Duration,
-    /// What earlier sessions sent and heard.
+    /// Stamps that earlier sessions sent and received.
     pub before: Remembered,
-    /// Where this session tells what it sends and hears.
+    /// Where this session reports its stamps.
     pub ledger: Ledger,
 }
 
-/// Stamps that must not be used or believed again.
+/// Stamps that must not be used or accepted again.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Remembered {
-    /// The latest that was sent or heard.
+    /// The latest stamp sent or received.
     pub newest: Stamp,
-    /// The latest of each stream that was heard.
+    /// The latest received stamp of each stream.
     pub streams: Vec<StreamStamp>,
 }
 
-/// A place for [`Remembered`], which a session fills and another thread keeps.
+/// Holds [`Remembered`]: a session fills it, and another thread saves it.
 #[derive(Clone, Default)]
 pub struct Ledger(Arc<Mutex<Remembered>>);
 
 impl Ledger {
-    /// What the session reported last.
+    /// The session's last report.
     pub fn get(&self) -> Remembered {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Does not wait for who reads, and takes memory only for streams that are new.
+    /// Does not wait for a reader, and allocates only for new streams.
     fn tell(&self, newest: Stamp, streams: &[StreamStamp]) -> bool {
         let Ok(mut told) = self.0.try_lock() else { return false };
         told.newest = newest;
@@ -77,16 +77,16 @@ pub(super) struct Signing {
     verifier: Verifier,
     ledger: Ledger,
     told: HostTime,
-    /// The reasons for refused frames that were reported.
+    /// The reasons for rejection that were reported.
     said: Vec<Refused>,
 }
 
-/// A frame that is not believed, where it is the first of its kind.
+/// A rejected frame, the first for its reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Disbelief {
-    /// Why.
+    /// Why it was rejected.
     pub why: Refused,
-    /// Whose it says it is.
+    /// The sender that it claims.
     pub sender: (u32, u8),
     /// Its message id.
     pub id: u32,
@@ -116,7 +116,7 @@ impl fmt::Display for Disbelief {
 }
 
 impl Signing {
-    /// The receiving end, and the signer of what is sent.
+    /// The receiving end, and the signer for outgoing frames.
     pub(super) fn new(settings: &SigningSettings, now: HostTime) -> (Self, Signer) {
         let stamp = Stamp::from_unix_ns(now.as_ns());
         let SigningSettings { key, link, unsigned, ahead_max, before, ledger } = settings;
@@ -132,7 +132,7 @@ impl Signing {
         (signing, Signer::new(key.clone(), *link, after))
     }
 
-    /// Advances the time.
+    /// Advances the time of both ends, and reports their stamps.
     pub(super) fn turn(&mut self, now: HostTime, signer: Option<&mut Signer>) {
         let stamp = Stamp::from_unix_ns(now.as_ns());
         self.verifier.turn(stamp);
@@ -145,10 +145,10 @@ impl Signing {
         }
     }
 
-    /// Judges a frame.
+    /// Checks a frame's signature.
     ///
     /// # Errors
-    /// Why it is not believed; `Some` where that is worth saying.
+    /// Why the frame is rejected; `None` where this reason was already reported.
     pub(super) fn check(
         &mut self,
         frame: &Frame,
@@ -168,7 +168,7 @@ impl Signing {
         }
     }
 
-    /// Frames that were not believed, by why.
+    /// Rejected frames, by reason.
     pub(super) fn refused(&self) -> impl Iterator<Item = (Refused, u64)> + '_ {
         self.verifier.refused()
     }

@@ -1,4 +1,4 @@
-//! Why no vehicle is heard, in words: how far the bytes come.
+//! Why no vehicle is found, explained from how far its bytes get.
 
 use super::session::Session;
 use crate::clock::HostTime;
@@ -6,14 +6,14 @@ use crate::clock::HostTime;
 /// What is missing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Silence {
-    /// Tells one silence from another.
+    /// Distinguishes one kind of silence from another.
     pub subject: String,
-    /// What came, and what to look at.
+    /// What arrived, and what to check.
     pub line: String,
 }
 
 impl Silence {
-    /// Of a session that hears no vehicle now.
+    /// Explains the silence of a session without a vehicle.
     pub fn of(session: &Session, now: HostTime) -> Self {
         let received = session.received();
         let endpoint = session.endpoint().unwrap_or("the link");

@@ -1,7 +1,7 @@
-//! The tee: every byte of a link, both directions, into a telemetry log.
+//! The tee: every byte of a link, in both directions, into a telemetry log.
 //!
 //! It writes to a file and may wait for the disk, so it belongs on the logging side of a bounded
-//! channel and not on the control line.
+//! channel and not on the control path.
 
 use std::io::{self, Write};
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -12,8 +12,8 @@ use wire::transport::Peer;
 
 use crate::clock::HostTime;
 
-/// Writes what a link receives and sends. A frame is stamped with the arrival of its last byte;
-/// bytes that belong to no frame are kept as entries of their own.
+/// Writes what a link receives and sends. A frame is stamped with the arrival of its last byte.
+/// Bytes that belong to no frame become entries of their own.
 #[derive(Debug)]
 pub struct Tee<W> {
     writer: Writer<W>,
@@ -22,7 +22,7 @@ pub struct Tee<W> {
 }
 
 impl<W: Write> Tee<W> {
-    /// A tee into `out`, which should be buffered.
+    /// A tee that writes to `out`, which should be buffered.
     pub fn new(out: W) -> Self {
         Self { writer: Writer::new(out), datagrams: Splitter::default(), streams: Vec::new() }
     }
@@ -30,7 +30,7 @@ impl<W: Write> Tee<W> {
     /// Takes bytes that arrived.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// Errors of the writer.
     pub fn received(
         &mut self,
         now: HostTime,
@@ -55,32 +55,32 @@ impl<W: Write> Tee<W> {
     /// Takes a frame that was sent.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// Errors of the writer.
     pub fn sent(&mut self, now: HostTime, frame: &[u8]) -> io::Result<()> {
         self.writer.write(microseconds(now), frame)
     }
 
-    /// A peer is gone: what it left unfinished is written.
+    /// Notes that a peer closed: its unfinished bytes are written.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// Errors of the writer.
     pub fn peer_closed(&mut self, now: HostTime, peer: Peer) -> io::Result<()> {
         self.finish_where(now, |known| known == peer)
     }
 
-    /// All peers are gone, and their numbers may be used anew: what they left unfinished is
-    /// written.
+    /// Notes that all peers closed, and that their numbers may be reused: their unfinished bytes
+    /// are written.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// Errors of the writer.
     pub fn transport_closed(&mut self, now: HostTime) -> io::Result<()> {
         self.finish_where(now, |_| true)
     }
 
-    /// The link is at its end: what is left unfinished is written, and everything is flushed.
+    /// Ends the log: unfinished bytes are written, and everything is flushed.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// Errors of the writer.
     pub fn finish(&mut self, now: HostTime) -> io::Result<()> {
         self.finish_where(now, |_| true)?;
         self.writer.flush()
@@ -94,17 +94,17 @@ impl<W: Write> Tee<W> {
         Ok(())
     }
 
-    /// The writer, for what is not flushed yet.
+    /// The writer, with whatever is not flushed yet.
     pub fn into_inner(self) -> W {
         self.writer.into_inner()
     }
 }
 
-/// Entries that wait for the disk.
+/// Entries that may wait for the disk.
 const QUEUE: usize = 4096;
 
-/// A [`Tee`] in a thread of its own: handing it bytes never waits. Entries that find the queue full
-/// are dropped and counted.
+/// A [`Tee`] in its own thread: handing it bytes never waits. Entries that do not fit into the
+/// queue are dropped and counted.
 #[derive(Debug)]
 pub struct TeeThread {
     queue: SyncSender<Entry>,
@@ -124,7 +124,7 @@ enum Entry {
         now: HostTime,
         frame: Vec<u8>,
     },
-    /// `None` is every peer.
+    /// `None` means every peer.
     Closed {
         now: HostTime,
         peer: Option<Peer>,
@@ -135,7 +135,7 @@ impl TeeThread {
     /// Starts writing to `out`.
     ///
     /// # Errors
-    /// If the system gives no thread.
+    /// If the system provides no thread.
     pub fn start(out: impl Write + Send + 'static) -> io::Result<Self> {
         let (queue, entries) = sync_channel::<Entry>(QUEUE);
         let thread = thread::Builder::new().name("tlog".into()).spawn(move || {
@@ -165,22 +165,22 @@ impl TeeThread {
         Ok(Self { queue, dropped: 0, thread })
     }
 
-    /// Bytes that arrived.
+    /// Records bytes that arrived.
     pub fn received(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
         self.put(Entry::Received { now, peer, bytes: bytes.to_vec(), is_datagram });
     }
 
-    /// A frame that was sent.
+    /// Records a frame that was sent.
     pub fn sent(&mut self, now: HostTime, frame: &[u8]) {
         self.put(Entry::Sent { now, frame: frame.to_vec() });
     }
 
-    /// A peer is gone.
+    /// Records that a peer closed.
     pub fn peer_closed(&mut self, now: HostTime, peer: Peer) {
         self.put(Entry::Closed { now, peer: Some(peer) });
     }
 
-    /// All peers are gone, and their numbers may be used anew.
+    /// Records that all peers closed, and that their numbers may be reused.
     pub fn transport_closed(&mut self, now: HostTime) {
         self.put(Entry::Closed { now, peer: None });
     }
@@ -191,7 +191,7 @@ impl TeeThread {
         }
     }
 
-    /// Writes what is left and returns the number of entries that were dropped.
+    /// Writes the rest and returns the number of dropped entries.
     ///
     /// # Errors
     /// The error that ended the file, now or earlier.
@@ -244,7 +244,7 @@ mod tests {
         assert_eq!(frames, [a, c, sent, b]);
     }
 
-    /// A buffer that is read while a thread writes to it.
+    /// A buffer that the test reads while a thread writes to it.
     #[derive(Clone, Default)]
     struct Shared(std::sync::Arc<std::sync::Mutex<Vec<u8>>>);
 

@@ -1,14 +1,14 @@
-//! The vehicle's clock by TIMESYNC.
+//! The vehicle's clock from TIMESYNC.
 //!
-//! The host asks: `ts1` is its clock. The vehicle answers with its own in `tc1`. With the answer
-//! at `now`, the vehicle's clock read `tc1` somewhere between, so that
-//! `offset = tc1 - (ts1 + now) / 2` to within half the round trip. Queues make round trips long
-//! and lopsided but never too short: the exchange with the least error bound is believed, the bound
-//! growing with age by what the clocks can drift. Two such bounds give the skew to within their sum
-//! over the time between them; a skew that they do not show is taken for none.
+//! The host sends its clock as `ts1`. The vehicle answers with its own in `tc1`. With the answer at
+//! `now`, the vehicle's clock read `tc1` somewhere in between, so `offset = tc1 - (ts1 + now) / 2`
+//! to within half the round trip. Queues make round trips long and asymmetric but never too short.
+//! So the estimate uses the exchange with the least error bound, which grows with age by the
+//! clocks' possible drift. Two such bounds give the skew to within their sum over the time between
+//! them; a skew too small for them to show counts as zero.
 //!
-//! An exchange whose bounds contradict what is known proves that the clock slipped: several in a
-//! row that agree with one another start it anew.
+//! An exchange whose bounds contradict the estimate proves that the clock slipped. Several in a row
+//! that agree with one another restart the estimate.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -18,23 +18,23 @@ use crate::clock::HostTime;
 
 /// Time between requests.
 pub const PERIOD: Duration = Duration::from_millis(100);
-/// Time between them while the newest answers contradict what is known.
+/// Time between requests while the newest answers contradict the estimate.
 pub const PERIOD_IN_DOUBT: Duration = Duration::from_millis(10);
 /// Exchanges kept: 5 s of them.
 const WINDOW: usize = 50;
-/// Requests that can still be answered; older ones took longer than any useful round trip.
+/// Requests that can still be answered; older ones exceed any useful round trip.
 const OUTSTANDING: usize = 32;
-/// With more open requests than this the link holds answers back.
+/// With more open requests than this, the link is holding back answers.
 const OPEN_MAX: usize = 5;
-/// A round trip below this leaves room for requests in a row.
+/// Round trip below which the link can take closely spaced requests.
 const QUICK: Duration = Duration::from_millis(50);
 /// Worst drift between two crystal clocks.
 const DRIFT: f64 = 100e-6;
 /// Exchanges in a row that contradict the estimate before it is dropped.
 const CONTRADICTIONS: usize = 3;
-/// Time between two exchanges that give a skew, ns.
+/// Least time between the two exchanges that give a skew, ns.
 const SKEW_SPAN_NS: f64 = 1.5e9;
-/// After so long without an answer the estimate is given up.
+/// Time without an answer after which the estimate is dropped.
 const BELIEVED: Duration = Duration::from_secs(20);
 
 #[derive(Clone, Copy, Debug)]
@@ -46,19 +46,18 @@ struct Exchange {
 }
 
 impl Exchange {
-    /// Half the round trip, of which the vehicle's clock may make more.
+    /// Half the round trip, enlarged for the largest skew of the vehicle's clock.
     fn half_trip_ns(&self) -> f64 {
         self.round_trip_ns as f64 / 2.0 * (1.0 + SKEW_MAX)
     }
 
-    /// Bound on the error of its offset, carried to another time by a skew that is wrong by at most
-    /// `drift`.
+    /// Error bound of its offset at time `at`, for a skew that is wrong by at most `drift`.
     fn error_ns(&self, at: HostTime, drift: f64) -> f64 {
         self.half_trip_ns() + ns_between(self.at, at).abs() * drift
     }
 
-    /// By how much the two cannot both be true, at a skew known to within `drift`; negative where
-    /// they can.
+    /// How far the two exchanges contradict each other, ns, at a skew known to within `drift`;
+    /// negative where they are consistent.
     fn conflict_ns(&self, other: &Self, skew: f64, drift: f64) -> f64 {
         let predicted = self.offset_ns as f64 + skew * ns_between(self.at, other.at);
         let bound = self.error_ns(other.at, drift) + other.half_trip_ns() + TOLERANCE_NS;
@@ -66,7 +65,7 @@ impl Exchange {
     }
 }
 
-/// The skew between the clocks, and half the width of the interval that holds it.
+/// The skew between the clocks, and half the width of the interval that contains it.
 #[derive(Clone, Copy, Debug)]
 struct Skew {
     value: f64,
@@ -78,25 +77,25 @@ struct Skew {
 pub(super) struct TimeSync {
     outstanding: VecDeque<i64>,
     exchanges: VecDeque<Exchange>,
-    /// The one with the least error; it outlives the others.
+    /// The exchange with the least error; it outlives the others.
     best: Option<Exchange>,
     skew: Option<Skew>,
-    /// The newest exchanges, where they contradict the others.
+    /// The newest exchanges, while they contradict the others.
     rivals: Vec<Exchange>,
     answered: HostTime,
     round_trip: Option<Duration>,
 }
 
-/// What an answer did to the estimate.
+/// The effect of an answer on the estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// Not an answer to a request of ours that is still open.
+    /// No open request of this program matches it.
     NotOurs,
-    /// Taken in.
+    /// The exchange was added.
     Sample,
-    /// The vehicle's clock has jumped: everything known before was dropped.
+    /// The vehicle's clock jumped: the former estimate was dropped.
     Jump {
-        /// By how much, negative where it went back, as after a reboot or a pause of a simulator.
+        /// Size of the jump, ns; negative backwards, as after a reboot or a simulator's pause.
         by_ns: i64,
     },
 }
@@ -115,7 +114,7 @@ impl TimeSync {
         let Some(index) = self.outstanding.iter().position(|&open| open == ts1) else {
             return Answer::NotOurs;
         };
-        // Links keep the order: those before it are lost.
+        // Links keep the order, so earlier requests are lost.
         self.outstanding.drain(..=index);
         let Ok(sent) = u64::try_from(ts1) else { return Answer::NotOurs };
         let Some(round_trip_ns) = now.as_ns().checked_sub(sent) else { return Answer::NotOurs };
@@ -127,7 +126,7 @@ impl TimeSync {
 
         if self.is_contradicted_by(&heard) {
             if self.rivals.len() < CONTRADICTIONS {
-                // Believed only if it is not alone.
+                // A single contradiction is not enough.
                 return Answer::Sample;
             }
             let skew = self.skew.map_or(0.0, |skew| skew.value);
@@ -149,7 +148,7 @@ impl TimeSync {
         Answer::Sample
     }
 
-    /// Whether answers come at once, so that several requests in a row are no burden.
+    /// Whether answers arrive quickly, so that closely spaced requests are no burden.
     pub(super) fn is_quick(&self) -> bool {
         self.outstanding.len() <= OPEN_MAX && self.round_trip.is_some_and(|time| time < QUICK)
     }
@@ -158,7 +157,8 @@ impl TimeSync {
         !self.rivals.is_empty()
     }
 
-    /// Keeps the exchanges that cannot be true beside those before, as far as they agree.
+    /// Keeps the exchanges that contradict the earlier ones, as long as they agree with one
+    /// another.
     fn is_contradicted_by(&mut self, heard: &Exchange) -> bool {
         let Skew { value, error } = self.skew.unwrap_or(Skew { value: 0.0, error: SKEW_MAX });
         let drift = DRIFT + error.min(SKEW_MAX);
@@ -199,7 +199,7 @@ impl TimeSync {
         }
     }
 
-    /// How wrong a skew can be when an offset is carried by it. One that is no crystal's changes.
+    /// Possible error of the skew over time. A skew too large for a crystal varies.
     fn drift(&self) -> f64 {
         self.skew.map_or(SKEW_MAX, |skew| DRIFT + skew.value.abs())
     }
@@ -241,7 +241,7 @@ mod tests {
         at.as_ns() as i64 + OFFSET_NS
     }
 
-    /// One exchange with given delays there and back.
+    /// One exchange with given delays in each direction.
     fn exchange(sync: &mut VehicleClock, at: HostTime, there: Duration, back: Duration) -> Answer {
         let ts1 = sync.request(at);
         sync.answer(at + there + back, vehicle_ns(at + there), ts1)

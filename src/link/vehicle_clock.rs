@@ -1,8 +1,8 @@
-//! The vehicle's clock against the host's, and how long each message was on its way.
+//! The vehicle's clock relative to the host's, and the delay of each message.
 //!
-//! A clock model is a line: `vehicle = host + offset + skew * (host - at)`. `TimeSync` finds it
-//! from exchanges, whose round trip bounds the error: a message that waited is told from a clock
-//! that slipped, because a queue makes round trips long and a slip does not. `Arrival` finds it
+//! The clock model is a line: `vehicle = host + offset + skew * (host - at)`. `TimeSync` estimates
+//! it from exchanges, whose round trip bounds the error. It distinguishes a delayed message from a
+//! clock slip, because a queue makes round trips long and a slip does not. `Arrival` estimates it
 //! from the stamps alone, for a vehicle that never answers.
 
 use std::time::Duration;
@@ -12,27 +12,27 @@ use crate::link::arrival::Arrival;
 pub use crate::link::clock_estimate::{ClockEstimate, ClockSource};
 use crate::link::timesync::{self, Answer, TimeSync};
 
-/// A stamp that is further behind the newest is of a vehicle that was started since, s.
+/// A stamp further behind the newest than this shows a restarted vehicle, s.
 const RESTART_S: f64 = 1.0;
 
-/// A message that is late by more than this may be one of a clock that slipped, s.
+/// Delay beyond which the clock may have slipped instead, s.
 const DOUBT_S: f64 = 0.05;
 
-/// How much longer a message was on its way than the quickest ones.
+/// How much longer a message took than the fastest ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Delay {
-    /// Best estimate, s; negative where it was quicker than any before.
+    /// Best estimate, s; negative for a message faster than all before.
     pub seconds: f64,
-    /// What is certain of it, given the errors of the clock's estimate, s.
+    /// Lower bound, given the error of the clock's estimate, s.
     pub at_least_s: f64,
 }
 
-/// Keeps the line between the two clocks, and the delay of the quickest message.
+/// Keeps the line between the two clocks, and the delay of the fastest message.
 #[derive(Debug, Default)]
 pub struct VehicleClock {
     sync: TimeSync,
     arrival: Arrival,
-    /// When something was last heard.
+    /// When a message last arrived.
     latest: HostTime,
     newest: Option<VehicleTime>,
     quickest: Option<Quickest>,
@@ -40,21 +40,21 @@ pub struct VehicleClock {
     is_late: bool,
 }
 
-/// Delay of the quickest message by the clock of TIMESYNC, which need not be that of the stamps.
+/// Delay of the fastest message by the TIMESYNC clock, which need not be the clock of the stamps.
 #[derive(Clone, Copy, Debug)]
 struct Quickest {
     seconds: f64,
-    /// Its delay was certainly not more than this.
+    /// Upper bound on its delay.
     at_most_s: f64,
 }
 
 impl VehicleClock {
-    /// The `ts1` to ask with now; `tc1` is 0.
+    /// The `ts1` of a request at `now`; `tc1` is 0.
     pub fn request(&mut self, now: HostTime) -> i64 {
         self.sync.request(now)
     }
 
-    /// Takes an answer. Only one to an open request counts, and only once.
+    /// Takes an answer. Only an answer to an open request counts, and only once.
     pub fn answer(&mut self, now: HostTime, tc1: i64, ts1: i64) -> Answer {
         self.latest = now;
         let had_none = self.sync.estimate(now).is_none();
@@ -68,8 +68,8 @@ impl VehicleClock {
         answer
     }
 
-    /// Time between requests: a short one where messages are late, or the newest answers contradict
-    /// what is known, and the link is quick. Its answers tell at once whether the clock slipped.
+    /// Time between requests. It is short on a fast link while messages are late or the newest
+    /// answers contradict the estimate, because the answers then show whether the clock slipped.
     pub fn period(&self) -> Duration {
         let is_in_doubt = self.is_late || self.sync.is_in_doubt();
         if is_in_doubt && self.sync.is_quick() {
@@ -79,7 +79,7 @@ impl VehicleClock {
         }
     }
 
-    /// Takes the stamp of a message that just arrived; gives how long it was on its way.
+    /// Takes the stamp of a message that just arrived; returns the message's delay.
     pub fn observe(&mut self, now: HostTime, stamp: VehicleTime) -> Delay {
         self.latest = now;
         if self.newest.is_some_and(|newest| stamp.seconds_since(newest) < -RESTART_S) {
@@ -106,7 +106,7 @@ impl VehicleClock {
         delay
     }
 
-    /// The line as it was known when something was last heard.
+    /// The line as of the last arrival.
     pub fn estimate(&self) -> Option<ClockEstimate> {
         self.sync.estimate(self.latest).or_else(|| self.arrival.estimate(self.latest))
     }
@@ -161,20 +161,20 @@ mod tests {
         }
     }
 
-    /// What became of the messages of a run.
+    /// The fate of a run's messages.
     #[derive(Debug, Default)]
     struct Run {
-        /// Messages that were not held up by a queue and are said to be late: when they came, s.
+        /// Arrival of messages that no queue delayed and that are reported as late, s.
         wronged: Vec<f64>,
-        /// Messages that a queue held up by two and a half times the limit, and that
-        /// are not said to be late.
+        /// Messages that a queue delayed by two and a half times the limit and that are not
+        /// reported as late.
         missed: Vec<f64>,
-        /// Largest error of the offset, s, in the last second.
+        /// Largest error of the offset in the last second, s.
         error_s: f64,
     }
 
-    /// `length_s` of messages at 100 Hz, each `transport` (s, a function of its number) on its way.
-    /// What is sent within `queue` (from, to; s) comes at its end.
+    /// `length_s` of messages at 100 Hz, each delayed by `transport` (s, a function of its number).
+    /// Messages sent within `queue` (from, to; s) arrive at its end.
     fn run(model: Model, length_s: f64, queue: (f64, f64), transport: impl Fn(u32) -> f64) -> Run {
         let mut clock = VehicleClock::default();
         let mut run = Run::default();
@@ -191,7 +191,7 @@ mod tests {
             if model.is_answering && t >= ask {
                 ask = t + clock.period().as_secs_f64();
                 let ts1 = clock.request(now);
-                // A vehicle that stands still answers when it goes on.
+                // A stalled vehicle answers when it continues.
                 let mut at = t + transport(k + 7);
                 if model.is_stalled(at) {
                     at = model.stall_at_s + model.stall_s;
@@ -267,7 +267,7 @@ mod tests {
 
     #[test]
     fn a_queue_is_no_slip_however_long_it_stays() {
-        // A link that is cut for 1.5 s, and one that is 0.6 s behind for 30 s from 10 s on.
+        // A link that is cut for 1.5 s, and one that is 0.6 s behind for 30 s, starting at 10 s.
         for is_answering in [true, false] {
             let cut = run(steady(0.0, is_answering), 15.0, (8.0, 9.5), |_| 0.001);
             assert!(cut.missed.is_empty() && cut.wronged.is_empty(), "{is_answering}: {cut:?}");
@@ -284,7 +284,7 @@ mod tests {
             let now = START + Duration::from_millis(10) * k;
             if k % 10 == 0 {
                 let ts1 = clock.request(now);
-                // It answers in time since 1970.
+                // It answers with the time since 1970.
                 clock.answer(now + Duration::from_micros(300), now.as_ns() as i64, ts1);
             }
             let delay = clock.observe(now, VehicleTime::from_us(u64::from(k) * 10_000));
@@ -328,8 +328,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(256))]
 
-        /// Skews, jitter and round trips: nothing that was not held up is late; and what waited in
-        /// a queue is.
+        /// Over skews, jitter and round trips: no undelayed message counts as late, and every
+        /// queued one does.
         #[test]
         fn late_is_what_waited(
             skew in -0.05f64..0.05,
@@ -346,7 +346,7 @@ mod tests {
             prop_assert!(run.missed.is_empty(), "not late: {:?}", run.missed);
         }
 
-        /// A stall of any length below a second, at any skew and through jitter: soon followed.
+        /// A stall of any length below a second, at any skew and with jitter, is soon followed.
         #[test]
         fn stalls_are_followed(
             skew in -0.03f64..0.03,

@@ -1,4 +1,4 @@
-//! The bridge for one body: samples of a room in, poses that may be forwarded out, with what there is to say.
+//! The bridge for one body: samples of a room in, poses to forward and news out.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt;
@@ -16,39 +16,40 @@ use super::settings::MocapSettings;
 use super::watch::{Seen, Watch};
 use crate::clock::HostTime;
 
-/// A quaternion's length may be off by this: what a sender rounds.
+/// Tolerance of a quaternion's length, for senders that round.
 const UNIT_TOLERANCE: f64 = 0.01;
-/// Names of other bodies that are kept for words.
+/// Most names of other bodies that are kept for messages.
 const NAMES_MAX: usize = 8;
-/// A fault that comes again is said again after this long.
+/// Time after which a recurring fault is reported again.
 const SAID_AGAIN: Duration = Duration::from_secs(10);
-/// Poses that are refused for their order or for being ahead, for this long and with none between: the
-/// room's clock was set.
+/// Time without any accepted stamp, with all of them out of order or ahead, after which the room's
+/// clock was set, s.
 const CLOCK_SET_S: f64 = 1.0;
-/// News that wait to be taken.
+/// Most news that are kept until they are taken.
 const NEWS_MAX: usize = 32;
 
 /// A pose to forward.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// When the cameras saw it.
+    /// Host time at which the cameras saw it.
     pub at: HostTime,
-    /// Position, m.
+    /// Position in the vehicle's world, m.
     pub position: Ned,
-    /// Attitude.
+    /// Attitude of the vehicle's body.
     pub attitude: Attitude,
-    /// How often the poses have begun anew, modulo 256.
+    /// Number of restarts of the poses, modulo 256.
     pub reset_count: u8,
 }
 
-/// What there is to say.
+/// News for people.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum News {
-    /// The body is believed, for the first time or again.
+    /// The body's poses are accepted, for the first time or again.
     Believed,
-    /// Nothing is forwarded any more, or a datagram was not.
+    /// Poses are no longer forwarded, or one datagram was not. The text is the reason, where there
+    /// is one.
     Fault(Fault, Option<String>),
-    /// The room's clock was set, and is taken anew.
+    /// The room's clock was set; its offset is estimated again.
     ClockSet,
 }
 
@@ -63,26 +64,26 @@ impl fmt::Display for News {
     }
 }
 
-/// What came and what became of it.
+/// Counters of poses and their fate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct Tally {
-    /// Poses of the body that came.
+    /// Poses of the body that arrived.
     pub heard: u64,
-    /// Poses of other bodies.
+    /// Poses of other bodies that arrived.
     pub others: u64,
-    /// Poses that were believed and young enough.
+    /// Poses that were accepted and young enough.
     pub good: u64,
-    /// Poses that were forwarded, at `rate_hz` at most.
+    /// Poses that were forwarded, at most at `rate_hz`.
     pub forwarded: u64,
-    /// Age of the forwarded ones when they came, the mean, s.
+    /// Mean age of the forwarded poses on arrival, s.
     pub age_mean_s: f64,
-    /// The same, the largest, s.
+    /// Largest age of the forwarded poses on arrival, s.
     pub age_max_s: f64,
-    /// How often the poses began anew at another place.
+    /// Number of restarts of the poses at another place.
     pub resets: u64,
-    /// How often the body was lost after it was believed.
+    /// Number of losses of the body after its poses were accepted.
     pub losses: u64,
-    /// What was not forwarded, by why.
+    /// Poses and datagrams that were not forwarded, by reason.
     pub faults: FaultCounts,
 }
 
@@ -95,13 +96,13 @@ pub struct Bridge {
     clock: RoomClock,
     watch: Watch,
     started: HostTime,
-    /// Stamp of the newest sample of the body, s of the room's clock, and when it came.
+    /// Stamp of the body's newest sample, s of the room's clock, and its arrival.
     newest: Option<(f64, HostTime)>,
-    /// Since when every stamp has been wrong.
+    /// Since when every stamp was wrong.
     wrong_since: Option<HostTime>,
     heard: Option<HostTime>,
     anything: Option<HostTime>,
-    /// The earliest capture that is forwarded next, s of the room's clock.
+    /// The earliest capture to forward next, s of the room's clock.
     next_s: f64,
     names: BTreeSet<String>,
     said: BTreeMap<Fault, HostTime>,
@@ -111,7 +112,7 @@ pub struct Bridge {
 }
 
 impl Bridge {
-    /// A bridge of `body` that begins at `now`.
+    /// A bridge for `body` that starts at `now`.
     pub fn new(body: String, settings: MocapSettings, now: HostTime) -> Self {
         let frame = RoomFrame::new(
             settings.up,
@@ -138,8 +139,8 @@ impl Bridge {
         }
     }
 
-    /// Takes a sample that arrived at `now`; the pose to forward, if it is one. A vehicle that may be armed
-    /// counts as armed.
+    /// Takes a sample that arrived at `now`; returns the pose to forward, if any. A vehicle that
+    /// may be armed counts as armed.
     pub fn take(&mut self, now: HostTime, sample: &Sample, is_armed: bool) -> Option<Pose> {
         self.anything = Some(now);
         if sample.body != self.body {
@@ -157,13 +158,13 @@ impl Bridge {
         }
     }
 
-    /// Notes a datagram that is not as its protocol says.
+    /// Notes a datagram that violates its protocol.
     pub fn malformed(&mut self, now: HostTime, why: String) {
         self.anything = Some(now);
         self.fault(now, Fault::Malformed, Some(why));
     }
 
-    /// Looks at the time: a body that is no longer heard is lost.
+    /// Checks the time: a body that has been silent for too long is lost.
     pub fn tick(&mut self, now: HostTime) {
         let gap = Duration::from_secs_f64(self.settings.watch.gap_s);
         if self.watch.holds() && self.heard.is_some_and(|heard| now.since(heard) > gap) {
@@ -177,20 +178,20 @@ impl Bridge {
         self.news.pop_front()
     }
 
-    /// What came so far.
+    /// The counters so far.
     pub fn tally(&self) -> Tally {
         let mut tally = self.tally;
-        // It is a sum until now.
+        // The field holds the sum until here.
         tally.age_mean_s /= tally.forwarded.max(1) as f64;
         tally
     }
 
-    /// Whether the body is believed where it is.
+    /// Whether the body's poses are accepted at present.
     pub fn holds(&self) -> bool {
         self.watch.holds()
     }
 
-    /// What of the room is waited for, where something is.
+    /// What the bridge waits for from the room, if anything.
     pub fn waits_for(&self, now: HostTime) -> Option<String> {
         if self.holds() {
             return None;
@@ -235,7 +236,7 @@ impl Bridge {
         }
         self.tally.good += 1;
         let period = 1.0 / self.settings.rate_hz;
-        // A thousandth of the period makes up for the stamps' rounding.
+        // A thousandth of the period compensates for rounded stamps.
         if seen.at_s < self.next_s - 1e-3 * period {
             return Ok(None);
         }
@@ -252,7 +253,7 @@ impl Bridge {
         }))
     }
 
-    /// A sample as a pose in the vehicle's world, at the host's time.
+    /// Converts a sample to a pose in the vehicle's world. Its time stays that of the room's clock.
     fn placed(&mut self, now: HostTime, sample: &Sample) -> Result<Seen, Fault> {
         let numbers = sample.position_m.iter().chain(&sample.rotation);
         let stamps = [sample.captured_s, sample.sent_s.unwrap_or(0.0)];
@@ -260,7 +261,7 @@ impl Bridge {
             self.watch.lose(Fault::NotTracked);
             return Err(Fault::NotTracked);
         }
-        // Beyond this a stamp has no milliseconds.
+        // Beyond this a stamp has no millisecond resolution.
         if !numbers.chain(&stamps).all(|number| number.is_finite() && number.abs() < 1e12) {
             return Err(Fault::NotANumber);
         }
@@ -297,7 +298,7 @@ impl Bridge {
         }
     }
 
-    /// Stamps that stay wrong are of a clock that was set.
+    /// Restarts the clock estimate once stamps have stayed wrong: the room's clock was set.
     fn doubt_clock(&mut self, now: HostTime, stamp_s: f64) {
         let since = *self.wrong_since.get_or_insert(now);
         if now.since(since).as_secs_f64() >= CLOCK_SET_S {
@@ -319,14 +320,14 @@ impl Bridge {
             self.tally.losses += 1;
         }
         let is_told = match fault {
-            // What else is wrong has been said, or nothing is.
+            // Either another fault was already reported, or nothing is wrong.
             Fault::Settling => false,
             Fault::Frozen => self.newest.is_some_and(|(at_s, _)| self.watch.is_frozen(at_s)),
             _ => true,
         };
         let is_new = self.said.get(&fault).is_none_or(|at| now.since(*at) > SAID_AGAIN);
         if is_told {
-            // As long as it goes on it is not said again.
+            // A continuing fault is not reported again.
             self.said.insert(fault, now);
         }
         if is_told && is_new {
@@ -340,13 +341,13 @@ impl Bridge {
         }
     }
 
-    /// s since the bridge began.
+    /// Seconds since the bridge started.
     fn seconds(&self, now: HostTime) -> f64 {
         now.since(self.started).as_secs_f64()
     }
 }
 
-/// A quaternion of length 1, of one that is nearly.
+/// A quaternion of nearly unit length, normalised; `None` if its length is off.
 fn unit(q: [f64; 4]) -> Option<[f64; 4]> {
     let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
     ((norm - 1.0).abs() <= UNIT_TOLERANCE).then(|| q.map(|c| c / norm))

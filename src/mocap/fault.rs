@@ -1,11 +1,12 @@
-//! What can be wrong with what a room says, and how often it was.
+//! The faults of a room's poses, and their counts.
 
 use std::fmt;
 
 use schemars::JsonSchema;
 use serde::Serialize;
 
-/// Declares each fault once: its name, its key in JSON with what it counts, and its words with the cure.
+/// Declares each fault once: its name, its JSON key with what it counts, and its message with the
+/// cure.
 macro_rules! faults {
     ($($name:ident, $key:ident: $counts:literal, $words:literal;)+) => {
         /// Why a pose is not forwarded.
@@ -18,17 +19,17 @@ macro_rules! faults {
             }
         }
 
-        /// Poses and datagrams that were not forwarded, by why.
+        /// Poses and datagrams that were not forwarded, by reason.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize)]
         pub struct FaultCounts { $(#[doc = $counts] pub $key: u64,)+ }
 
         impl FaultCounts {
-            /// One more.
+            /// Counts one occurrence.
             pub fn count(&mut self, fault: Fault) {
                 *match fault { $(Fault::$name => &mut self.$key,)+ } += 1;
             }
 
-            /// How many there were.
+            /// The number of occurrences.
             pub fn of(&self, fault: Fault) -> u64 {
                 match fault { $(Fault::$name => self.$key,)+ }
             }

@@ -1,9 +1,9 @@
-//! The bridge from a motion-capture room to a vehicle, sans I/O: datagrams of the room and time in, poses
-//! that may be forwarded and news out.
+//! The bridge from a motion-capture room to a vehicle, sans I/O: the room's datagrams and time in,
+//! poses to forward and news out.
 //!
-//! `stream` and `natnet` decode, `room_clock` ties the room's clock to the host's, `room_frame` turns the
-//! room's axes into north, east, down, `watch` decides whether a pose is believed, and `bridge` is all of it
-//! for one body. What leaves is a pose: nothing else has a way through here.
+//! `stream` and `natnet` decode. `room_clock` relates the room's clock to the host's. `room_frame`
+//! turns the room's axes into north, east, down. `watch` decides whether a pose is accepted.
+//! `bridge` combines them for one body. Only poses leave the bridge.
 
 pub mod bridge;
 pub mod fault;

@@ -1,23 +1,23 @@
 //! NatNet, the protocol of OptiTrack's Motive, versions 3.0 to 4: frames of motion-capture data.
 //!
-//! A packet is its message's number and the length of its payload, both `u16`, then the payload;
-//! all of it is little-endian. A frame has its number, then sections (marker sets, other markers,
-//! rigid bodies, skeletons, from 4.1 on assets, labelled markers, force plates, devices), each with its
-//! count, from 4.1 on followed by its length in bytes, and at the end the stamps. Rigid bodies and stamps
-//! are read, the rest is passed over.
+//! A packet is its message number and the length of its payload, both `u16`, then the payload; all
+//! values are little-endian. A frame has its number, then sections (marker sets, other markers,
+//! rigid bodies, skeletons, from 4.1 on assets, labelled markers, force plates, devices). Each
+//! section has its count, from 4.1 on followed by its length in bytes. The stamps are at the end.
+//! Only rigid bodies and stamps are read; the rest is skipped.
 
 use super::sample::{Malformed, Sample};
 
-/// Where Motive takes commands.
+/// Motive's port for commands.
 pub const COMMAND_PORT: u16 = 1510;
-/// Length of the names in what a server says of itself.
+/// Length of the names in a server's description.
 const NAME_LEN: usize = 256;
-/// Bodies of a frame at most: what is more is no frame.
+/// Most bodies in a frame; more means that it is not a frame.
 const BODIES_MAX: usize = 4096;
-/// Bit of a body's parameters: it is tracked in this frame.
+/// Bit of a body's parameters: the body is tracked in this frame.
 const TRACKED: u16 = 1;
 
-/// Numbers of messages.
+/// Message numbers.
 mod id {
     pub(super) const CONNECT: u16 = 0;
     pub(super) const SERVER_INFO: u16 = 1;
@@ -25,52 +25,52 @@ mod id {
     pub(super) const KEEP_ALIVE: u16 = 10;
 }
 
-/// Version of the layout of frames, major and minor.
+/// Version of the frame layout, major and minor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Version {
-    /// 3 or 4.
+    /// The major version: 3 or 4.
     pub major: u8,
-    /// Such as 1 of 4.1.
+    /// The minor version, such as 1 in 4.1.
     pub minor: u8,
 }
 
 impl Version {
     const FIRST: Self = Self { major: 3, minor: 0 };
-    /// Sections say how long they are, and assets are one.
+    /// From here on, sections carry their length, and assets are a section.
     const SIZED: Self = Self { major: 4, minor: 1 };
 }
 
-/// What a packet says.
+/// The content of a packet.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Packet {
-    /// A frame's bodies.
+    /// The bodies of a frame.
     Frame(Vec<Sample>),
-    /// The server says who it is.
+    /// The server's description of itself.
     Server {
         /// The layout of its frames.
         version: Version,
     },
-    /// Something that is not needed.
+    /// A packet that is not needed.
     Other,
 }
 
-/// Reads the packets of one server.
+/// Decodes the packets of one server.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     version: Version,
-    /// Ticks a second of the server's clock.
+    /// Frequency of the server's clock, ticks per second.
     ticks_hz: Option<u64>,
-    /// Whether stamps are ticks, as the first frame decided: one stream has one clock.
+    /// Whether stamps are ticks, as the first frame decided: a stream uses one clock.
     counts_ticks: Option<bool>,
 }
 
 impl Decoder {
-    /// A decoder of frames of `version`, until the server says another.
+    /// A decoder of frames of `version`, until the server reports a different one.
     pub fn new(version: Version) -> Self {
         Self { version, ticks_hz: None, counts_ticks: None }
     }
 
-    /// Reads a datagram.
+    /// Decodes a datagram.
     ///
     /// # Errors
     /// [`Malformed`]: it is not a packet of this version.
@@ -85,8 +85,8 @@ impl Decoder {
         }
     }
 
-    /// Name, version of the program, version of NatNet, and, of a server that has it, the rate of its
-    /// clock.
+    /// Name, program version, NatNet version, and the frequency of the server's clock where it has
+    /// one.
     fn server(&mut self, payload: &mut Reader<'_>) -> Result<Packet, Malformed> {
         payload.take(NAME_LEN + 4)?;
         let [major, minor, _, _] = payload.array()?;
@@ -145,8 +145,8 @@ impl Decoder {
         Ok(Packet::Frame(samples))
     }
 
-    /// When the frame was exposed and sent, s: in ticks of the server's clock where their rate is known,
-    /// else the frame's own stamp.
+    /// When the frame was exposed and sent, s: from ticks of the server's clock where their
+    /// frequency is known, else the frame's own stamp.
     fn stamps(&mut self, frame: &mut Reader<'_>) -> Result<(f64, Option<f64>), Malformed> {
         frame.take(8)?;
         let stamp_s = f64::from_le_bytes(frame.array()?);
@@ -164,7 +164,7 @@ impl Decoder {
     }
 }
 
-/// Number, position, rotation x, y, z, w, mean error of its markers, parameters.
+/// Number, position, rotation x, y, z, w, mean marker error, parameters.
 fn body(frame: &mut Reader<'_>) -> Result<Sample, Malformed> {
     let number = i32::from_le_bytes(frame.array()?);
     let mut values = [0.0; 7];
@@ -184,9 +184,9 @@ fn body(frame: &mut Reader<'_>) -> Result<Sample, Malformed> {
     })
 }
 
-/// The packet that asks a server who it is, and of a unicast server for its frames.
+/// The packet that requests a server's description, and the frames of a unicast server.
 pub fn connect() -> Vec<u8> {
-    // Name and versions of the client, then: frames of the server's own version, all data.
+    // Name and versions of the client, then: frames in the server's own version, all data.
     let mut payload = vec![0; NAME_LEN + 8 + 6];
     let name = b"downwash";
     payload.iter_mut().zip(name).for_each(|(to, from)| *to = *from);
@@ -203,7 +203,7 @@ fn packet(message: u16, payload: &[u8]) -> Vec<u8> {
     [&message.to_le_bytes()[..], &length.to_le_bytes(), payload].concat()
 }
 
-/// What is left of a packet.
+/// The unread rest of a packet.
 struct Reader<'a> {
     bytes: &'a [u8],
 }
@@ -236,20 +236,20 @@ impl<'a> Reader<'a> {
         usize::try_from(count).map_err(|_| Malformed(format!("a count of {count}")))
     }
 
-    /// A count, and as many items of `length` bytes.
+    /// Skips a count and as many items of `length` bytes.
     fn items(&mut self, length: usize) -> Result<(), Malformed> {
         let count = self.count()?;
         let bytes = count.saturating_mul(length);
         self.take(bytes).map(drop)
     }
 
-    /// A text that a zero ends.
+    /// Skips a zero-terminated text.
     fn text(&mut self) -> Result<(), Malformed> {
         let length = self.bytes.iter().position(|byte| *byte == 0);
         self.take(length.unwrap_or(usize::MAX - 1) + 1).map(drop)
     }
 
-    /// Passes over a section: by its length, or item by item.
+    /// Skips a section: by its length, or item by item.
     fn section(
         &mut self,
         sized: bool,
@@ -260,7 +260,7 @@ impl<'a> Reader<'a> {
             let length = self.count()?;
             return self.take(length).map(drop);
         }
-        // An item takes at least a byte, so that a wild count ends with the packet.
+        // An item takes at least a byte, so an absurd count ends with the packet.
         (0..count).try_for_each(|_| item(self))
     }
 }
@@ -274,7 +274,7 @@ mod tests {
     const V31: Version = Version { major: 3, minor: 1 };
     const V41: Version = Version { major: 4, minor: 1 };
 
-    /// A frame by the published layout, with one of everything before and after the bodies.
+    /// A frame in the published layout, with one of everything before and after the bodies.
     fn frame(version: Version, bodies: &[(i32, [f32; 7], u16)]) -> Vec<u8> {
         let sized = version >= Version::SIZED;
         let mut out = 77i32.to_le_bytes().to_vec();

@@ -1,11 +1,12 @@
-//! The room's clock against the host's, by the stamps alone: nobody asks a room for its time.
+//! The room's clock relative to the host's, from the stamps alone: a room's clock is never queried.
 //!
-//! `arrival - stamp` is least for what was quickest on its way. That least offset is the clock, late by
-//! the shortest way, which `mocap.latency_s` says. It may rise slowly, as crystals differ.
+//! `arrival - stamp` is least for the fastest sample. That least offset is the clock, late by the
+//! shortest transport time, which `mocap.latency_s` gives. It may rise slowly, because crystals
+//! differ.
 
-/// How fast the least offset may rise, s per s: crystals differ by less.
+/// Fastest rise of the least offset, s per s: crystals differ by less.
 const DRIFT: f64 = 2e-4;
-/// A stamp that is ahead of the clock by more is of a clock that was set, s.
+/// Lead of a stamp beyond which the room's clock was set, s.
 const AHEAD_MAX_S: f64 = 0.1;
 
 /// A stamp further ahead than any queue explains.
@@ -15,15 +16,15 @@ pub struct Ahead;
 /// The room's clock as an offset to the host's.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RoomClock {
-    /// Least offset, host less room, s, and when it was known, s of the host's.
+    /// Least offset, host less room, s, and the host time at which it was known, s.
     line: Option<(f64, f64)>,
 }
 
 impl RoomClock {
-    /// Takes the stamp, s of the room's clock, of what arrived at `now_s` of the host's.
+    /// Takes the stamp, s of the room's clock, of a sample that arrived at `now_s` of the host's.
     ///
     /// # Errors
-    /// [`Ahead`]: the room's clock was set. The line stays as it was.
+    /// [`Ahead`]: the room's clock was set. The offset stays unchanged.
     pub fn observe(&mut self, now_s: f64, stamp_s: f64) -> Result<(), Ahead> {
         let offset = now_s - stamp_s;
         let Some(known) = self.offset_s(now_s) else {
@@ -37,13 +38,13 @@ impl RoomClock {
         Ok(())
     }
 
-    /// The host's time, s, at which the room's clock shows `stamp_s`, seen from `now_s`.
+    /// The host time, s, at which the room's clock reads `stamp_s`, as known at `now_s`.
     pub fn host_s(&self, now_s: f64, stamp_s: f64) -> Option<f64> {
         self.offset_s(now_s).map(|offset| stamp_s + offset)
     }
 
     fn offset_s(&self, now_s: f64) -> Option<f64> {
-        // A second of silence lets it rise by no more than a second of frames does.
+        // A second of silence lets it rise no more than a second of frames.
         self.line.map(|(offset, at)| offset + DRIFT * (now_s - at).clamp(0.0, 1.0))
     }
 }
@@ -55,7 +56,7 @@ mod tests {
     use super::*;
 
     proptest! {
-        /// Whatever the jitter, stamps are placed between the truth and what the quickest took.
+        /// Whatever the jitter, stamps are placed between the truth and the shortest delay.
         #[test]
         fn the_quickest_frames_are_the_clock(
             apart in -1e6..1e6f64, skew in -5e-5..5e-5f64,
@@ -65,7 +66,7 @@ mod tests {
             let room = |t: f64| t * (1.0 + skew) + apart;
             for (k, way) in ways.iter().enumerate() {
                 let t = 0.01 * k as f64;
-                // Every tenth frame is not held up.
+                // Every tenth frame is not delayed.
                 let way = if k % 10 == 0 { 0.001 } else { *way };
                 clock.observe(t + way, room(t)).expect("it was never set");
                 let placed = clock.host_s(t + way, room(t)).expect("it is known");

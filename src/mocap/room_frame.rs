@@ -1,31 +1,33 @@
 //! From a room's axes to north, east, down, and from a body's to front, right, down.
 //!
-//! A room is right-handed, with z or y up. Its x axis points to the heading psi, clockwise from north seen
-//! from above:
+//! A room is right-handed, with z or y up. Its x axis has the heading psi, clockwise from north
+//! seen from above:
 //!
-//! - z up: north, east, down of x, y, z are (cos psi, sin psi, 0), (sin psi, -cos psi, 0), (0, 0, -1);
+//! - z up: north, east, down of x, y, z are (cos psi, sin psi, 0), (sin psi, -cos psi, 0), (0, 0,
+//!   -1);
 //! - y up: those of x, y, z are (cos psi, sin psi, 0), (0, 0, -1), (-sin psi, cos psi, 0).
 //!
-//! A tracker gives a body the room's axes where it is defined. So a body's own axes lie to front, right, down
-//! as the room's do to north, east, down with psi 0, when the nose points along the body's x axis; a nose that
-//! points elsewhere is turned by its heading from that axis.
+//! A tracker gives a body the room's axes at the moment of its definition. If the nose points along
+//! the body's x axis, the body's own axes relate to front, right, down as the room's axes relate to
+//! north, east, down with psi 0. A nose that points elsewhere adds a rotation by its heading from
+//! that axis.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::frame::{Attitude, Frd, Ned};
 
-/// Which of a room's axes points up.
+/// The axis of the room that points up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Up {
     /// z, as in Vicon, Qualisys and ROS.
     #[default]
     Z,
-    /// y, as Motive has it unless told otherwise.
+    /// y, the default of Motive.
     Y,
 }
 
-/// A room's axes against north, east, down.
+/// A room's axes relative to north, east, down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RoomFrame {
     /// From the room's axes to north, east, down.
@@ -35,8 +37,8 @@ pub struct RoomFrame {
 }
 
 impl RoomFrame {
-    /// A room whose x axis has the heading `x_heading`, with a body whose nose points `nose` from its x axis,
-    /// both clockwise seen from above, rad.
+    /// A room whose x axis has the heading `x_heading`, and a body whose nose points `nose` from
+    /// its x axis, both clockwise seen from above, rad.
     pub fn new(up: Up, x_heading: f64, nose: f64) -> Self {
         let upright = match up {
             // Half a turn about x.
@@ -53,14 +55,14 @@ impl RoomFrame {
         }
     }
 
-    /// A place in the room, m.
+    /// A position from room axes to north, east, down, m.
     pub fn position(&self, in_room: [f64; 3]) -> Ned {
         let [x, y, z] = in_room;
-        // A rotation of a vector, whatever its axes are called.
+        // A plain rotation of a vector, whatever the names of its axes.
         self.world.to_world(Frd::new(x, y, z))
     }
 
-    /// The attitude of a body by its rotation to the room's axes, a unit quaternion w, x, y, z.
+    /// The attitude of a body from its rotation to the room's axes, a unit quaternion w, x, y, z.
     pub fn attitude(&self, [w, x, y, z]: [f64; 4]) -> Attitude {
         self.world.compose(Attitude { w, x, y, z }).compose(self.body).normalized()
     }
@@ -93,7 +95,7 @@ mod tests {
         // About z by +90 degrees is to the left: the heading is west.
         let left = room.attitude([FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2]);
         assert!((left.yaw() + FRAC_PI_2).abs() < 1e-9);
-        // About x by +0.3 rad is right side down in both.
+        // About x by +0.3 rad lowers the right side in both.
         let (sin, cos) = 0.15f64.sin_cos();
         assert!((room.attitude([cos, sin, 0.0, 0.0]).euler().roll - 0.3).abs() < 1e-9);
         // About y by +0.3 rad puts the nose down.
@@ -134,8 +136,8 @@ mod tests {
     }
 
     proptest! {
-        /// A point that is fixed to the body is in one place, whichever way it is reached: through the
-        /// room, by vectors and matrices as the module's words have them, or through the attitude.
+        /// A point fixed to the body has one place, whether it is computed through the room, with
+        /// vectors and matrices as the module's docs define them, or through the attitude.
         #[test]
         fn a_point_of_the_body_is_in_one_place(
             q in unit(), p in prop::array::uniform3(-5.0..5.0f64),

@@ -1,4 +1,4 @@
-//! The settings of the bridge.
+//! The settings of the motion-capture bridge.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,58 +10,60 @@ use crate::link::external_pose::PoseForm;
 #[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MocapSettings {
-    /// Own MAVLink system id: another than that of `fly`, so that its HEARTBEAT does not pass for that of
-    /// who flies.
+    /// Own MAVLink system id. It differs from that of `fly`, so that this HEARTBEAT is not taken
+    /// for the controller's.
     pub system: u8,
     /// Own MAVLink component id.
     pub component: u8,
     /// The message that poses are sent as.
     #[serde(rename = "as")]
     pub form: PoseForm,
-    /// Poses a second that are forwarded at most, Hz.
+    /// Highest rate at which poses are forwarded, Hz.
     pub rate_hz: f64,
     /// The room's axis that points up.
     pub up: Up,
     /// Heading of the room's x axis, clockwise from the vehicle's north, degrees.
     pub x_heading_deg: f64,
-    /// Where the vehicle's nose points in the body's axes, clockwise from x, degrees.
+    /// Direction of the vehicle's nose in the body's axes, clockwise from x, degrees.
     pub nose_deg: f64,
     /// Standard deviation of the position, per axis, m.
     pub position_deviation_m: f64,
     /// Standard deviation of the attitude, about each axis, rad.
     pub attitude_deviation_rad: f64,
-    /// What the quickest frame takes from the exposure, or from what the room says it was sent at, to this
-    /// computer: nothing measures it here, s.
+    /// Delay of the fastest frame, s: from the exposure, or from the room's own time of sending, to
+    /// this computer. Nothing here measures it.
     pub latency_s: f64,
-    /// Older poses are not forwarded, s.
+    /// Age above which poses are not forwarded, s.
     pub age_max_s: f64,
-    /// Version of NatNet, where no server says it: major and minor.
+    /// NatNet version where no server reports it: major and minor.
     pub natnet_version: [u8; 2],
-    /// What is believed.
+    /// Which poses are accepted.
     pub watch: WatchSettings,
 }
 
-/// What the watch believes.
+/// Which poses the watch accepts.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WatchSettings {
-    /// A place that is this far from where the body must be, beyond what it can accelerate, is a jump, m.
+    /// Distance from the expected position, beyond what the body can accelerate, that is a jump, m.
     pub jump_m: f64,
-    /// What the body can accelerate, m/s^2.
+    /// Largest acceleration of the body, m/s^2.
     pub acceleration_max_m_s2: f64,
-    /// An attitude that is this far off, beyond what the body can turn, is a jump, rad.
+    /// Angle from the last attitude, beyond what the body can turn, that is a jump, rad.
     pub turn_rad: f64,
-    /// What the body can turn, rad/s.
+    /// Largest angular rate of the body, rad/s.
     pub turn_max_rad_s: f64,
-    /// The same pose under new stamps for this long is said to be frozen, s.
+    /// Time with the same pose under new stamps after which it counts as frozen, s.
     pub frozen_s: f64,
-    /// A body that is not seen for this long is lost, s.
+    /// Time without a view of the body after which it is lost, s.
     pub gap_s: f64,
-    /// While the vehicle is armed a body that was lost is taken back within this of where it was to be, m.
+    /// Distance from the expected position within which a lost body is accepted again while armed,
+    /// m.
     pub return_m: f64,
-    /// For how long a body that comes back must come steadily, s.
+    /// Time for which a returning body must be seen steadily, s.
     pub settle_s: f64,
-    /// The same at first, and for a body at another place while the vehicle is disarmed, s.
+    /// Time for which the body must be seen steadily at the start, and at a different place while
+    /// the vehicle is disarmed, s.
     pub settle_anew_s: f64,
 }
 

@@ -1,21 +1,21 @@
-//! The stream of lines: UDP datagrams of JSON, a line for each body.
+//! The stream of lines: UDP datagrams of JSON, one line for each body.
 //!
 //! ```text
 //! {"body":"quad","t":12.345678,"p":[1.0,2.0,0.5],"q":[1.0,0.0,0.0,0.0]}
 //! ```
 //!
-//! `docs/mocap.md` is its definition.
+//! `docs/mocap.md` defines it.
 
 use serde::Deserialize;
 
 use super::sample::{Malformed, Sample};
 
-/// Bytes of a line at most.
+/// Longest line, bytes.
 pub const LINE_MAX: usize = 2048;
-/// Characters of a body's name at most.
+/// Longest name of a body, characters.
 pub const NAME_MAX: usize = 64;
 
-/// A line's keys; others are let pass, so that a sender can say more.
+/// The keys of a line; others are ignored, so that a sender may add more.
 #[derive(Deserialize)]
 struct Line {
     body: String,
@@ -26,7 +26,7 @@ struct Line {
     tracked: Option<bool>,
 }
 
-/// Reads a datagram; `on` gets each of its lines in order.
+/// Decodes a datagram; `on` gets each of its lines in order.
 pub fn decode(datagram: &[u8], mut on: impl FnMut(Result<Sample, Malformed>)) {
     for line in datagram.split(|byte| *byte == b'\n') {
         if !line.trim_ascii().is_empty() {

@@ -1,9 +1,9 @@
-//! Whether a pose of a body is believed: by what a body can do, and by where the others are.
+//! Whether to accept a pose of a body, from what a body can do and from where the others are.
 //!
-//! A pose follows the last one where it is within `jump_m + a/2 dt^2` of where the body was on its way to.
-//! Where it does not, nothing more is believed until the body has come steadily for a while: while the
-//! vehicle is armed only near where it was lost, while it is disarmed anywhere, except where another
-//! body was mistaken for it.
+//! A pose continues the last one if it is within `jump_m + a/2 dt^2` of the expected position. If
+//! it does not, no pose is accepted until the body has been seen steadily for a while. While the
+//! vehicle is armed, that must be near the place of the loss. While it is disarmed, it may be
+//! anywhere, except where another body was mistaken for this one.
 
 use std::collections::BTreeMap;
 
@@ -12,47 +12,49 @@ use vehicle::frame::{Attitude, Ned};
 use super::fault::Fault;
 use super::settings::WatchSettings;
 
-/// Time constant of the velocity that a body is taken to have, s.
+/// Time constant of the estimated velocity of a body, s.
 const VELOCITY_TIME_S: f64 = 0.05;
-/// How fast a body may be of which one pose is known, m/s.
+/// Largest speed of a body with a single known pose, m/s.
 const FIRST_SPEED: f64 = 5.0;
-/// For how long a body that is not seen is taken to go on as it went, s.
+/// Time for which an unseen body is assumed to keep its velocity, s.
 const COAST_S: f64 = 0.5;
-/// While the vehicle is armed, a body that was lost for longer is not taken back, s.
+/// Longest loss after which an armed vehicle's body is accepted again, s.
 const LOST_MAX_S: f64 = 2.0;
-/// By how much a body may have turned while it was lost, rad.
+/// Largest rotation of a body during a loss, rad.
 const RETURN_TURN: f64 = 0.8;
-/// Other bodies whose places are known.
+/// Most other bodies whose places are kept.
 pub const OTHERS_MAX: usize = 64;
-/// For how long the place of another body counts, s.
+/// Time for which the place of another body is valid, s.
 const OTHER_AGE_MAX_S: f64 = 0.5;
-/// Within this of another body's place a jump is a swap, m: what a body moves meanwhile.
+/// Distance to another body's place within which a jump is a swap, m: that body's motion in
+/// between.
 const OTHER_WITHIN_M: f64 = 0.15;
 
-/// A pose with its time, s on the room's clock: what the host makes of that shifts as it learns.
+/// A pose with its time, s on the room's clock. The host time of that shifts as the clock estimate
+/// improves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seen {
-    /// When.
+    /// Time on the room's clock, s.
     pub at_s: f64,
-    /// Where, m.
+    /// Position, m.
     pub position: Ned,
-    /// How it lies.
+    /// Attitude of the body.
     pub attitude: Attitude,
 }
 
-/// A pose that is believed.
+/// An accepted pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Believed {
-    /// Whether it does not go on from the one before: the vehicle is to take it as a new beginning.
+    /// Whether it does not continue the pose before: the vehicle must treat it as a restart.
     pub is_anew: bool,
 }
 
-/// Poses that follow each other.
+/// Poses that continue one another.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     first: Seen,
     latest: Seen,
-    /// `None` of a single pose.
+    /// Estimated velocity; `None` for a single pose.
     velocity: Option<Ned>,
 }
 
@@ -61,7 +63,7 @@ impl Run {
         Self { first: seen, latest: seen, velocity: None }
     }
 
-    /// Where the body is to be at `at_s`.
+    /// The expected position at `at_s`.
     fn expected(&self, at_s: f64) -> Ned {
         let velocity = self.velocity.unwrap_or_else(Ned::zero);
         self.latest.position + velocity * (at_s - self.latest.at_s).clamp(0.0, COAST_S)
@@ -92,16 +94,16 @@ impl Run {
     }
 }
 
-/// Where the body stands.
+/// State of the body's track.
 #[derive(Clone, Copy, Debug)]
 enum Track {
-    /// It is believed.
+    /// Its poses are accepted.
     Held(Run),
-    /// It is not, or not yet.
+    /// Its poses are not accepted, or not yet.
     Lost {
-        /// The last that was believed, if any was, and why no more.
+        /// The last accepted run, if any, and the reason for its end.
         last: Option<(Run, Fault)>,
-        /// What comes since.
+        /// The run since then.
         coming: Option<Run>,
     },
 }
@@ -111,12 +113,12 @@ enum Track {
 pub struct Watch {
     settings: WatchSettings,
     track: Track,
-    /// The newest pose, and since when it has been the same.
+    /// The newest pose, and since when it has been unchanged.
     newest: Option<(Seen, f64)>,
     others: BTreeMap<String, Other>,
 }
 
-/// Where another body was in the two newest frames that had it.
+/// The place of another body in its two newest frames.
 #[derive(Clone, Copy, Debug)]
 struct Other {
     latest: Seen,
@@ -130,7 +132,7 @@ impl Watch {
         Self { settings, track, newest: None, others: BTreeMap::new() }
     }
 
-    /// Whether the body is believed where it is.
+    /// Whether the body's poses are accepted at present.
     pub fn holds(&self) -> bool {
         matches!(self.track, Track::Held(_))
     }
@@ -147,7 +149,7 @@ impl Watch {
     /// Takes a pose of the body, newer than the one before.
     ///
     /// # Errors
-    /// Why it is not believed: [`Fault::Frozen`], [`Fault::Jumped`], [`Fault::Swapped`] or
+    /// Why it is rejected: [`Fault::Frozen`], [`Fault::Jumped`], [`Fault::Swapped`] or
     /// [`Fault::Settling`].
     pub fn see(&mut self, seen: Seen, is_armed: bool) -> Result<Believed, Fault> {
         if let Some((newest, since_s)) = self.newest
@@ -165,19 +167,20 @@ impl Watch {
         }
     }
 
-    /// Whether a pose has been the same long enough to be called frozen at `at_s`.
+    /// Whether the pose has been unchanged long enough to count as frozen at `at_s`.
     pub fn is_frozen(&self, at_s: f64) -> bool {
         self.newest.is_some_and(|(_, since_s)| at_s - since_s >= self.settings.frozen_s)
     }
 
-    /// Nothing more is believed, as by a gap, until the body has come back.
+    /// Stops accepting poses, such as after a gap, until the body has returned.
     pub fn lose(&mut self, why: Fault) {
         if let Track::Held(run) = self.track {
             self.track = Track::Lost { last: Some((run, why)), coming: None };
         }
     }
 
-    /// The room's clock was set, ahead by `by_s`: the body is lost, and where and when it was stays known.
+    /// Notes that the room's clock was set forward by `by_s`. The body is lost, but the place and
+    /// time of the loss are kept.
     pub fn shift(&mut self, by_s: f64) {
         self.lose(Fault::Ahead);
         if let Track::Lost { last, coming } = &mut self.track {
@@ -216,7 +219,8 @@ impl Watch {
         is_armed: bool,
     ) -> Result<Believed, Fault> {
         let settings = &self.settings;
-        // What comes back where another body is, as after it was hidden, is that body.
+        // A body that reappears at another body's place, such as after an occlusion, is that other
+        // body.
         if coming.is_none()
             && self.is_anothers(&seen)
             && let Some((run, why)) = &mut last
@@ -235,7 +239,7 @@ impl Watch {
             None => (run.length_s() >= settings.settle_anew_s, false),
             Some((lost, why)) => {
                 let dt = seen.at_s - lost.latest.at_s;
-                // It comes back where it was to be; another body may pass there on its way.
+                // It returns to its expected position; another body may pass there.
                 let is_near = |seen: &Seen| {
                     let dt = seen.at_s - lost.latest.at_s;
                     let off = (seen.position - lost.expected(seen.at_s)).norm();
@@ -249,7 +253,7 @@ impl Watch {
                     && run.length_s() >= settings.settle_s;
                 let is_moved =
                     !is_armed && why != Fault::Swapped && run.length_s() >= settings.settle_anew_s;
-                // What the vehicle's filter can take in is no new beginning.
+                // A step that the vehicle's filter can absorb is not a restart.
                 (is_back || is_moved, !is_back)
             }
         };
@@ -262,7 +266,7 @@ impl Watch {
     }
 
     fn is_anothers(&self, seen: &Seen) -> bool {
-        // A tracker may tell of the other body first: where that was before is then what tells a swap.
+        // A tracker may report the other body first; then that body's earlier place shows the swap.
         let places = self.others.values().flat_map(|other| [Some(other.latest), other.before]);
         places.flatten().any(|other| {
             (seen.at_s - other.at_s).abs() <= OTHER_AGE_MAX_S

@@ -1,4 +1,4 @@
-//! The vehicle as it stands, and what the supervisor makes of it.
+//! The vehicle's present condition, and the observation that the supervisor gets of it.
 
 use std::time::Duration;
 
@@ -9,28 +9,28 @@ use super::OffboardController;
 use crate::clock::HostTime;
 use crate::supervisor::{FlightCondition, FlightState, Observation, Severity, Standing, preflight};
 
-/// Share of the tick rate asked for at first that must be kept while a hold is streamed, so that a
-/// pause which is not stale yet does not end the stream.
+/// Share of the preflight tick rate that must be kept while a hold is streamed. Below 1, so that a
+/// pause too short to make the state stale does not end the stream.
 const STREAMING_RATE_SHARE: f64 = 0.6;
 
-/// The most that an empty pack, or a voltage that is misread, adds to the thrust.
+/// The most that an empty pack, or a misread voltage, raises the thrust.
 const VOLTAGE_GAIN_MAX: f64 = 1.4;
 
-/// Speed below which a vehicle at the height of the ground lies still, m/s.
+/// Speed below which a vehicle at ground height counts as at rest, m/s.
 const RESTING_SPEED_M_S: f64 = 0.15;
 
-/// Height above the ground that counts as flight where the vehicle does not say, m.
+/// Height above the ground that counts as flight where the vehicle does not report it, m.
 const AIRBORNE_HEIGHT_M: f64 = 0.3;
 
-/// After this long without an answer to TIMESYNC, asked ten times a second, setpoints may not arrive.
+/// Silence on TIMESYNC, which is sent ten times a second, after which setpoints may not arrive.
 const UNANSWERED: Duration = Duration::from_millis(250);
-/// For this long after that a vehicle may be where no setpoint sent it.
+/// For this long after that, the vehicle may be somewhere that no setpoint sent it.
 const UNHEARD_LATELY: Duration = Duration::from_secs(2);
-/// An answer older than this says nothing of the link as it is.
+/// An older answer says nothing about the present link.
 const ANSWER_FRESH: Duration = Duration::from_millis(500);
 
 impl OffboardController {
-    /// Looks at the vehicle and the clock, and lets the supervisor decide.
+    /// Gathers the observation of vehicle and clock, and hands it to the supervisor.
     pub(super) fn observe(&mut self, now: HostTime) {
         let before = self.supervisor.state();
         if let Some(late) = self.telemetry.take_late(now) {
@@ -44,7 +44,8 @@ impl OffboardController {
         let age_s = self.telemetry.age_s(now).max(std::mem::take(&mut self.paused_s));
         let rate_hz = self.settings.telemetry.rate_hz;
         let here = self.telemetry.last_sample().map(|sample| sample.state);
-        // One look can lead through Preflight to the stream: the checks must be there before.
+        // One observation can lead through Preflight to the stream, so the checks must run before
+        // it.
         let failed = if before.precedes_stream() {
             let distance = here.map_or(f64::NAN, |s| self.guidance.start_distance_m(s.position));
             let mut failed = self.standing_checks.clone();
@@ -108,7 +109,7 @@ impl OffboardController {
         if after != before {
             self.tracking_error = 0.0;
         }
-        // What led here was a reaction: stay where the vehicle is, not where it should be.
+        // A reaction led here: stay near the vehicle's position, not at the reference.
         let stopped = after != before && before != FlightState::Hold;
         if matches!(after, FlightState::Hold | FlightState::Land) && (stopped || jumped) {
             if jumped {
@@ -123,7 +124,7 @@ impl OffboardController {
         }
     }
 
-    /// How much more thrust must be asked for than a full pack would give.
+    /// Factor on the commanded thrust that makes up for the pack's voltage below full.
     pub(super) fn voltage_gain(&self) -> f64 {
         let voltage = self.telemetry.status().battery.voltage;
         voltage.map_or(1.0, |voltage| {
@@ -132,21 +133,21 @@ impl OffboardController {
         })
     }
 
-    /// Whether what is sent may not arrive: the vehicle, which used to answer, has not answered for as
-    /// long as several answers take. What it does then is not what it was asked for.
+    /// Whether setpoints may not arrive: a vehicle that used to answer has been silent for as long
+    /// as several answers take. Its motion then need not follow the setpoints.
     pub(super) fn may_be_unheard(&self, now: HostTime) -> bool {
         self.round_trip.is_some_and(|(at, time)| now.since(at) > UNANSWERED + time)
     }
 
-    /// How long the link took for the newest answer, s, if one came lately.
+    /// Round trip of the newest answer, s, if one arrived recently.
     fn round_trip_s(&self, now: HostTime) -> Option<f64> {
         let (_, time) = self.round_trip.filter(|(at, _)| now.since(*at) < ANSWER_FRESH)?;
         Some(time.as_secs_f64())
     }
 
-    /// Whether the vehicle is off the ground, by its own word. Where it has none, one that is
-    /// disarmed stands on the ground, and one that is armed flies when it is above the place where
-    /// it stood. `None` where neither is known: a vehicle whose motors turn may be anywhere.
+    /// Whether the vehicle is off the ground, as it reports. If it does not report this, a disarmed
+    /// vehicle is on the ground, and an armed one flies when it is above the place where it last
+    /// stood. `None` where neither is known: an armed vehicle may be anywhere.
     pub(super) fn airborne(&self) -> Option<bool> {
         let status = self.telemetry.status();
         match status.landed {
@@ -157,13 +158,13 @@ impl OffboardController {
         }
     }
 
-    /// Height above the place where the vehicle last stood on the ground, m.
+    /// Height above the place where the vehicle was last seen on the ground, m.
     fn height_m(&self) -> Option<f64> {
         let here = self.telemetry.last_sample()?.state.position;
         Some(self.guidance.ground()?.down() - here.down())
     }
 
-    /// Whether the vehicle lies still at the height of the ground, by its own estimate.
+    /// Whether the vehicle is at rest at ground height, according to its own estimate.
     fn is_at_rest(&self) -> bool {
         let speed = self.telemetry.last_sample().map(|sample| sample.state.velocity.norm());
         self.height_m().is_some_and(|height| height.abs() < AIRBORNE_HEIGHT_M)

@@ -1,5 +1,5 @@
-//! What a vehicle file says the vehicle is, its modelled effects applied: what feedback, limits and
-//! feed-forward are made with.
+//! The vehicle of a vehicle file with its modelled effects applied. Feedback, limits and
+//! feed-forward are made with it.
 
 use vehicle::effects::{CommandDelay, EffectSet, PdGain, RotorDrag, ThrustCurve};
 use vehicle::physics::Physics;
@@ -9,39 +9,39 @@ use crate::control::{Actuation, HoverVehicle};
 use crate::link::attitude_target::{ThrustMap, ThrustMapError};
 use crate::plan::planned::PlannedBody;
 
-/// Why a vehicle file's vehicle cannot be controlled.
+/// Why the vehicle of a file cannot be controlled.
 #[derive(Debug, thiserror::Error)]
 pub enum Uncontrollable {
-    /// Its physics are refused.
+    /// The physics model rejects its parameters.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
-    /// Its thrust cannot be asked for.
+    /// No thrust map exists for its motors.
     #[error(transparent)]
     Thrust(#[from] ThrustMapError),
 }
 
-/// The vehicle as its file says it is.
+/// The vehicle as its file describes it.
 #[derive(Clone, Copy, Debug)]
 pub struct EffectiveVehicle {
     /// Mass, inertia and gravity.
     pub hover: HoverVehicle,
-    /// Drag over speed along front and right, and along down, kg/s.
+    /// Drag per speed, kg/s: along front and right, and along down.
     pub drag_kg_s: [f64; 2],
     /// Thrust of all rotors at full output, N.
     pub thrust_full_n: f64,
-    /// From thrust to what is sent.
+    /// Maps thrust to the value that is sent.
     pub thrust: ThrustMap,
-    /// The on-board loop as a PD law, where the file has it in either form.
+    /// The on-board attitude loop as a PD law, where the file describes it in either form.
     pub attitude_pd: Option<AttitudePd>,
-    /// Whether that law is all of the loop, so that the vehicle may honour attitude, body rates and
+    /// Whether that law is the whole loop, so that the vehicle may honour attitude, body rates and
     /// thrust together.
     pub is_pd: bool,
-    /// How late a setpoint acts.
+    /// Delay and lag between a setpoint and its effect.
     pub actuation: Actuation,
 }
 
 impl EffectiveVehicle {
-    /// The vehicle of a file.
+    /// Applies the modelled effects of `params`.
     ///
     /// # Errors
     /// [`Uncontrollable`].
@@ -52,8 +52,8 @@ impl EffectiveVehicle {
         let gain = params.modelled_effects.get::<PdGain>();
         let attitude_pd =
             params.attitude_loop_pd().map(|pd| gain.map_or(pd, |gain| gain.apply(&pd)));
-        // A mixer that is known is linear, and bends with the motors. An autopilot's own loop is
-        // taken to linearise them.
+        // A known mixer is linear, so the motors' thrust curve shows. An autopilot's own loop is
+        // assumed to linearise it.
         let bend =
             params.modelled_effects.get::<ThrustCurve>().filter(|_| params.attitude_pd.is_some());
         let thrust = ThrustMap::curve(thrust_full_n, bend.map_or(0.0, |curve| curve.a))?;
@@ -77,7 +77,7 @@ impl EffectiveVehicle {
         })
     }
 
-    /// What a plan says of its vehicle.
+    /// What a plan records about its vehicle.
     pub fn body(&self) -> PlannedBody {
         let HoverVehicle { mass_kg, inertia, gravity } = self.hover;
         PlannedBody { mass_kg, inertia, gravity, thrust_full_n: self.thrust_full_n }

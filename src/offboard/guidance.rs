@@ -1,4 +1,4 @@
-//! What the vehicle is to do in each state of the flight: the reference of the moment.
+//! The reference that the vehicle follows in each state of the flight.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use crate::setpoint::{Expected, Reference, Setpoint};
 use crate::supervisor::{FlightState, Trigger};
 use crate::telemetry::Sample;
 
-/// Take-off, and the way to the trajectory's start.
+/// Take-off, and the approach to the trajectory's start.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceSettings {
@@ -19,25 +19,26 @@ pub struct GuidanceSettings {
     pub idle_thrust: f64,
     /// Time over which thrust rises before the climb, s.
     pub spool_s: f64,
-    /// Thrust at the end of that, as a fraction of hover thrust: not enough to lift off, even if
-    /// the rotors give a third more than is believed.
+    /// Thrust at the end of the spool time, as a fraction of hover thrust: too little to lift off
+    /// even if the rotors give a third more than the model says.
     pub spool_thrust: f64,
     /// Fastest climb, m/s.
     pub climb_speed_m_s: f64,
-    /// Fastest way to the start, m/s.
+    /// Fastest approach to the start, m/s.
     pub approach_speed_m_s: f64,
-    /// Fastest turn on that way, rad/s.
+    /// Fastest turn during the approach, rad/s.
     pub approach_yaw_rate_rad_s: f64,
-    /// Height over which horizontal feedback comes in, m: on the ground it would only tip over.
+    /// Height over which horizontal feedback fades in, m. On the ground it would only tip the
+    /// vehicle over.
     pub feedback_height_m: f64,
-    /// The start is reached within this distance, m.
+    /// Distance within which the start counts as reached, m.
     pub settle_radius_m: f64,
-    /// And below this speed, m/s.
+    /// Speed below which the start counts as reached, m/s.
     pub settle_speed_m_s: f64,
-    /// For this time, s.
+    /// Time for which both must hold, s.
     pub settle_s: f64,
-    /// A steady offset is accepted after this time, s: without it, a vehicle that is heavier than
-    /// believed would never start.
+    /// Time after which a steady offset is accepted, s. Without it, a vehicle heavier than its
+    /// model would never start.
     pub settle_timeout_s: f64,
 }
 
@@ -67,38 +68,40 @@ pub(super) struct Guided {
     pub desired: Ned,
     /// Whether feedback acts; on the ground only the feed-forward does.
     pub feedback: bool,
-    /// Whether the vehicle is off the ground, where it moves by its setpoints alone.
+    /// Whether the vehicle is off the ground, where only its setpoints move it.
     pub aloft: bool,
-    /// What the reference's model expects, while one leads.
+    /// What the reference's model expects, while a trajectory leads.
     pub expected: Option<Expected>,
     /// Seconds into the trajectory, while it is tracked.
     pub trajectory_time: Option<f64>,
-    /// What the state was waiting for.
+    /// The trigger that completes the state, once its condition holds.
     pub reached: Option<(Trigger, &'static str)>,
 }
 
 /// Chooses the reference. The trajectory's origin is the anchor: the place where the vehicle took
-/// off, or last stood, or else the floor of the local frame below it; its axes are the world's.
+/// off or last stood, or else the point of the local frame's floor below it. Its axes are those of
+/// the world.
 pub(super) struct Guidance {
     settings: GuidanceSettings,
-    /// By the vehicle file, and by the trajectory's model, which is believed within reason.
+    /// From the vehicle file, and from the trajectory's model, the latter within 25 % of the
+    /// former.
     weight_n: f64,
     hover_thrust_n: f64,
     trajectory: Box<dyn ReferenceSource + Send>,
-    /// Of the present flight.
+    /// The anchor of the present flight.
     anchor: Option<Ned>,
     /// Where the vehicle was last seen on the ground.
     ground: Option<Ned>,
-    /// The lowest that the vehicle was seen since it began to take off, m down: where the floor is
-    /// by an estimate that wanders.
+    /// The lowest position since take-off began, m down. It shows where the floor is to an estimate
+    /// that wanders.
     lowest_down: f64,
-    /// Share of the horizontal feedback that thrust beyond weight has brought in.
+    /// Share of the horizontal feedback that thrust above weight has faded in.
     lifted: f64,
     state: FlightState,
     entered: VehicleTime,
     segment: Segment,
     held: Option<Reference>,
-    /// How the next sample is to be held, if it is.
+    /// How the next sample sets the hold, if it does.
     latch: Option<Latch>,
     last: Option<Reference>,
     settled_since: Option<VehicleTime>,
@@ -131,17 +134,17 @@ impl Guidance {
         }
     }
 
-    /// Where the trajectory's origin is, once the flight has begun.
+    /// The trajectory's origin, once the flight has begun.
     pub fn anchor(&self) -> Option<Ned> {
         self.anchor
     }
 
-    /// As the reference has it.
+    /// The exponent of thrust over voltage that the reference uses.
     pub fn voltage_exponent(&self) -> f64 {
         self.trajectory.voltage_exponent()
     }
 
-    /// What the thrust that is taken to hold a vehicle of this mass says of it, beside its weight.
+    /// The expectation at rest: hover thrust beyond weight, as an acceleration of `mass_kg`.
     pub fn expected_at_rest(&self, mass_kg: f64) -> Expected {
         let more = (self.hover_thrust_n - self.weight_n) / mass_kg;
         Expected { acceleration: Ned::new(0.0, 0.0, more), ..Expected::default() }
@@ -152,15 +155,13 @@ impl Guidance {
         self.ground
     }
 
-    /// Horizontal distance from a vehicle at `position` to the trajectory's start, if the flight
-    /// began there, m.
+    /// Horizontal distance from `position` to the trajectory's start, if the flight began there, m.
     pub fn start_distance_m(&self, position: Ned) -> f64 {
         let start = self.trajectory.sample(0.0).position + self.anchor_below(position);
         (start.north() - position.north()).hypot(start.east() - position.east())
     }
 
-    /// The reference of this tick.
-    /// The last thrust, N, says that the vehicle lifts off before its height does.
+    /// The reference of this tick. The last thrust, N, shows lift-off before the height does.
     pub fn guide(
         &mut self,
         state: FlightState,
@@ -191,14 +192,14 @@ impl Guidance {
         guided
     }
 
-    /// From the next sample on, hold where that shows the vehicle: the estimate jumped, and the old
-    /// place is no longer where it was.
+    /// Holds where the next sample shows the vehicle. The estimate jumped, and its old coordinates
+    /// now name another place.
     pub fn hold_here(&mut self) {
         self.latch = Some(Latch::Here);
     }
 
-    /// From the next sample on, hold where the vehicle can come to rest: the flight is to stop. A place
-    /// that it has left by the time it stops would call it back as quickly as it came.
+    /// Holds where the vehicle can come to rest, counted from the next sample. A nearer place would
+    /// pull the vehicle back as fast as it came.
     pub fn stop_ahead(&mut self) {
         self.latch = Some(Latch::Ahead);
     }
@@ -260,7 +261,7 @@ impl Guidance {
         self.ground.unwrap_or(Ned::new(position.north(), position.east(), 0.0))
     }
 
-    /// Thrust rises on the ground without feedback, then a minimum-jerk climb.
+    /// Raises thrust on the ground without feedback, then climbs along a minimum-jerk profile.
     fn take_off(&mut self, t: f64, here: &State, last_thrust_n: Option<f64>) -> Guided {
         let s = self.settings;
         self.lowest_down = self.lowest_down.max(here.position.down());
@@ -381,7 +382,7 @@ impl Guided {
     }
 }
 
-/// A straight way from rest to rest, minimum jerk, yaw by the shorter way.
+/// A straight path from rest to rest with a minimum-jerk profile; yaw turns the shorter way.
 #[derive(Clone, Copy, Debug, Default)]
 struct Segment {
     from: Ned,
@@ -398,18 +399,18 @@ enum Latch {
     Ahead,
 }
 
-/// Below the take-off point by no more than this the floor is where it was, m.
+/// Depth below the take-off point that counts as estimator noise, m.
 const FLOOR_NOISE_M: f64 = 0.05;
-/// A vehicle that is to stop does so about this far ahead, in seconds of its velocity: at 3 m/s by a tilt
-/// of 0.4 rad that takes a quarter of a second to come about.
+/// A vehicle that is to stop comes to rest about this far ahead, in seconds of its velocity: at 3
+/// m/s with a tilt of 0.4 rad that takes a quarter of a second to build up.
 const STOPPING_S: f64 = 0.6;
-/// Greatest such distance, m, whatever velocity the vehicle reports.
+/// The greatest stopping distance, m, whatever velocity the vehicle reports.
 const STOPPING_MAX_M: f64 = 2.0;
-/// Thrust beyond weight, over it, at which a vehicle is taken to have left the ground.
+/// Thrust beyond hover thrust, as a share of it, at which the vehicle counts as off the ground.
 const LIFTING_EXCESS: f64 = 0.1;
-/// Shortest way, s.
+/// Shortest duration of a segment, s.
 const SEGMENT_MIN_S: f64 = 1.0;
-/// Peak of the minimum-jerk profile's slope.
+/// Peak slope of the minimum-jerk profile.
 const PEAK_SLOPE: f64 = 15.0 / 8.0;
 
 impl Segment {
@@ -425,7 +426,7 @@ impl Segment {
         self.to - self.from
     }
 
-    /// Position, velocity, yaw and yaw rate at `t`; at rest at the end.
+    /// Position, velocity, yaw and yaw rate at `t`; at rest from the end on.
     fn sample(&self, t: f64) -> (Ned, Ned, f64, f64) {
         let x = (t / self.duration_s).clamp(0.0, 1.0);
         let value = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x);

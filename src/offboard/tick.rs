@@ -1,4 +1,4 @@
-//! What the line saw and decided at one sample.
+//! What the control path saw and decided at one sample.
 
 use vehicle::frame::Ned;
 
@@ -7,39 +7,39 @@ use crate::control::Saturation;
 use crate::setpoint::{Reference, Setpoint, State};
 use crate::supervisor::FlightState;
 
-/// All that one tick saw and decided; what the log records.
+/// Everything that one tick saw and decided, as the log records it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tick {
     /// Host time of the message that fired it.
     pub host: HostTime,
     /// Vehicle time of the state.
     pub vehicle: VehicleTime,
-    /// The state.
+    /// The vehicle's state.
     pub state: State,
-    /// What it is to be.
+    /// The reference that the control law follows.
     pub reference: Reference,
-    /// Where it is wanted: a plan that is made anew in flight leads there.
+    /// Where the vehicle is wanted. A plan that is remade in flight leads there.
     pub desired: Ned,
     /// The reference's input.
     pub feedforward: Setpoint,
-    /// What the control law adds to it, zero on the ground.
+    /// What the control law adds to the feed-forward; zero on the ground.
     pub feedback: Setpoint,
     /// Their sum within limits; `None` where nothing is sent.
     pub setpoint: Option<Setpoint>,
-    /// Limits that were met; none where nothing is sent.
+    /// The limits that were met; none where nothing is sent.
     pub saturation: Saturation,
-    /// Where the flight stands.
+    /// The state of the flight.
     pub phase: FlightState,
     /// Seconds into the trajectory, while it is tracked.
     pub trajectory_time: Option<f64>,
-    /// Distance from where it is wanted, m.
+    /// Distance from `desired`, m.
     pub tracking_error: f64,
-    /// How much later than the quickest messages the state came, s.
+    /// How much longer the state took to arrive than the fastest messages, s.
     pub sample_age: f64,
 }
 
 impl Tick {
-    /// The tick's setpoint was not sent after all.
+    /// Removes the setpoint: it was not sent after all.
     pub fn withhold(&mut self) {
         self.setpoint = None;
         self.saturation = Saturation::default();

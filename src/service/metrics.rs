@@ -28,7 +28,7 @@ impl Page {
     }
 }
 
-/// All metrics of a status that is so old. What is not known is left out.
+/// All metrics of a status of this age. Unknown values are left out.
 pub(super) fn text(status: &Status, changes: u64, age_s: Option<f64>) -> String {
     let mut page = Page(String::new());
     page.family("build_info", "gauge", "Version of the program.");

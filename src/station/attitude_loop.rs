@@ -1,22 +1,22 @@
-//! Which attitude loop the feedback is designed around, by what is known of the vehicle.
+//! The attitude loop that the feedback is designed around, from what is known about the vehicle.
 
 use vehicle::AttitudePd;
 
 use crate::control::AttitudeLoop;
 use crate::link::profile::{AttitudeTargetForm, Profile};
 
-/// Rate loops of autopilots follow a body rate about this quickly, s: roll, pitch, yaw.
+/// Typical time constants of an autopilot's body rate loops, s: roll, pitch, yaw.
 const RATE_TIME_CONSTANT_S: [f64; 3] = [0.05, 0.05, 0.1];
 
-/// An attitude loop that nobody measured is taken to be so much slower than its autopilot's was on
-/// another vehicle. Feedback that counts on a quick loop makes a slow one swing; counting on a slow
-/// one costs some accuracy on a quick one. With this share a loop a third as quick as measured
-/// still flies.
+/// Assumed speed of an unmeasured attitude loop, as a share of the speed measured on another
+/// vehicle with that autopilot. Feedback designed for a fast loop makes a slow one oscillate;
+/// feedback designed for a slow loop costs some accuracy on a fast one. With this share, a loop a
+/// third as fast as measured still flies.
 const UNMEASURED_SHARE: f64 = 0.6;
 
-/// The loop between setpoints in the form that `profile` takes and the vehicle's motion. `pd` is
-/// the on-board loop where the vehicle file has it, `response_rad_s` the setting for one that is
-/// the autopilot's own.
+/// The loop from setpoints, in the form that `profile` takes, to the vehicle's motion. `pd` is the
+/// on-board loop where the vehicle file has one; `response_rad_s` is the setting for an autopilot's
+/// own loop.
 pub(super) fn attitude_loop(
     profile: &Profile,
     pd: Option<AttitudePd>,
@@ -36,7 +36,7 @@ pub(super) fn attitude_loop(
     }
 }
 
-/// What is assumed of the loop, in words, where it is neither known nor set.
+/// What is assumed about a loop that is neither known nor set, as a message.
 pub(super) fn assumption(
     profile: &Profile,
     pd: Option<AttitudePd>,

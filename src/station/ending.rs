@@ -1,4 +1,4 @@
-//! How a station's flight ends.
+//! The end of a station's flight.
 
 use super::Station;
 use crate::clock::HostTime;
@@ -11,11 +11,11 @@ use crate::supervisor::{EngagePolicy, FlightState, Takeover};
 pub enum End {
     /// The flight went from take-off to landing.
     Done,
-    /// The checks before a flight passed, and no flight was asked for.
+    /// The checks before a flight passed, and no flight was requested.
     Checked,
-    /// No vehicle was heard.
+    /// No vehicle was found.
     NoVehicle,
-    /// The vehicle was never flown: preflight, mode or arming refused, with the reason.
+    /// The vehicle did not fly, because preflight, mode or arming failed; with the reason.
     Refused(String),
     /// The flight ended early, with the reason.
     Aborted(String),
@@ -23,7 +23,7 @@ pub enum End {
     LinkLost(String),
     /// The pilot took over.
     PilotTookOver,
-    /// It was asked to stop, and nothing else became of the vehicle.
+    /// It was stopped, and the vehicle came to no other end.
     Stopped,
 }
 
@@ -37,8 +37,8 @@ impl Station {
         }
     }
 
-    /// How it ended, if it has: the commanded flight is over, or what was to stop has stopped. What
-    /// became of the vehicle meanwhile is told before what was asked for.
+    /// How the station ended, if it has: the commanded flight is over, or a requested stop is done.
+    /// The vehicle's own end takes precedence over the requested one.
     pub(super) fn verdict(&self, now: HostTime, state: FlightState) -> Option<End> {
         let is_commanded = self.settings.policy == EngagePolicy::Command;
         let is_airborne =
@@ -52,7 +52,7 @@ impl Station {
         }
         let trouble = || self.last_trouble.clone().unwrap_or_else(|| "no reason given".to_owned());
         match self.over_in {
-            // Who it was shows within a second or so.
+            // The cause shows within a second or so.
             Some(FlightState::PilotControl) => match self.offboard.as_ref()?.takeover()? {
                 Takeover::Pilot { .. } => Some(End::PilotTookOver),
                 Takeover::Failsafe(words) => Some(End::Aborted(words.clone())),

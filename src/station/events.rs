@@ -1,4 +1,4 @@
-//! What the link's session reports: vehicles that come and change, requests that end, clocks that jump.
+//! The session's events: vehicles that appear or change, requests that end, clocks that jump.
 
 use super::{End, Station};
 use crate::clock::HostTime;
@@ -8,7 +8,7 @@ use crate::log::record::Severity;
 use crate::offboard::LinkEvent;
 use crate::supervisor::{EngagePolicy, FlightState};
 
-/// Steps of the vehicle's clock from here on are a warning, ns.
+/// Steps of the vehicle's clock from this size on are a warning, ns.
 const CLOCK_STEP_TOLD_NS: u64 = 100_000_000;
 
 impl Station {
@@ -48,7 +48,7 @@ impl Station {
                 self.tell(now, severity, budget.to_string());
             }
             Event::RoundTrip(time) => {
-                // The first answer tells that what is not signed is taken.
+                // The first answer shows that the vehicle accepts unsigned frames.
                 if !std::mem::replace(&mut self.is_answered, true) {
                     self.check_standing(now);
                 }
@@ -59,7 +59,7 @@ impl Station {
             Event::Disbelieved(why) => self.tell(now, Severity::Warning, why.to_string()),
             Event::ClockJump { by_ns } => {
                 let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);
-                // Smaller steps are those of a simulator whose speed changes.
+                // A simulator whose speed varies makes smaller steps.
                 let is_small = by_ns.unsigned_abs() < CLOCK_STEP_TOLD_NS;
                 let severity = if is_small { Severity::Debug } else { Severity::Warning };
                 self.tell(now, severity, text);
@@ -67,7 +67,8 @@ impl Station {
         }
     }
 
-    /// A vehicle that signs may take nothing that is not signed. Some take it all the same.
+    /// Warns that the vehicle signs and this link does not. Such a vehicle may reject unsigned
+    /// frames, though some accept them.
     pub(super) fn tell_signing(&mut self, now: HostTime) {
         if self.session.is_signed() && !self.session.signs() && !self.is_signing_told {
             self.is_signing_told = true;
@@ -80,7 +81,8 @@ impl Station {
         }
     }
 
-    /// Two autopilots: nothing is armed until the user has chosen one.
+    /// Two autopilots answer: before a flight, nothing flies until the user chooses one; in flight,
+    /// warns.
     pub(super) fn choose(&mut self, now: HostTime, vehicle: VehicleId, other: VehicleId) {
         let why = format!(
             "two autopilots are on this link, {vehicle} and {other}; choose one with --system \

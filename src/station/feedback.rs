@@ -1,4 +1,4 @@
-//! What flies a vehicle whose autopilot is known: the feedback, and the reference as it is followed.
+//! Feedback and reference for a vehicle with a known autopilot.
 
 use std::sync::Arc;
 
@@ -16,11 +16,11 @@ pub(super) struct Feedback {
     pub reference: Arc<dyn ReferenceSource + Send + Sync>,
 }
 
-/// Feedback around the loop of `profile`'s autopilot.
+/// Designs the feedback around the attitude loop of `profile`'s autopilot.
 ///
-/// The bundled vehicle's loop is the paper's, and so is its feedback unless it is set otherwise.
-/// Any other autopilot's is its own, and what the design does not know of it must not stay as an
-/// error.
+/// The bundled vehicle uses the paper's loop, and by default the paper's feedback. Any other
+/// autopilot has its own loop, and the observer and feed-forward keep the unknown part of it from
+/// leaving a steady error.
 pub(super) fn feedback(
     profile: &Profile,
     settings: &StationSettings,
@@ -29,7 +29,7 @@ pub(super) fn feedback(
     let is_own_loop = profile.name != Profile::BUNDLED.name;
     let error =
         if profile.compares_angles { AttitudeError::Angles } else { AttitudeError::Rotation };
-    // By an assumed loop's lag, an attitude would lead too far.
+    // The lag of an assumed loop would make the attitude lead too much.
     let is_known = assumption(profile, *attitude_pd, control.attitude_response_rad_s).is_none();
     let attitude_loop = attitude_loop(profile, *attitude_pd, control.attitude_response_rad_s);
     let controller = Controller::design(&ControlProblem {

@@ -1,5 +1,5 @@
-//! What follows from knowing the vehicle: the feedback that is designed for it, and what its
-//! parameters must be.
+//! What follows from the vehicle's identification: its feedback design, and the checks of its
+//! parameters.
 
 use super::attitude_loop::assumption;
 use super::feedback::{Feedback, feedback};
@@ -15,7 +15,7 @@ use crate::offboard::{Airframe, LinkEvent, OffboardController};
 use crate::parameters::Autopilot;
 use crate::supervisor::{EngagePolicy, ModeMap, PreflightCheck};
 
-/// The parameters that say what the vehicle's motor outputs are and mean: for its logs.
+/// The parameters that define the vehicle's motor outputs, for its log.
 pub(super) fn log_parameters(profile: &Profile) -> Vec<String> {
     let autopilots =
         [(Profile::PX4.name, Autopilot::Px4), (Profile::ARDUCOPTER.name, Autopilot::ArduCopter)];
@@ -24,7 +24,7 @@ pub(super) fn log_parameters(profile: &Profile) -> Vec<String> {
 }
 
 impl Station {
-    /// Now that it is known what the vehicle honours: design the feedback for it.
+    /// Designs the feedback for an identified vehicle.
     pub(super) fn identified(&mut self, now: HostTime, profile: Profile, is_version_known: bool) {
         let mask = profile.attitude_target.type_mask();
         let silent = if is_version_known { "" } else { ", which does not tell its version" };
@@ -37,7 +37,7 @@ impl Station {
         if !is_known {
             self.replace_pilot(now);
         }
-        // The log of a flight that has ended is of the vehicle that was flown.
+        // The log of a flight that has ended describes the vehicle that flew it.
         if self.end.is_none() {
             let facts = [
                 ("autopilot".to_owned(), profile.name.to_owned()),
@@ -77,8 +77,8 @@ impl Station {
         self.check_standing(now);
     }
 
-    /// The vehicle is not flown. A flight by command is over with that; under the pilot's switch
-    /// another vehicle may answer yet.
+    /// Refuses to fly the vehicle. That ends a commanded flight; under the pilot's switch another
+    /// vehicle may still answer.
     fn refuse(&mut self, now: HostTime, why: String) {
         self.offboard = None;
         self.tell(now, Severity::Error, why.clone());
@@ -87,7 +87,7 @@ impl Station {
         }
     }
 
-    /// What flies, or streams, is designed for what another vehicle honours: that is over.
+    /// Ends a flight or stream whose controller was designed for another vehicle.
     fn replace_pilot(&mut self, now: HostTime) {
         let Some(offboard) = &mut self.offboard else { return };
         let state = offboard.flight_state();
@@ -97,8 +97,8 @@ impl Station {
         self.end_flight_of_another(now);
     }
 
-    /// Ends what is recorded of a flight, now that another vehicle answers: before its facts and
-    /// its pilot are there, which have nothing to do with this flight.
+    /// Ends the recording of a flight when another vehicle answers, before that vehicle's facts and
+    /// controller appear in the log.
     pub(super) fn end_flight_of_another(&mut self, now: HostTime) {
         self.is_replaced = true;
         self.follow_pilot(now);
@@ -138,8 +138,8 @@ impl Station {
         )))
     }
 
-    /// What is wrong with the vehicle for this daemon, as preflight checks: its profile's rules about
-    /// its parameters, signing, another autopilot beside it.
+    /// Updates the standing preflight checks: parameters that break a rule of the profile, signing,
+    /// the capacity of a serial line, a second autopilot, the reaction to the loss of this program.
     pub(super) fn check_standing(&mut self, now: HostTime) {
         let (Some(profile), Some(offboard)) = (&self.profile, &mut self.offboard) else { return };
         let known = &offboard.telemetry().status().parameters;
@@ -156,7 +156,8 @@ impl Station {
                 })
             })
             .collect();
-        // One that answers takes what is not signed: what else does not come has another reason.
+        // A vehicle that answers accepts unsigned frames, so anything still missing has another
+        // cause.
         let is_deaf = !self.is_version_known && !self.is_answered;
         if self.session.is_signed() && !self.session.signs() && is_deaf {
             failed.push(PreflightCheck {
@@ -186,7 +187,7 @@ impl Station {
             }
             LossReaction::Unread(_) => return,
         };
-        // Parameters come one by one: an event says what follows from them as it changes.
+        // Parameters arrive one by one: an event reports the reaction each time it changes.
         if self.told_loss.as_ref() != Some(&text) {
             self.told_loss = Some(text.clone());
             self.tell(now, Severity::Info, text);
@@ -219,7 +220,7 @@ fn line_check(budget: &LineBudget, needed_hz: f64) -> Option<PreflightCheck> {
     })
 }
 
-/// The preflight check that something acts when this program vanishes. PX4 acts whatever its
+/// The preflight check that the vehicle reacts when this program vanishes. PX4 reacts whatever its
 /// parameters are.
 fn loss_check(law: LossLaw, reaction: &LossReaction) -> Option<PreflightCheck> {
     let (cure, found) = match reaction {

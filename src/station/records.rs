@@ -1,4 +1,4 @@
-//! What the log records of messages, ticks and the link.
+//! The log's records of messages, ticks and the link.
 
 use message::{Battery, Inbound, MotorSource};
 
@@ -8,7 +8,7 @@ use crate::link::received::Received;
 use crate::log::record::{self, LinkStats, Record, Severity, Source, Stamp};
 use crate::offboard::Tick;
 
-/// What the log keeps of a message beside its frame; of motor outputs, one source.
+/// The record of a message besides its frame. Motor outputs are recorded from one source only.
 pub(super) fn record_of(received: &Received, motors: Option<MotorSource>) -> Option<Record> {
     let stamp = match received.vehicle {
         Some(vehicle) => Stamp::new(received.host, vehicle, received.host),
@@ -52,13 +52,13 @@ pub(super) fn tick_record(tick: &Tick, sampled: HostTime) -> record::Tick {
     }
 }
 
-/// Makes rates of the link's counters.
+/// Computes rates from the link's counters.
 pub(super) struct LinkMeter {
     last: Counts,
     opened: u64,
 }
 
-/// Counters of the last report.
+/// The counters at the last report.
 #[derive(Clone, Copy, Default)]
 struct Counts {
     host: HostTime,
@@ -76,23 +76,23 @@ impl LinkMeter {
         Self { last: Counts { host: now, ..Counts::default() }, opened: 0 }
     }
 
-    /// The endpoint was opened, for the first time or again.
+    /// Counts an opening of the endpoint.
     pub(super) fn opened(&mut self) {
         self.opened += 1;
     }
 
     /// Share of the vehicle's frames that were lost since the last [`LinkMeter::read`]; `None` if
-    /// nothing was heard of it.
+    /// none arrived.
     pub(super) fn loss(&self, stats: &counters::LinkStats) -> Option<f64> {
         let heard = stats.heard.saturating_sub(self.last.heard);
-        // A message that the dialect does not have leaves a gap too. Whose it was is not known: on
-        // a link with strangers that send such messages some losses are passed over.
+        // A message outside the dialect leaves a gap too, and its sender is unknown. On a link with
+        // other senders of such messages, some losses go unnoticed.
         let unknown = stats.received.unknown.saturating_sub(self.last.unknown);
         let lost = stats.lost.saturating_sub(self.last.lost).saturating_sub(unknown);
         (heard > 0).then(|| lost as f64 / (lost as f64 + heard as f64))
     }
 
-    /// The link since the last call.
+    /// The link's statistics since the last call.
     pub(super) fn read(&mut self, now: HostTime, stats: &counters::LinkStats) -> LinkStats {
         let period = now.since(self.last.host).as_secs_f64();
         let rate = |count: u64, before: u64| count.saturating_sub(before) as f64 / period;

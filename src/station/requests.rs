@@ -1,4 +1,4 @@
-//! The offboard controller's actions as requests on the link, and their answers.
+//! The offboard controller's actions as requests on the link, and the answers to them.
 
 use super::Station;
 use super::identification::log_parameters;
@@ -8,7 +8,7 @@ use crate::log::record::{PARAMETER_FACT, Record, Severity};
 use crate::offboard::LinkEvent;
 use crate::supervisor::Action;
 
-/// The request to the vehicle that an action of the offboard controller makes.
+/// The request that carries out an action of the offboard controller.
 pub(super) fn request_of(action: Action) -> Request {
     match action {
         Action::SetModeOffboard => Request::SetMode(FlightMode::Offboard),
@@ -28,7 +28,7 @@ const ACTIONS: [Action; 5] = [
     Action::Disarm,
 ];
 
-/// The action that a request comes from, if the offboard controller made it.
+/// The action behind a request, if the offboard controller made it.
 fn action_of(request: &Request) -> Option<Action> {
     ACTIONS.into_iter().find(|action| request_of(*action) == *request)
 }
@@ -38,7 +38,7 @@ impl Station {
         if let Request::ReadParameter(name) = request
             && self.profile.as_ref().is_some_and(|profile| log_parameters(profile).contains(name))
         {
-            // No vehicle has all of them.
+            // No vehicle has all of these parameters.
             if let (Outcome::Parameter(value), None) = (outcome, &self.end) {
                 let fact = (format!("{PARAMETER_FACT}{name}"), value.to_string());
                 self.records.push(Record::Facts(Box::new([fact].into())));
@@ -61,7 +61,7 @@ impl Station {
         ) {
             return;
         }
-        // Autopilots have only some of these, by their version.
+        // An autopilot has only some of these parameters, depending on its version.
         if let (Request::ReadParameter(name), Some(profile)) = (request, &self.profile)
             && profile.loss.parameters().contains(&name.as_str())
         {

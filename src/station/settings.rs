@@ -1,4 +1,4 @@
-//! What a station is made of.
+//! The settings of a station.
 
 use std::sync::Arc;
 
@@ -13,9 +13,9 @@ use crate::supervisor::EngagePolicy;
 /// What a station needs to fly a vehicle.
 #[derive(Clone)]
 pub struct StationSettings {
-    /// The session.
+    /// The session with the vehicle.
     pub session: session::Settings,
-    /// Settings of the offboard controller's parts.
+    /// The settings of the control path's parts.
     pub offboard: OffboardSettings,
     /// The control law and its settings.
     pub control: ControlSettings,
@@ -23,20 +23,20 @@ pub struct StationSettings {
     pub policy: EngagePolicy,
     /// Effective mass, inertia and gravity.
     pub hover: HoverVehicle,
-    /// Drag over speed along front and right, and along down, as far as it is known, kg/s.
+    /// Drag per speed, kg/s: along front and right, and along down; as far as known.
     pub drag_kg_s: [f64; 2],
     /// Thrust of all rotors at full output, N.
     pub thrust_full_n: f64,
     /// The pack's voltage when full, V.
     pub battery_full_v: f64,
-    /// The on-board loop as it is, whatever of the setpoint it is sent; `None` where it is the
-    /// autopilot's own.
+    /// The on-board attitude loop as a PD law, whatever part of the setpoint is sent to it; `None`
+    /// where it is the autopilot's own.
     pub attitude_pd: Option<AttitudePd>,
-    /// How late the vehicle answers.
+    /// Delay and lag between a setpoint and its effect.
     pub actuation: Actuation,
-    /// What is flown.
+    /// The reference to fly.
     pub reference: Arc<dyn ReferenceSource + Send + Sync>,
-    /// How long no vehicle is heard, at first or since the last word of one, before the search is
-    /// given up, s; `None` waits for ever.
+    /// Time without any vehicle, from the start or from the last message, before the search ends,
+    /// s; `None` waits for ever.
     pub search_timeout_s: Option<f64>,
 }

@@ -1,4 +1,4 @@
-//! What the station shows of itself.
+//! The station's status for display.
 
 use vehicle::frame::Ned;
 
@@ -9,16 +9,16 @@ use crate::clock::HostTime;
 use crate::link::counters::LinkState;
 use crate::supervisor::FlightState;
 
-/// A look at the station for the status line.
+/// A snapshot of the station for the status line.
 #[derive(Clone, Debug, Default)]
 pub struct Status {
-    /// State of the link in words.
+    /// State of the link, as shown to people.
     pub link: &'static str,
     /// The vehicle's autopilot, once identified.
     pub vehicle: Option<&'static str>,
-    /// Where the flight stands.
+    /// The state of the flight.
     pub phase: Option<FlightState>,
-    /// The vehicle's mode word.
+    /// The vehicle's custom mode.
     pub mode: Option<u32>,
     /// The mode's name, where the autopilot's profile has one.
     pub mode_name: Option<&'static str>,
@@ -30,7 +30,7 @@ pub struct Status {
     pub setpoints: u64,
     /// Distance from the reference, m.
     pub tracking_error_m: f64,
-    /// Position, m.
+    /// Position in the vehicle's local frame, m.
     pub position: Ned,
     /// Time along the trajectory and its length, s.
     pub progress: Option<(f64, f64)>,
@@ -38,41 +38,41 @@ pub struct Status {
     pub battery: Option<f64>,
     /// Round trip of the link, s.
     pub round_trip_s: Option<f64>,
-    /// What the link counted.
+    /// The link's frame counters.
     pub counts: LinkCounts,
-    /// When the driver took this look.
+    /// When the driver took this snapshot.
     pub updated: Option<HostTime>,
-    /// Records that the log lacks, because its disk was too slow.
+    /// Records missing from the log because the disk was too slow.
     pub log_dropped: u64,
-    /// Logs that ended by an error.
+    /// Logs that an error ended.
     pub log_failures: u64,
 }
 
-/// Frames by what became of them.
+/// Frames by their fate.
 #[derive(Clone, Debug, Default)]
 pub struct LinkCounts {
-    /// The vehicle's.
+    /// From the vehicle.
     pub heard: u64,
-    /// The vehicle's that were lost on the way.
+    /// From the vehicle, lost on the way.
     pub lost: u64,
-    /// The vehicle's that came again, or late.
+    /// From the vehicle, repeated or late.
     pub repeated: u64,
-    /// The vehicle's that cannot be true.
+    /// From the vehicle, with impossible content.
     pub refused: u64,
-    /// Other senders'.
+    /// From other senders.
     pub foreign: u64,
-    /// Those that were sent.
+    /// Sent.
     pub sent: u64,
-    /// Those that did not leave.
+    /// Failed to leave.
     pub dropped: u64,
-    /// Bytes that are no MAVLink.
+    /// Bytes that are not MAVLink.
     pub unframed_bytes: u64,
-    /// Those without a right signature, by why; none where nothing is signed.
+    /// Rejected for their signature, by reason; none where nothing is signed.
     pub disbelieved: Vec<(Refused, u64)>,
 }
 
 impl Station {
-    /// A look for the status line.
+    /// A snapshot for the status line.
     pub fn status(&self) -> Status {
         let link = match self.session.state() {
             LinkState::Searching => "searching",

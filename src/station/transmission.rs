@@ -1,4 +1,4 @@
-//! What leaves: setpoints that may still be sent, every frame, and the log of both.
+//! Transmission: the setpoints that may still leave, all queued frames, and the log of both.
 
 use wire::transport::Peer;
 
@@ -10,20 +10,20 @@ use crate::link::session;
 use crate::log::record::{Direction, FrameRecord, Record, Severity};
 
 impl Station {
-    /// The answer to a sample, if it may leave now that the rest of the read is known: what was
-    /// heard after the sample may have ended control, or may come from a vehicle that the controller is
-    /// not made for. And whatever the controller makes of what is heard after the end: nothing is sent.
+    /// The answer to a sample, if it may leave once the rest of the read is known. A later message
+    /// may have ended control, or may come from a vehicle that the controller was not designed for.
+    /// After the end, nothing is sent whatever the controller makes of further messages.
     pub(super) fn cleared(&mut self, now: HostTime) -> Option<Cleared> {
         let is_another = self.session.profile().is_some_and(|it| self.profile.as_ref() != Some(it));
         let is_over = self.end.is_some() || is_another || self.is_check;
         if is_over { None } else { self.offboard.as_mut()?.clear(now) }
     }
 
-    /// Gives whether it is on its way.
+    /// Queues a setpoint; returns whether it will be sent.
     pub(super) fn send_setpoint(&mut self, now: HostTime, setpoint: &Cleared) -> bool {
         let sent = self.session.send_setpoint(now, setpoint);
         let before = std::mem::replace(&mut self.setpoint_error, sent.err());
-        // Said once, not at every tick.
+        // An event reports this once, not at every tick.
         if let Err(error) = sent
             && before != Some(error)
         {
@@ -32,10 +32,10 @@ impl Station {
         sent.is_ok()
     }
 
-    /// Gives the frames to send since the last call, each with its peer; `None` is every peer.
-    /// First those that are there, a setpoint above all; then those that follow from what was
-    /// received. `send` says whether the frame left: one that did not is in no log, and its
-    /// setpoint not in that of its tick.
+    /// Passes the frames to send since the last call to `send`, each with its peer; `None` means
+    /// every peer. Queued frames come first, a setpoint before all others, then those that follow
+    /// from received messages. `send` returns whether the frame left. The log omits a frame that
+    /// did not leave, and its tick has no setpoint.
     pub fn transmit(&mut self, now: HostTime, mut send: impl FnMut(Option<Peer>, &[u8]) -> bool) {
         self.send_queued(now, &mut send);
         self.log_ticks();
@@ -45,7 +45,7 @@ impl Station {
 
     fn send_queued(&mut self, now: HostTime, send: &mut impl FnMut(Option<Peer>, &[u8]) -> bool) {
         let Self { session, offboard, records, ticks, setpoints, .. } = self;
-        // Each setpoint's frame answers one of these, in their order.
+        // The setpoint frames answer these ticks, in the same order.
         let mut answered = ticks.iter_mut().filter(|tick| tick.setpoint.is_some());
         session.transmit(|peer, frame| {
             let is_sent = send(peer, frame);
@@ -66,7 +66,7 @@ impl Station {
         });
     }
 
-    /// Ticks to the log, once it is known which setpoints left.
+    /// Records the ticks once it is known which setpoints left.
     fn log_ticks(&mut self) {
         let ticks = std::mem::take(&mut self.ticks);
         for tick in &ticks {

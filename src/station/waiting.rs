@@ -1,4 +1,4 @@
-//! What a flight waits for, in words: within three seconds, and again when that changes.
+//! Messages about what a flight waits for: within three seconds, and again when that changes.
 
 use std::time::Duration;
 
@@ -13,29 +13,29 @@ use crate::log::record::Severity;
 use crate::offboard::OffboardController;
 use crate::supervisor::{EngagePolicy, FlightState, PreflightCheck};
 
-/// How often it is checked.
+/// Period of this check.
 const PERIOD: Duration = Duration::from_millis(100);
-/// A wait that is over by then is not told.
+/// A wait that ends within this time is not reported.
 const PATIENCE: Duration = Duration::from_millis(2500);
-/// What fails for so long, once all telemetry is there, will not mend itself.
+/// A check that has failed for this long, with all telemetry there, will not pass by itself.
 const SETTLED: Duration = Duration::from_millis(300);
 
 /// A reason that ends and comes back within this time is not reported again: it would fill the
 /// screen.
 const QUIET: Duration = Duration::from_secs(3);
 
-/// What is waited for.
+/// What is awaited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Wait {
-    /// A word of a vehicle.
+    /// A message from a vehicle.
     Vehicle,
     /// A mode other than OFFBOARD.
     Release,
-    /// State at a rate.
+    /// The state, at the required rate.
     Telemetry,
-    /// Checks that fail.
+    /// Checks that still fail.
     Checks,
-    /// The pilot's switch, or their arming.
+    /// The pilot's switch, or arming by the pilot.
     Pilot,
 }
 
@@ -45,7 +45,8 @@ impl Wait {
     }
 }
 
-/// Why the flight does not begin: what it is about, which tells whether it is news, and the line.
+/// Why the flight does not begin: the subject, which decides whether the reason is new, and the
+/// message.
 #[derive(Clone, Debug, PartialEq)]
 struct Reason {
     subject: String,
@@ -58,13 +59,13 @@ impl From<Silence> for Reason {
     }
 }
 
-/// Tells each reason once.
+/// Reports each reason once.
 #[derive(Debug)]
 pub(super) struct Waiting {
     due: HostTime,
-    /// What is waited for, and since when.
+    /// What is awaited, and since when.
     wait: Option<(Wait, HostTime)>,
-    /// Since when only checks are.
+    /// Since when only checks are awaited.
     checking: Option<HostTime>,
     /// Reported subjects, and when.
     told: Vec<(String, HostTime)>,
@@ -75,14 +76,14 @@ impl Waiting {
         Self { due: now, wait: None, checking: None, told: Vec::new() }
     }
 
-    /// The lines to tell now, of what is waited for and why.
+    /// The messages to report now, from what is awaited and why.
     fn news(&mut self, now: HostTime, found: Option<(Wait, Vec<Reason>)>) -> Vec<String> {
         let Some((wait, reasons)) = found else {
             (self.wait, self.told) = (None, Vec::new());
             return Vec::new();
         };
-        // What prepares a flight is one wait, whatever it is about, and goes on from the wait for a
-        // vehicle where nothing was said of that.
+        // All preparation for a flight is one wait, whatever its subject. It continues the wait for
+        // a vehicle if that was not reported.
         let since = match self.wait {
             Some((known, since)) if known.is_preparing() == wait.is_preparing() => since,
             Some((Wait::Vehicle, since)) if wait.is_preparing() && self.told.is_empty() => since,
@@ -95,7 +96,7 @@ impl Waiting {
         if now.since(since) < PATIENCE && !is_settled {
             return Vec::new();
         }
-        // What was mended and fails again is news.
+        // A subject that was fixed and fails again is reported again.
         self.told.retain(|(told, at)| {
             now.since(*at) < QUIET || reasons.iter().any(|reason| reason.subject == *told)
         });
@@ -107,7 +108,7 @@ impl Waiting {
 }
 
 impl Station {
-    /// Tells what is waited for, if that is news.
+    /// Reports what is awaited, if that is new.
     pub(super) fn tell_wait(&mut self, now: HostTime) {
         if now < self.waiting.due {
             return;
@@ -129,7 +130,7 @@ impl Station {
             return None;
         }
         if self.session.state() != LinkState::Connected {
-            // In flight the loss of the link has its own words.
+            // In flight, other events report the loss of the link.
             let is_prepared = self.offboard.as_ref().is_some_and(|offboard| {
                 let state = offboard.flight_state();
                 !state.precedes_stream() && !state.is_over()
@@ -137,7 +138,7 @@ impl Station {
             return (!is_prepared)
                 .then(|| (Wait::Vehicle, vec![Silence::of(&self.session, now).into()]));
         }
-        // A vehicle that was just heard has no controller yet: the wait goes on.
+        // A newly found vehicle has no controller yet: the wait continues.
         let Some(offboard) = self.offboard.as_ref() else {
             return Some((Wait::Telemetry, Vec::new()));
         };
@@ -187,7 +188,7 @@ impl Station {
         }
     }
 
-    /// What the link carries, and what could be spared of it.
+    /// The link's load, and what could be dropped from it.
     fn load(&self) -> String {
         let load = self.session.load();
         let stats = self.session.stats();
@@ -254,7 +255,7 @@ impl Station {
     }
 }
 
-/// The checks that fail, of the subjects wanted.
+/// The failed checks whose subject is wanted.
 fn checks(offboard: &OffboardController, is_wanted: impl Fn(&str) -> bool) -> Vec<Reason> {
     let wanted = offboard.failed_checks().iter().filter(|check| is_wanted(&check.subject));
     let reason = |check: &PreflightCheck| Reason {
@@ -264,7 +265,7 @@ fn checks(offboard: &OffboardController, is_wanted: impl Fn(&str) -> bool) -> Ve
     wanted.map(reason).collect()
 }
 
-/// Whether a check can only pass once the state comes.
+/// Whether the check can pass only once the state arrives.
 fn is_of_the_state(subject: &str) -> bool {
     matches!(subject, "telemetry rate" | "state" | "trajectory start")
 }
@@ -297,7 +298,8 @@ mod tests {
         for k in 0..200u32 {
             let now = start + PERIOD * k;
             let found = match k {
-                // 0 to 4 s nothing; then checks, one of which is mended at 6 s and fails at 8 s.
+                // Nothing from 0 to 4 s; then checks, one of which is fixed at 6 s and fails again
+                // at 8 s.
                 0..40 => Some((Wait::Vehicle, vec![reason("silence")])),
                 60..80 => Some((Wait::Checks, vec![reason("b")])),
                 40..100 => Some((Wait::Checks, vec![reason("a"), reason("b")])),

@@ -1,4 +1,4 @@
-//! What the supervisor hands out: requests to the vehicle, and what happened, in words.
+//! The supervisor's output: requests to the vehicle, and events for people.
 
 use serde::Serialize;
 
@@ -9,11 +9,11 @@ use crate::clock::HostTime;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Action {
-    /// Mode in which setpoints are obeyed.
+    /// Select the mode that obeys setpoints.
     SetModeOffboard,
-    /// Mode in which setpoints are not obeyed, so that the vehicle is released.
+    /// Select a mode that ignores setpoints, which releases the vehicle.
     SetModeHold,
-    /// Mode in which the vehicle lands itself.
+    /// Select the mode in which the vehicle lands itself.
     SetModeLand,
     /// Start the motors.
     Arm,
@@ -22,7 +22,7 @@ pub enum Action {
 }
 
 impl Action {
-    /// For people.
+    /// The request as messages name it.
     pub(super) fn in_words(self) -> &'static str {
         match self {
             Self::SetModeOffboard => "OFFBOARD",
@@ -40,22 +40,22 @@ impl Action {
 pub enum Severity {
     /// As planned.
     Info,
-    /// Not as planned, flight goes on.
+    /// Not as planned; the flight goes on.
     Warning,
-    /// Flight ends or does not begin.
+    /// The flight ends or does not begin.
     Error,
 }
 
-/// Something that happened, in words.
+/// Something that happened, described for people.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Event {
-    /// When.
+    /// The time at which the supervisor raised it.
     #[serde(skip)]
     pub host: HostTime,
     /// How much it matters.
     pub severity: Severity,
-    /// State after it.
+    /// State of the flight after the event.
     pub state: FlightState,
-    /// What happened.
+    /// What happened and why.
     pub text: String,
 }

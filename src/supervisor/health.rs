@@ -1,6 +1,6 @@
-//! The parts of a vehicle that SYS_STATUS reports the health of, in words.
+//! Names for the parts whose health SYS_STATUS reports.
 
-/// MAV_SYS_STATUS_SENSOR bits of what a flight by setpoints depends on, and their names.
+/// MAV_SYS_STATUS_SENSOR bits of the parts that a flight by setpoints depends on, and their names.
 const PARTS: [(u32, &str); 9] = [
     (0x01, "gyroscope"),
     (0x02, "accelerometer"),
@@ -13,12 +13,12 @@ const PARTS: [(u32, &str); 9] = [
     (0x0800_0000, "propulsion"),
 ];
 
-/// Those of `bits` that have a name here.
+/// The bits that have a name here.
 pub(super) fn watched(bits: u32) -> u32 {
     bits & PARTS.iter().fold(0, |all, (bit, _)| all | bit)
 }
 
-/// The names of the parts in `bits`.
+/// The names of the parts in `bits`, separated by commas.
 pub(super) fn names(bits: u32) -> String {
     let named = PARTS.iter().filter(|(bit, _)| bits & bit != 0);
     named.map(|(_, name)| *name).collect::<Vec<_>>().join(", ")

@@ -1,4 +1,4 @@
-//! The checks before a flight, in words.
+//! The checks before a flight, and how they read.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use super::EngagePolicy;
 use crate::clock::HostTime;
 use crate::telemetry::Telemetry;
 
-/// What a flight needs before it begins.
+/// What a flight requires before it begins.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PreflightSettings {
@@ -19,27 +19,27 @@ pub struct PreflightSettings {
     pub sample_age_max_s: f64,
     /// Least remaining charge, 0..1, where it is known.
     pub battery_min: f64,
-    /// Parameters of the vehicle that must have a value, with the reason in words.
+    /// Parameters that must have a given value on the vehicle, with the reason.
     pub parameters: Vec<RequiredParameter>,
-    /// Whether a vehicle is refused that would do nothing if this program vanished.
+    /// Whether to refuse a vehicle that would not react if this program vanished.
     pub needs_loss_reaction: bool,
     /// Largest share of the vehicle's frames that the link may lose within a second, 0..1.
     pub link_loss_max: f64,
-    /// Longest round trip of the link, s: setpoints that reach the vehicle later steer it badly.
+    /// Longest round trip of the link, s. Setpoints that reach the vehicle later steer it badly.
     pub round_trip_max_s: f64,
     /// Largest horizontal distance from the vehicle to the trajectory's start, m.
     pub start_distance_max_m: f64,
 }
 
-/// A parameter that the vehicle must have with one value.
+/// A parameter that must have one value on the vehicle.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RequiredParameter {
-    /// Name.
+    /// The name as PARAM_VALUE gives it.
     pub name: String,
-    /// Value.
+    /// The required value.
     pub value: f64,
-    /// Why.
+    /// Why it is required.
     pub reason: String,
 }
 
@@ -58,14 +58,14 @@ impl Default for PreflightSettings {
     }
 }
 
-/// A check that fails: what was expected and what was found.
+/// A failed check: what was expected and what was found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PreflightCheck {
     /// What was checked.
     pub subject: String,
-    /// What would be right.
+    /// What would pass.
     pub expected: String,
-    /// What is there.
+    /// What the vehicle or the link shows.
     pub found: String,
 }
 
@@ -75,20 +75,20 @@ impl fmt::Display for PreflightCheck {
     }
 }
 
-/// How the vehicle stands before a flight.
+/// The situation before a flight, apart from telemetry.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Standing {
-    /// Rate of control, Hz.
+    /// Control rate, Hz.
     pub rate_hz: f64,
-    /// Share of the vehicle's frames that the link lost lately, where known.
+    /// Share of the vehicle's frames that the link lost recently, where known.
     pub link_loss: Option<f64>,
-    /// Round trip of the newest answer, s; `None` where none came lately.
+    /// Round trip of the newest answer, s; `None` where none arrived recently.
     pub round_trip_s: Option<f64>,
     /// Horizontal distance from the vehicle to the trajectory's start, m.
     pub start_distance_m: f64,
-    /// Whether the vehicle is off the ground; `None` where that is not known.
+    /// Whether the vehicle is off the ground; `None` where this is unknown.
     pub airborne: Option<bool>,
-    /// Whether the ground below was seen since this program runs.
+    /// Whether the vehicle was seen on the ground since this program started.
     pub ground_seen: bool,
     /// Who decides that a flight begins.
     pub policy: EngagePolicy,
@@ -96,7 +96,7 @@ pub struct Standing {
     pub take_over: bool,
 }
 
-/// The checks that fail.
+/// Runs the checks and returns those that fail.
 pub fn preflight(
     settings: &PreflightSettings,
     standing: &Standing,

@@ -1,4 +1,4 @@
-//! Faults in flight and what is done about them.
+//! Faults in flight and the reactions to them.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,17 +6,17 @@ use serde::{Deserialize, Serialize};
 use super::table::Trigger;
 use crate::telemetry::LateMessages;
 
-/// What a fault leads to.
+/// The reaction to a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reaction {
-    /// An event says so, and the flight goes on.
+    /// Reports an event; the flight goes on.
     Warn,
-    /// Control stays and holds the present place, then lands.
+    /// Keeps control, holds the present place, then lands.
     Hold,
-    /// The vehicle is asked to land itself.
+    /// Requests that the vehicle land itself.
     Land,
-    /// The stream stops at once, and the vehicle's own offboard-loss failsafe acts.
+    /// Stops the stream at once; the vehicle's own offboard-loss failsafe acts.
     Stop,
 }
 
@@ -39,19 +39,19 @@ pub enum Fault {
     StaleTelemetry,
     /// The estimate jumped.
     TelemetryJump,
-    /// Answers take so long that setpoints must be old when they reach the vehicle.
+    /// The round trip is so long that setpoints are outdated when they reach the vehicle.
     SlowLink,
     /// Too far from the reference for too long.
     TrackingError,
     /// Tilted too far for too long.
     Tilt,
-    /// Outside of the fence.
+    /// Outside the fence.
     Geofence,
     /// The battery is low.
     Battery,
-    /// The vehicle declares a failsafe, and goes on obeying setpoints.
+    /// The vehicle declares a failsafe but still obeys setpoints.
     Failsafe,
-    /// The vehicle no longer vouches for its position, and goes on telling one.
+    /// The vehicle calls its position estimate unhealthy but still sends it.
     PositionLost,
 }
 
@@ -68,59 +68,61 @@ pub(super) const FAULTS: [Fault; 9] = [
     Fault::PositionLost,
 ];
 
-/// Share of the largest distance from the reference by which it is exceeded where nothing is waited
-/// for any more.
+/// Excess over the largest distance from the reference, as a share of it, that is not tolerated for
+/// any time.
 const PATIENCE_ENDS: f64 = 0.5;
 
-/// When a fault is one, and the reaction to each. Link loss has no setting: the stream stops.
+/// The condition and the reaction of each fault. Link loss has no setting: it stops the stream.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SafetySettings {
-    /// Silence of the state that is a fault, s. No setpoint leaves without a fresh sample anyway.
+    /// Age of the state that is a fault, s. No setpoint leaves without a fresh sample anyway.
     pub stale_after_s: f64,
-    /// Reaction: the vehicle lands itself, because nothing here knows where it is.
+    /// Reaction to a stale state: the vehicle lands itself, because the controller does not know
+    /// where it is.
     pub on_stale: Reaction,
-    /// Reaction to a jump of the estimate: the place it is at now is held.
+    /// Reaction to a jump of the estimate: the new position is held.
     pub on_jump: Reaction,
-    /// Longest round trip of a TIMESYNC, s. Only the way to the vehicle can make one long while the
-    /// state is fresh: setpoints are as late then.
+    /// Longest round trip of a TIMESYNC, s. While the state is fresh, only the path to the vehicle
+    /// can lengthen it, and setpoints take as long.
     pub round_trip_max_s: f64,
-    /// Time for which answers take longer than that, s.
+    /// Time above that round trip, s.
     pub round_trip_for_s: f64,
-    /// Reaction: the vehicle lands itself.
+    /// Reaction to a slow link: the vehicle lands itself.
     pub on_slow_link: Reaction,
-    /// Distance from the reference, m.
+    /// Largest distance from the reference, m.
     pub tracking_error_max_m: f64,
-    /// Time beyond that distance, s; less the further beyond, and none at half as much again.
+    /// Time beyond that distance, s. It shrinks with the excess and is zero at 1.5 times the
+    /// distance.
     pub tracking_error_for_s: f64,
-    /// Reaction.
+    /// Reaction to a distance beyond the limit.
     pub on_tracking_error: Reaction,
-    /// Tilt, rad.
+    /// Largest tilt, rad.
     pub tilt_max_rad: f64,
     /// Time beyond that tilt, s.
     pub tilt_for_s: f64,
-    /// Reaction.
+    /// Reaction to a tilt beyond the limit.
     pub on_tilt: Reaction,
-    /// Horizontal distance from the anchor, m.
+    /// Largest horizontal distance from the anchor, m.
     pub fence_radius_m: f64,
-    /// Height above the anchor, m.
+    /// Largest height above the anchor, m.
     pub fence_height_m: f64,
-    /// Reaction.
+    /// Reaction outside the fence.
     pub on_geofence: Reaction,
-    /// Remaining charge, 0..1.
+    /// Least remaining charge, 0..1.
     pub battery_min: f64,
-    /// Time below that charge, s: a report can be wrong for a moment.
+    /// Time below that charge, s. A single report can be wrong.
     pub battery_for_s: f64,
-    /// Reaction, also where the vehicle itself calls its battery critical.
+    /// Reaction to a low charge, also where the vehicle calls its battery critical.
     pub on_battery: Reaction,
-    /// Time for which the vehicle stays in OFFBOARD after it declared a failsafe, s.
+    /// Time for which the vehicle stays in OFFBOARD after it declares a failsafe, s.
     pub failsafe_for_s: f64,
-    /// Reaction.
+    /// Reaction to a declared failsafe.
     pub on_failsafe: Reaction,
-    /// Time for which the vehicle calls its position estimate unhealthy that it called healthy
-    /// before, s. What it tells then drifts away by metres, and feedback would follow.
+    /// Time for which the vehicle calls a position estimate unhealthy that it called healthy
+    /// before, s. Such an estimate drifts by metres, and feedback would follow it.
     pub position_lost_for_s: f64,
-    /// Reaction.
+    /// Reaction to an unhealthy position estimate.
     pub on_position_lost: Reaction,
 }
 
@@ -153,22 +155,22 @@ impl Default for SafetySettings {
     }
 }
 
-/// What the faults are judged by; NaN counts as beyond every limit.
+/// The quantities that faults are judged by. NaN counts as beyond every limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FlightCondition<'a> {
     /// Age of the newest sample, s.
     pub sample_age_s: f64,
-    /// Messages since that sample which came too late to be one.
+    /// Messages since that sample which arrived too late to count as one.
     pub late: LateMessages,
-    /// Whether the estimate jumped since the last look.
+    /// Whether the estimate jumped since the last observation.
     pub jumped: bool,
-    /// Round trip of the newest answer, s; `None` where none came lately.
+    /// Round trip of the newest answer, s; `None` where none arrived recently.
     pub round_trip_s: Option<f64>,
-    /// Whether setpoints lately may not have reached the vehicle.
+    /// Whether setpoints may recently not have reached the vehicle.
     pub was_unheard: bool,
     /// Distance from the reference, m.
     pub tracking_error_m: f64,
-    /// rad
+    /// Tilt from level, rad.
     pub tilt_rad: f64,
     /// Horizontal distance from the anchor, m.
     pub radius_m: f64,
@@ -180,7 +182,7 @@ pub struct FlightCondition<'a> {
     pub battery_critical: bool,
     /// The failsafe that the vehicle declared since control began.
     pub failsafe: Option<&'a str>,
-    /// Whether the vehicle calls its position estimate unhealthy that it called healthy before.
+    /// Whether the vehicle calls its position estimate unhealthy after it called it healthy.
     pub position_lost: bool,
 }
 
@@ -205,7 +207,7 @@ impl SafetySettings {
         }
     }
 
-    /// Seconds for which the condition must hold.
+    /// Time for which the condition must hold before the reaction, s.
     pub(super) fn dwell_s(&self, fault: Fault, c: &FlightCondition) -> f64 {
         match fault {
             Fault::SlowLink => self.round_trip_for_s,
@@ -218,8 +220,8 @@ impl SafetySettings {
         }
     }
 
-    /// Share of its time that a distance from the reference is waited for: all of it at the limit,
-    /// none at half as much again. What is swept away by metres a second is not coming back.
+    /// Share of `tracking_error_for_s` to wait: all of it at the limit, none at 1.5 times the
+    /// limit. A vehicle that drifts off at metres per second is not coming back.
     fn patience(&self, tracking_error_m: f64) -> f64 {
         let beyond = tracking_error_m / self.tracking_error_max_m - 1.0;
         if beyond.is_nan() { 1.0 } else { (1.0 - beyond / PATIENCE_ENDS).clamp(0.0, 1.0) }
@@ -240,9 +242,9 @@ impl SafetySettings {
         }
     }
 
-    /// Share of its time that a vehicle which the fault lands is brought to rest for by feedback: none
-    /// where the state, the attitude or the way to the vehicle is in doubt, or where feedback has not kept
-    /// the vehicle near its reference although the vehicle heard it.
+    /// Share of `land_brake_s` for which feedback may brake a vehicle that the fault lands. It is 0
+    /// where the state, the attitude or the path to the vehicle is in doubt, or where the vehicle
+    /// received its setpoints and feedback still did not keep it near the reference.
     pub(super) fn brake_share(&self, fault: Fault, c: &FlightCondition) -> f64 {
         match fault {
             Fault::StaleTelemetry

@@ -1,49 +1,49 @@
-//! How long the flight's states may last.
+//! The time limits of the flight states.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Times of the flight's states.
+/// Time limits and waits of the flight states.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SupervisorSettings {
-    /// Silence of the link that is a loss, s.
+    /// Silence of the vehicle that counts as a lost link, s.
     pub link_lost_after_s: f64,
-    /// Time for which another mode must have been seen before streaming, s.
+    /// Time for which another mode must be seen before streaming, s.
     pub release_s: f64,
-    /// Time to be ready for a flight when one was commanded, s.
+    /// Time limit from a commanded flight to readiness, s.
     pub ready_timeout_s: f64,
-    /// Hold streamed before OFFBOARD is asked for, s.
+    /// Time for which a hold is streamed before OFFBOARD is requested, s.
     pub stream_before_engage_s: f64,
-    /// Time for the mode to read OFFBOARD, s.
+    /// Time limit for the mode to read OFFBOARD, s.
     pub engage_timeout_s: f64,
-    /// Time for the motors to be armed when the daemon arms, s.
+    /// Time limit for the motors to be armed by the controller, s.
     pub arm_timeout_s: f64,
-    /// Time for the pilot to arm after the switch to OFFBOARD on the ground, s.
+    /// Time limit for the pilot to arm after the switch to OFFBOARD on the ground, s.
     pub pilot_arm_timeout_s: f64,
-    /// Whether a vehicle that others fly may be taken over in the air: by a commanded flight, or at
-    /// the pilot's switch where the ground below was never seen. Heights then count from the origin
-    /// of the vehicle's local frame.
+    /// Whether the controller may take over a vehicle in the air that someone else flies: by a
+    /// commanded flight, or at the pilot's switch where the ground below was never seen. Heights
+    /// then count from the origin of the vehicle's local frame.
     pub take_over: bool,
-    /// Time for take-off, and for the approach, s.
+    /// Time limit for take-off, and for the approach, s.
     pub take_off_timeout_s: f64,
-    /// Time for landing, s.
+    /// Time limit for landing, s.
     pub land_timeout_s: f64,
-    /// Longest time for which a vehicle that moves is brought to rest before it is asked to land, s.
-    /// One that lands while it moves means to stop further on; where the ground stops it before,
-    /// ArduCopter leans towards that place, and never takes itself for landed. Where a fault says
-    /// that feedback must not be trusted, landing is asked for at once.
+    /// Longest time for which a moving vehicle is braked before it is asked to land, s. A vehicle
+    /// that lands while moving aims to stop further on. If the ground stops it earlier, ArduCopter
+    /// leans towards that place and never considers itself landed. Where a fault makes feedback
+    /// unreliable, landing is requested at once.
     pub land_brake_s: f64,
-    /// Time that control goes on after asking for landing, until the vehicle has taken over, s.
+    /// Time for which control continues after the request to land, until the vehicle takes over, s.
     pub land_handover_s: f64,
     /// Hold after the trajectory or after a fault, s.
     pub hold_s: f64,
-    /// Time on the ground after which disarming is asked for, s.
+    /// Time on the ground after which disarming is requested, s.
     pub disarm_after_s: f64,
-    /// Time for which a landing vehicle lies still at the height of the ground before it counts as
-    /// landed though it does not report that, s.
+    /// Time for which a landing vehicle must be at rest at ground height before it counts as landed
+    /// without reporting it, s.
     pub rest_s: f64,
-    /// Requests without effect are repeated this often, s.
+    /// Interval at which requests without effect are repeated, s.
     pub retry_s: f64,
 }
 

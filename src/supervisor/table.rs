@@ -1,27 +1,27 @@
-//! The table of transitions.
+//! The table of transitions between the states of a flight.
 
 use serde::Serialize;
 
 use FlightState::*;
 use Trigger as On;
 
-/// Where a flight stands.
+/// The state of a flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FlightState {
-    /// Nothing was heard from the vehicle, or not for long.
+    /// Nothing was received from the vehicle, or not for too long.
     Connect,
-    /// Silent until the mode in force, and the intended one, read something other than OFFBOARD.
+    /// Silent until the present and the intended mode read something other than OFFBOARD.
     AwaitRelease,
-    /// Telemetry is not fresh or too slow.
+    /// Telemetry is stale or too slow.
     AwaitTelemetry,
-    /// The checks before a flight.
+    /// Runs the checks before a flight.
     Preflight,
     /// Streams a hold that follows the vehicle; not in control.
     Standby,
-    /// Asks for OFFBOARD and reads the mode back.
+    /// Requests OFFBOARD and reads the mode back.
     Engage,
-    /// In OFFBOARD; asks for arming, or waits for the pilot to arm.
+    /// In OFFBOARD; requests arming, or waits for the pilot to arm.
     Arm,
     /// Spins up and climbs to the trajectory's start height.
     TakeOff,
@@ -33,7 +33,7 @@ pub enum FlightState {
     Hold,
     /// The vehicle lands itself.
     Land,
-    /// On the ground; waits for the motors to stop, then asks for it.
+    /// On the ground; waits for the motors to stop, and after a while requests it.
     Disarm,
     /// The flight is over as planned.
     Done,
@@ -43,29 +43,29 @@ pub enum FlightState {
     PilotControl,
 }
 
-/// What moves a flight on.
+/// The cause of a transition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Trigger {
-    /// A message of the vehicle came.
+    /// A message from the vehicle arrived.
     VehicleHeard,
-    /// Nothing was heard for too long, or the vehicle restarted or is another.
+    /// The vehicle was silent for too long, restarted, or was replaced by another.
     LinkLost,
     /// Mode and intended mode have read something other than OFFBOARD for a while.
     Released,
-    /// The mode reads OFFBOARD, or is intended to, though it was not asked for.
+    /// The mode, or the intended mode, reads OFFBOARD without a request.
     OffboardFound,
-    /// Samples are fresh and quick enough.
+    /// Samples are fresh and frequent enough.
     TelemetryReady,
     /// Samples stopped coming.
     TelemetryLost,
-    /// Every preflight check passed, and a flight is wanted.
+    /// Every preflight check passes, and a flight is wanted.
     PreflightPassed,
-    /// The hold was streamed for long enough, and the daemon is to ask for OFFBOARD.
+    /// The hold was streamed for long enough, and the controller may request OFFBOARD.
     StreamEstablished,
     /// The mode reads OFFBOARD.
     OffboardRead,
-    /// The mode reads something that the daemon did not ask for.
+    /// The mode reads something that the controller did not request.
     ModeChanged,
     /// The motors are armed, on the ground.
     Armed,
@@ -83,15 +83,15 @@ pub enum Trigger {
     HoldDone,
     /// The vehicle is on the ground.
     Landed,
-    /// The state took too long.
+    /// The state exceeded its time limit.
     TimedOut,
-    /// A fault asks for a hold.
+    /// A fault calls for a hold.
     HoldNow,
-    /// A fault asks for landing.
+    /// A fault calls for a landing.
     LandNow,
-    /// A fault asks for silence.
+    /// A fault calls for silence.
     StopNow,
-    /// A flight is asked for, explicitly.
+    /// A command requests a flight.
     EngageAsked,
 }
 
@@ -142,12 +142,12 @@ pub const TRIGGERS: [Trigger; 23] = [
     On::EngageAsked,
 ];
 
-/// States, a trigger, and the state that follows. What is not here changes nothing.
+/// Present states, a trigger, and the next state. A combination without a row changes nothing.
 type Row = (&'static [FlightState], Trigger, FlightState);
 
 #[rustfmt::skip]
 const TABLE: &[Row] = &[
-    // Towards a flight, silent.
+    // Towards a flight, in silence.
     (&[Connect],                                    On::VehicleHeard,      AwaitRelease),
     (&[AwaitRelease],                               On::Released,          AwaitTelemetry),
     (&[AwaitTelemetry],                             On::TelemetryReady,    Preflight),
@@ -156,7 +156,7 @@ const TABLE: &[Row] = &[
     (&[Preflight],                                  On::PreflightPassed,   Standby),
     (&[Standby],                                    On::ModeChanged,       AwaitRelease),
     (&[AwaitRelease, AwaitTelemetry, Preflight],    On::TimedOut,          Abort),
-    // Streaming a hold, to control.
+    // From a streamed hold to control.
     (&[Standby],                                    On::StreamEstablished, Engage),
     (&[Standby, Engage],                            On::OffboardRead,      Arm),
     (&[Engage, Arm],                                On::TimedOut,          Abort),
@@ -192,11 +192,11 @@ const TABLE: &[Row] = &[
     (&[Done, Abort, PilotControl],                  On::EngageAsked,       AwaitRelease),
 ];
 
-/// What follows on each trigger in one state.
+/// The next state for each trigger in one state.
 type Successors = [Option<FlightState>; TRIGGERS.len()];
 
-/// The table by state and trigger. Every tick asks for several triggers of one state, which are
-/// side by side here.
+/// The table by state and trigger. Every tick looks up several triggers of one state, which are
+/// adjacent here.
 static SUCCESSORS: [Successors; STATES.len()] = {
     let mut successors = [[None; TRIGGERS.len()]; STATES.len()];
     let mut row = 0;
@@ -213,7 +213,7 @@ static SUCCESSORS: [Successors; STATES.len()] = {
 };
 
 impl FlightState {
-    /// The state that follows on `trigger`, if it changes anything.
+    /// The next state on `trigger`, or `None` where the trigger changes nothing.
     pub fn next(self, trigger: Trigger) -> Option<FlightState> {
         SUCCESSORS[self as usize][trigger as usize]
     }
@@ -240,13 +240,13 @@ impl FlightState {
         }
     }
 
-    /// Whether setpoints may be streamed: a hold before control, control, and landing while the
-    /// vehicle has not taken over yet.
+    /// Whether setpoints may be streamed: a hold before control, control, and a landing until the
+    /// vehicle has taken over.
     pub fn may_stream(self) -> bool {
         self == Standby || self == Engage || self == Land || self.is_in_control()
     }
 
-    /// Whether a flight is prepared: the vehicle is heard, and not ready yet.
+    /// Whether a flight is being prepared: the vehicle is connected but not ready yet.
     pub fn is_preparing(self) -> bool {
         matches!(self, AwaitRelease | AwaitTelemetry | Preflight)
     }
@@ -256,7 +256,7 @@ impl FlightState {
         matches!(self, Connect | AwaitRelease | AwaitTelemetry | Preflight)
     }
 
-    /// Whether the daemon flies the vehicle: OFFBOARD was read back.
+    /// Whether the controller flies the vehicle: OFFBOARD was read back.
     pub fn is_in_control(self) -> bool {
         matches!(self, Arm | TakeOff | Approach | Track | Hold)
     }
@@ -266,7 +266,7 @@ impl FlightState {
         matches!(self, Done | Abort | PilotControl)
     }
 
-    /// Whether the daemon flies the vehicle off the ground.
+    /// Whether the controller flies the vehicle off the ground.
     pub fn is_flying(self) -> bool {
         self.is_in_control() && self != Arm
     }

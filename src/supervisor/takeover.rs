@@ -1,7 +1,7 @@
-//! Who ended control by a change of the mode: the pilot, or the vehicle's own failsafe.
+//! Who ended control by a mode change: the pilot, or the vehicle's own failsafe.
 //!
-//! Control ends at once in either case. Who it was often shows only afterwards, because CURRENT_MODE
-//! tells a mode before HEARTBEAT and STATUSTEXT tell a failsafe.
+//! Control ends at once in either case. The cause often shows only afterwards, because CURRENT_MODE
+//! reports a mode before HEARTBEAT and STATUSTEXT report a failsafe.
 
 use std::time::Duration;
 
@@ -9,9 +9,9 @@ use super::ModeMap;
 use crate::clock::HostTime;
 use crate::telemetry::VehicleStatus;
 
-/// Within this the vehicle tells that it was a failsafe: HEARTBEAT comes once a second.
+/// Time within which the vehicle reports a failsafe: HEARTBEAT arrives once a second.
 const SETTLING: Duration = Duration::from_millis(1200);
-/// A text about a failsafe may come this much earlier than the mode.
+/// A text about a failsafe may arrive this much earlier than the mode.
 const TEXT_AHEAD: Duration = Duration::from_secs(3);
 
 /// Who ended control.
@@ -22,11 +22,11 @@ pub enum Takeover {
         /// The mode's name.
         mode: String,
     },
-    /// The vehicle's failsafe, in words.
+    /// The vehicle's failsafe, as a message for people.
     Failsafe(String),
 }
 
-/// A change of the mode that ended control.
+/// A mode change that ended control.
 #[derive(Clone, Debug)]
 pub(super) struct ModeTaken {
     at: HostTime,
@@ -38,12 +38,12 @@ impl ModeTaken {
         Self { at, by: None }
     }
 
-    /// Who it was, once that is known.
+    /// The cause, once it is known.
     pub fn by(&self) -> Option<&Takeover> {
         self.by.as_ref()
     }
 
-    /// Looks at what the vehicle says since; gives who it was when that becomes known.
+    /// Evaluates what the vehicle reported since, and returns the cause when it becomes known.
     pub fn settle(
         &mut self,
         now: HostTime,

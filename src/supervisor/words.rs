@@ -1,4 +1,4 @@
-//! Why the flight moves on, in words.
+//! The reasons for transitions, as events give them.
 
 use super::{EngagePolicy, FlightState, Observation, Supervisor, Trigger};
 use crate::telemetry::VehicleStatus;
@@ -56,7 +56,7 @@ impl Supervisor {
         status.mode.map_or_else(|| "not known".to_owned(), |mode| self.modes.name(mode))
     }
 
-    /// The mode that ended control, or an offer of it.
+    /// Why control, or an offer of it, ends, naming the mode.
     pub(super) fn control_ends(&self, status: &VehicleStatus) -> String {
         let mode = self.mode_name(status);
         match self.state {
@@ -65,7 +65,7 @@ impl Supervisor {
         }
     }
 
-    /// What did not come about in time.
+    /// What did not happen in time.
     fn timed_out(&self, seen: &Observation) -> String {
         let what = match self.state {
             FlightState::AwaitRelease => "the vehicle is in OFFBOARD, or its mode is not known; \
@@ -103,7 +103,7 @@ impl Supervisor {
     }
 }
 
-/// What is left to do where the motors did not stop.
+/// What the operator has to do if the motors did not stop.
 fn still_armed(status: &VehicleStatus) -> &'static str {
     if status.armed == Some(true) { "; it is still armed: disarm it by hand" } else { "" }
 }

@@ -1,35 +1,35 @@
-//! Why telemetry is not acted upon.
+//! Why telemetry is rejected.
 
-/// Telemetry that was not acted upon, and why.
+/// Why a state message was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum TelemetryFault {
-    /// NaN, infinite, or a quaternion that is not a rotation.
+    /// A value is NaN or infinite, or a quaternion does not have unit length.
     #[error("telemetry with a value that is not finite")]
     NotFinite,
-    /// A stamp that is not after the one before.
+    /// The stamp is not later than the one before.
     #[error("telemetry out of order or twice")]
     OutOfOrder,
-    /// It waited somewhere on its way.
+    /// The message waited on its way.
     #[error("telemetry {seconds:.3} s late")]
     Late {
-        /// Beyond the least delay.
+        /// Delay beyond the minimum.
         seconds: f64,
     },
-    /// The position or velocity is not where it was heading.
+    /// The position or velocity is not where its motion led.
     #[error("position estimate jumped by {metres:.2} m or its velocity by {metres_per_s:.2} m/s")]
     PositionJump {
-        /// Step beyond what velocity explains.
+        /// Step beyond what the velocity explains.
         metres: f64,
         /// Step of the velocity.
         metres_per_s: f64,
     },
-    /// The position goes elsewhere than its velocity, step by step.
+    /// The position departs from its velocity, step by step.
     #[error("position estimate slid by {metres:.2} m beside its velocity")]
     PositionSlide {
-        /// Of late, beyond what velocity explains.
+        /// Recent distance beyond what the velocity explains.
         metres: f64,
     },
-    /// The attitude is not where it was turning to.
+    /// The attitude is not where its rotation led.
     #[error("attitude estimate jumped by {radians:.2} rad")]
     AttitudeJump {
         /// Step beyond what the body rate explains.
@@ -38,7 +38,7 @@ pub enum TelemetryFault {
     /// The vehicle repeats one state in flight.
     #[error("the state has been told unchanged for {seconds:.2} s")]
     Frozen {
-        /// For how long.
+        /// Time without a change.
         seconds: f64,
     },
     /// ODOMETRY.reset_counter changed.
@@ -47,20 +47,20 @@ pub enum TelemetryFault {
     /// The vehicle's clock stepped forward.
     #[error("the vehicle's clock jumped by {seconds:.1} s")]
     ClockJump {
-        /// Beyond the host's time passed.
+        /// Step beyond the host's elapsed time.
         seconds: f64,
     },
     /// The vehicle's clock went back: it restarted.
     #[error("the vehicle restarted: its clock went back by {seconds:.1} s")]
     Reboot {
-        /// By how much.
+        /// Step backwards.
         seconds: f64,
     },
 }
 
 impl TelemetryFault {
-    /// Whether the estimate is no longer the one that control was relying on, rather than one
-    /// message being of no use.
+    /// Whether the estimate that control relied on is no longer valid, rather than one message
+    /// being of no use.
     pub fn is_jump(&self) -> bool {
         !matches!(
             self,

@@ -1,19 +1,19 @@
-//! Messages of the state that waited on their way too long to be acted upon.
+//! State messages that arrived too late to act on.
 
 use std::fmt;
 use std::time::Duration;
 
 use crate::clock::HostTime;
 
-/// An event reports them at most this often.
+/// Shortest time between events that report them.
 const TELL_PERIOD: Duration = Duration::from_secs(2);
 
-/// How many came late, and by how much.
+/// Number and delay of late messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LateMessages {
-    /// How many.
+    /// Number of late messages.
     pub count: u32,
-    /// The latest of them, s beyond the delay of the quickest.
+    /// The longest delay beyond that of the fastest messages, s.
     pub worst_s: f64,
 }
 
@@ -31,10 +31,10 @@ impl LateMessages {
     }
 }
 
-/// Counts them, for the judgement of the state and for telling.
+/// Counts late messages, for the judgement of the state and for events.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Lateness {
-    /// Since the last sample.
+    /// Late messages since the last sample.
     pub(super) since_sample: LateMessages,
     untold: LateMessages,
     told: Option<HostTime>,
@@ -46,7 +46,7 @@ impl Lateness {
         self.untold.count(seconds);
     }
 
-    /// What is to be told now.
+    /// The late messages to report now, if a report is due.
     pub(super) fn take(&mut self, now: HostTime) -> Option<LateMessages> {
         let is_due = self.told.is_none_or(|told| now.since(told) >= TELL_PERIOD);
         if self.untold.count == 0 || !is_due {

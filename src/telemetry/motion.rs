@@ -1,20 +1,20 @@
-//! Position and attitude from one message to the next: what motion explains, and what only a jump
-//! of the estimate does.
+//! Position and attitude between messages: what motion explains, and what only a jump of the
+//! estimate does.
 
 use vehicle::frame::{Attitude, Frd, Ned};
 
 use super::{TelemetryFault, TelemetrySettings};
 use crate::clock::VehicleTime;
 
-/// Largest acceleration that a jump is not, m/s^2, and angular acceleration, rad/s^2.
+/// Largest accelerations that motion explains, m/s^2, and rad/s^2 for rotation.
 const ACCELERATION_MAX: f64 = 40.0;
 const ANGULAR_ACCELERATION_MAX: f64 = 200.0;
-/// Time over which a position may leave where its velocity leads, s.
+/// Time constant for which a departure of position from velocity is remembered, s.
 const SLIDE_TIME_S: f64 = 0.5;
-/// A slide that was found goes on for as long as a part of what makes one is found again, as a share.
-/// What remains of it is then no more than a step of the size of a jump.
+/// After a slide was found, it continues while this share of the threshold is exceeded again. The
+/// remainder is then no larger than a step of jump size.
 const GOES_ON_SHARE: f64 = 0.25;
-/// After a longer pause between two messages nobody knows where velocity led meanwhile, s.
+/// After a longer gap between messages, the motion during the gap is unknown, s.
 const SLIDE_GAP_MAX_S: f64 = 0.1;
 
 #[derive(Clone, Copy, Debug)]
@@ -32,19 +32,21 @@ pub(super) struct Turn {
 }
 
 impl Pose {
-    /// Whether all but the stamps is the same.
+    /// Whether all values except the stamps are equal.
     pub fn is_like(&self, other: &Self) -> bool {
         (self.position, self.velocity) == (other.position, other.velocity)
     }
 
-    /// By how much `now` is beside where the mean of both velocities leads, m.
+    /// Distance of `now` from where the mean of both velocities leads, m.
     fn beside(&self, now: &Self) -> Ned {
         let dt = now.stamp.seconds_since(self.stamp);
         now.position - self.position - (self.velocity + now.velocity) * (0.5 * dt)
     }
 
+    /// Checks the step to `now`.
+    ///
     /// # Errors
-    /// A step to `now` that no acceleration of a quadrotor explains.
+    /// A step that no acceleration of a quadrotor explains.
     pub fn jump(&self, now: &Self, limits: &TelemetrySettings) -> Result<(), TelemetryFault> {
         let dt = now.stamp.seconds_since(self.stamp);
         let metres = self.beside(now).norm();
@@ -59,13 +61,15 @@ impl Pose {
 }
 
 impl Turn {
-    /// Whether all but the stamps is the same.
+    /// Whether all values except the stamps are equal.
     pub fn is_like(&self, other: &Self) -> bool {
         (self.attitude, self.body_rate) == (other.attitude, other.body_rate)
     }
 
+    /// Checks the rotation to `now`.
+    ///
     /// # Errors
-    /// A step to `now` of more than `limit` rad that no angular acceleration of a quadrotor explains.
+    /// A step of more than `limit` rad that no angular acceleration of a quadrotor explains.
     pub fn jump(&self, now: &Self, limit: f64) -> Result<(), TelemetryFault> {
         let dt = now.stamp.seconds_since(self.stamp);
         let mean = (self.body_rate + now.body_rate) * 0.5;
@@ -77,7 +81,7 @@ impl Turn {
     }
 }
 
-/// `attitude` after turning at a constant `body_rate` for `dt` seconds.
+/// `attitude` after a rotation at constant `body_rate`, rad/s, for `dt` seconds.
 pub(super) fn carried(attitude: Attitude, body_rate: Frd, dt: f64) -> Attitude {
     let angle = body_rate.norm() * dt;
     if angle == 0.0 {
@@ -88,20 +92,22 @@ pub(super) fn carried(attitude: Attitude, body_rate: Frd, dt: f64) -> Attitude {
     attitude.compose(Attitude { w: cos, x, y, z }).normalized()
 }
 
-/// How far the position has gone beside its own velocity of late, m: the steps that velocity does
-/// not explain, each forgotten with [`SLIDE_TIME_S`]. A velocity that is off by `e` leaves
-/// `e * SLIDE_TIME_S` of it, and so does an estimate that slides to another place at `e`, in steps
-/// too small for a jump.
+/// Recent departure of the position from its own velocity, m: the sum of the steps that velocity
+/// does not explain, each decaying with [`SLIDE_TIME_S`]. A velocity error `e` adds up to
+/// `e * SLIDE_TIME_S`. So does an estimate that slides to another place at `e`, in steps too small
+/// for a jump.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Slide {
     beside: Ned,
-    /// When one was found last.
+    /// When a slide was last found.
     found: Option<VehicleTime>,
 }
 
 impl Slide {
+    /// Adds the step from `before` to `now`.
+    ///
     /// # Errors
-    /// A slide faster than `limits` have it; the next begins there.
+    /// A slide faster than `limits` allow; the sum then restarts at zero.
     pub fn advance(
         &mut self,
         before: &Pose,
@@ -129,8 +135,8 @@ impl Slide {
 mod tests {
     use super::*;
 
-    /// Positions of an estimate that moves at `speed` m/s in truth, by its velocity at
-    /// `speed - error`, `rate_hz` times a second: when a slide was found, s.
+    /// Times, s, at which a slide is found in an estimate whose true motion is `speed` m/s, and
+    /// whose reported velocity is `speed - error`, at `rate_hz`.
     fn found(rate_hz: f64, seconds: f64, error: impl Fn(f64) -> f64) -> Vec<f64> {
         let (speed, limits) = (3.0, TelemetrySettings::default());
         let (mut slide, mut before, mut east, mut found) =
@@ -156,7 +162,7 @@ mod tests {
             let slides = |t: f64| if (2.0..2.5).contains(&t) { 10.0 } else { 0.0 };
             let times = found(rate_hz, 5.0, slides);
             assert!((2.0..2.2).contains(&times[0]), "{rate_hz} Hz: {times:?}");
-            // It goes on being one until it stands still: the last is where it ends.
+            // The slide continues until the position stands still; the last report marks its end.
             let last = times[times.len() - 1];
             assert!((2.45..2.7).contains(&last), "{rate_hz} Hz: {times:?}");
         }
@@ -164,7 +170,7 @@ mod tests {
 
     #[test]
     fn a_velocity_that_is_off_as_an_estimators_is_none() {
-        // As much as PX4's simulation shows over half a second.
+        // As large as in PX4's simulation over half a second.
         for rate_hz in [20.0, 100.0, 250.0] {
             let wander = |t: f64| 1.2 * (2.0 * std::f64::consts::PI * 0.2 * t).sin();
             assert!(found(rate_hz, 20.0, wander).is_empty(), "{rate_hz} Hz");

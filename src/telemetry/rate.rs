@@ -1,29 +1,29 @@
-//! The rate of a stream, measured by its stamps.
+//! The rate of a stream, from its stamps.
 
 use std::collections::VecDeque;
 
 use crate::clock::VehicleTime;
 
-/// The rate is a mean over this time, s, so that a pause of a few periods, which a busy vehicle or
-/// link makes, does not pass for a slower stream.
+/// The window of the mean rate, s. It is long enough that a pause of a few periods on a busy
+/// vehicle or link does not look like a slower stream.
 const WINDOW_S: f64 = 1.0;
-/// And over this many stamps, where so many take longer.
+/// The window holds at least this many stamps, even where they take longer.
 const STAMPS_MIN: usize = 32;
-/// Most stamps that are kept; a stream that is quicker has a shorter window.
+/// The window holds at most this many stamps; a faster stream has a shorter window.
 const STAMPS_MAX: usize = 1024;
-/// Intervals that must have been seen.
+/// Intervals required before a rate is given.
 const INTERVALS_MIN: usize = 5;
-/// Silence of a stream, s, after which it does not count as one.
+/// Silence after which a stream counts as stopped, s.
 const SILENT_S: f64 = 0.2;
 
-/// Counts a stream's stamps.
+/// Measures the rate of a stream from its stamps.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RateMeter {
     stamps: VecDeque<VehicleTime>,
 }
 
 impl RateMeter {
-    /// Another message.
+    /// Counts a message.
     pub fn count(&mut self, stamp: VehicleTime) {
         while self.stamps.len() >= STAMPS_MIN
             && (self.stamps.len() == STAMPS_MAX
@@ -34,7 +34,7 @@ impl RateMeter {
         self.stamps.push_back(stamp);
     }
 
-    /// Mean rate over the newest stamps, 0 until enough came.
+    /// Mean rate over the window, 0 until enough messages arrived.
     pub fn hz(&self) -> f64 {
         match (self.stamps.front(), self.stamps.back()) {
             (Some(first), Some(last)) if self.stamps.len() > INTERVALS_MIN => {
@@ -44,7 +44,7 @@ impl RateMeter {
         }
     }
 
-    /// Whether nothing has come for a while before `now`, or ever.
+    /// Whether the stream is silent at `now`, or nothing arrived yet.
     pub fn is_silent(&self, now: VehicleTime) -> bool {
         self.stamps.back().is_none_or(|last| now.seconds_since(*last) > SILENT_S)
     }

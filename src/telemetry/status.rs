@@ -1,4 +1,4 @@
-//! What is known about the vehicle beside its state.
+//! What is known about the vehicle besides its state.
 
 use std::time::Duration;
 
@@ -8,46 +8,46 @@ use crate::clock::HostTime;
 use crate::link::received::Received;
 use crate::parameters::Parameters;
 
-/// The newest of each of the vehicle's slow messages.
+/// The content of the vehicle's slow messages, newest values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VehicleStatus {
-    /// When the newest message of any kind came.
+    /// When the newest message of any kind arrived.
     pub heard: Option<HostTime>,
     /// Whether the motors are armed; `None` before the first heartbeat.
     pub armed: Option<bool>,
-    /// When HEARTBEAT last said so.
+    /// When HEARTBEAT last reported `armed`.
     pub armed_heard: Option<HostTime>,
     /// When the motors were last stopped.
     pub disarmed: Option<HostTime>,
-    /// Mode in force, of HEARTBEAT or CURRENT_MODE, whichever is newer.
+    /// Present mode, from HEARTBEAT or CURRENT_MODE, whichever is newer.
     pub mode: Option<u32>,
     /// Since when the mode is known.
     pub mode_since: Option<HostTime>,
-    /// When the vehicle last told its mode; `None` where what it told may be old.
+    /// When the vehicle last reported its mode; `None` where that report may be outdated.
     pub mode_heard: Option<HostTime>,
-    /// When the mode in force last became another.
+    /// When the present mode last changed.
     pub mode_changed: Option<HostTime>,
-    /// The mode that was asked for last; only CURRENT_MODE says it.
+    /// The mode that was last requested of the vehicle; only CURRENT_MODE reports it.
     pub intended_mode: Option<u32>,
     /// On the ground or in the air.
     pub landed: LandedState,
-    /// The pack.
+    /// The pack's charge and voltage.
     pub battery: Battery,
     /// MAV_SYS_STATUS_SENSOR bits that are enabled but not healthy.
     pub unhealthy: u32,
-    /// Whether the vehicle calls its position estimate healthy, by SYS_STATUS; `None` where it has not
-    /// since it was not in use, or never.
+    /// Whether SYS_STATUS calls the position estimate healthy. `None` if it never did, or not since
+    /// the estimate was last out of use.
     pub position_healthy: Option<bool>,
-    /// What HEARTBEAT says of the vehicle as a whole.
+    /// The vehicle's overall state from HEARTBEAT.
     pub system: SystemState,
-    /// The newest text by which the vehicle declares a failsafe that it has not cleared since, and
-    /// when it came.
+    /// The newest text that declares a failsafe which the vehicle has not cleared since, and its
+    /// arrival.
     pub failsafe: Option<(HostTime, String)>,
-    /// Parameters that were read, by name.
+    /// The parameters read so far, by name.
     pub parameters: Parameters,
-    /// The newest text of severity warning or worse, and when it came.
+    /// The newest text of severity warning or worse, and its arrival.
     pub warning: Option<(HostTime, String)>,
-    /// When the vehicle was heard again after a silence.
+    /// When the vehicle's last silence ended.
     silence_ended: Option<HostTime>,
 }
 
@@ -76,31 +76,32 @@ impl Default for VehicleStatus {
     }
 }
 
-/// A pause of everything that the vehicle sends which may hide a change of its mode.
+/// Silence of the whole vehicle that may hide a mode change.
 const SILENCE: Duration = Duration::from_millis(500);
-/// HEARTBEAT tells the mode once a second, and two in a row may be lost.
+/// HEARTBEAT reports the mode once a second, and two in a row may be lost.
 const MODE_AGE_MAX: Duration = Duration::from_millis(2500);
-/// PX4 returns to the mode chosen before arming when it disarms. CURRENT_MODE tells the mode up to
-/// a second before HEARTBEAT tells that the motors stopped.
+/// PX4 returns to the mode chosen before arming when it disarms. CURRENT_MODE reports the mode up
+/// to a second before HEARTBEAT reports that the motors stopped.
 const RETURN_AHEAD: Duration = Duration::from_secs(2);
-/// Where HEARTBEAT comes first, CURRENT_MODE follows with the vehicle's next word of it.
+/// Where HEARTBEAT is first, the next CURRENT_MODE follows within this time.
 const RETURN_AFTER: Duration = Duration::from_millis(800);
 
-/// MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL: PX4's local position estimate, enabled wherever it is not
-/// healthy. ArduCopter's position controller: healthy and enabled where it runs, neither where Guided
-/// obeys setpoints, which says nothing of the position. ArduCopter leaves Guided itself.
+/// MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL. PX4 uses it for its local position estimate, and sets
+/// it as enabled wherever the estimate is unhealthy. ArduCopter uses it for its position
+/// controller: healthy and enabled while that runs, neither while Guided obeys setpoints, which
+/// says nothing about the position. ArduCopter leaves Guided by itself.
 const POSITION: u32 = 0x4000;
 
 /// MAV_SEVERITY_WARNING; smaller numbers are worse.
 const WARNING: u8 = 4;
 
 impl VehicleStatus {
-    /// For how long nothing was heard, s; infinite before the first message.
+    /// Time since the last message, s; infinite before the first.
     pub fn silence_s(&self, now: HostTime) -> f64 {
         self.heard.map_or(f64::INFINITY, |heard| now.since(heard).as_secs_f64())
     }
 
-    /// Takes what the message says.
+    /// Takes the content of a message.
     pub(super) fn update(&mut self, received: &Received) {
         let now = received.host;
         if received.message == Inbound::DoubtfulMode {
@@ -155,7 +156,7 @@ impl VehicleStatus {
         self.mode_since.get_or_insert(now);
     }
 
-    /// Both autopilots call a failsafe by that word, when it begins and when it is over.
+    /// Both autopilots use the word "failsafe" when one begins and when it ends.
     fn update_failsafe(&mut self, now: HostTime, text: &str) {
         let words = text.to_lowercase();
         if !words.contains("failsafe") {
@@ -165,21 +166,21 @@ impl VehicleStatus {
         self.failsafe = (!is_over).then(|| (now, text.to_owned()));
     }
 
-    /// Whether the mode in force is known: told lately, and later than the last silence began. The
-    /// pilot may have changed a mode that is older.
+    /// Whether the present mode is known: reported recently, and since the last silence ended. The
+    /// pilot may have changed an older one.
     pub fn knows_mode(&self, now: HostTime) -> bool {
         self.mode_heard.is_some_and(|heard| {
             now.since(heard) <= MODE_AGE_MAX && self.silence_ended.is_none_or(|end| heard >= end)
         }) && self.is_heard(now)
     }
 
-    /// Whether the vehicle was heard within the last half second.
+    /// Whether a message arrived within the last half second.
     pub fn is_heard(&self, now: HostTime) -> bool {
         self.heard.is_some_and(|heard| now.since(heard) <= SILENCE)
     }
 
-    /// Whether the mode in force came with the stop of the motors: the autopilot's own return to an
-    /// earlier choice, not an act of the pilot.
+    /// Whether the present mode came with the stop of the motors: the autopilot's own return to an
+    /// earlier mode, not an act of the pilot.
     pub fn mode_came_with_disarming(&self) -> bool {
         let (Some(disarmed), Some(changed)) = (self.disarmed, self.mode_changed) else {
             return false;
@@ -187,8 +188,8 @@ impl VehicleStatus {
         disarmed.since(changed) <= RETURN_AHEAD && changed.since(disarmed) <= RETURN_AFTER
     }
 
-    /// The failsafe that the vehicle has been in since `since`, in its words where it has some;
-    /// `None` where it is in none.
+    /// The failsafe that the vehicle has declared since `since`, in its own words where it has
+    /// some; `None` where there is none.
     pub fn failsafe_since(&self, since: HostTime) -> Option<&str> {
         match &self.failsafe {
             Some((at, text)) if *at >= since => Some(text),
@@ -196,12 +197,12 @@ impl VehicleStatus {
         }
     }
 
-    /// The mode that was told last may be old: nothing is commanded on it.
+    /// Marks the last reported mode as possibly outdated: nothing is commanded on it.
     pub(super) fn doubt_mode(&mut self) {
         self.mode_heard = None;
     }
 
-    /// Forgets what may have changed while nothing was heard.
+    /// Forgets what may have changed during a silence.
     pub(super) fn forget_mode(&mut self) {
         (self.mode, self.intended_mode, self.armed) = (None, None, None);
         (self.mode_heard, self.armed_heard) = (None, None);

@@ -1,4 +1,4 @@
-//! The file's on-board loop against the one that the log's parameters state.
+//! The file's on-board loop compared with the one that the log's parameters state.
 
 use vehicle::{AttitudeCascade, VehicleParams};
 
@@ -7,11 +7,11 @@ use crate::log::import::Flight;
 use crate::parameters::Parameters;
 use crate::vehicle_init::{Draft, Measured};
 
-/// Share by which a gain may differ: the file's are rounded.
+/// Share by which a gain may differ, because the file's gains are rounded.
 const TOLERANCE: f64 = 0.02;
 
-/// The loop that the log's parameters make of the file's rotors, where they state one and the file
-/// has one.
+/// Compares the file's loop with the loop that the log's parameters give for the file's rotors.
+/// `None` where either is missing.
 pub(super) fn held(flight: &Flight, vehicle: &VehicleParams) -> Option<Held> {
     let own = vehicle.attitude_cascade.as_ref()?;
     let parameters = Parameters::from(flight.facts.parameters.clone());
@@ -62,7 +62,7 @@ pub(super) fn held(flight: &Flight, vehicle: &VehicleParams) -> Option<Held> {
     })
 }
 
-/// The gains that decide how the loop answers, with their names.
+/// The gains that decide the loop's response, with their names.
 fn triples(cascade: &AttitudeCascade) -> [(&'static str, [f64; 3]); 5] {
     [
         ("angle_p_per_s", cascade.angle_p_per_s),

@@ -1,4 +1,4 @@
-//! The mean of the rotors' vertical thrust against the weight.
+//! The rotors' mean vertical thrust compared with the weight.
 
 use std::ops::Range;
 
@@ -9,12 +9,13 @@ use vehicle::frame::Frd;
 use super::{Held, Verdict, blocks, brief};
 use crate::log::import::Flight;
 
-/// Share by which the mean may differ: what a pack's sag and a curve that is not modelled do.
+/// Share by which the mean may differ, for the pack's sag and an unmodelled thrust curve.
 const TOLERANCE: f64 = 0.08;
-/// Samples of a block at least.
+/// Fewest samples of a block.
 const SAMPLES_MIN: usize = 20;
 
-/// Over a block the vertical thrust is `m (g - dv/dt)` on average, with v the velocity down.
+/// Compares over blocks, where the mean vertical thrust is `m (g - dv/dt)`, with v the velocity
+/// down.
 pub(super) fn held(flight: &Flight, spans: &[Range<f64>], vehicle: &VehicleParams) -> Held {
     let weight = vehicle.mass * vehicle.gravity;
     let full: f64 = vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
@@ -61,7 +62,7 @@ pub(super) fn held(flight: &Flight, spans: &[Range<f64>], vehicle: &VehicleParam
     }
 }
 
-/// Mean vertical thrust by the outputs over what the motion needed.
+/// Mean vertical thrust according to the outputs, over the thrust that the motion required.
 fn ratio(flight: &Flight, block: &Range<f64>, vehicle: &VehicleParams) -> Option<f64> {
     let curve = vehicle.modelled_effects.get::<ThrustCurve>();
     let (mut sum, mut count) = (0.0, 0);

@@ -1,4 +1,4 @@
-//! The motors' outputs against the range that the file, or the autopilot's parameters, give them.
+//! The motors' outputs compared with their range from the file or the autopilot's parameters.
 
 use std::ops::Range;
 
@@ -7,14 +7,14 @@ use vehicle::VehicleParams;
 use super::{Held, Verdict, brief};
 use crate::log::import::{Flight, MotorUnit};
 
-/// Share of the time in the air at an end of the range, above which the range is doubted.
+/// Share of the time in the air at an end of the range, above which the range is doubtful.
 const AT_AN_END: f64 = 0.05;
-/// So near to an end of the range is at it.
+/// Distance to an end of the range that counts as at the end.
 const END: f64 = 1e-3;
 /// Share of the range by which the file's may differ from the autopilot's.
 const RANGE_SHARE: f64 = 0.02;
 
-/// `flight` as it was logged, and as `shares` of the range.
+/// Compares the outputs of `flight` as logged, and as `shares` of the range.
 pub(super) fn held(
     flight: &Flight,
     shares: &Flight,

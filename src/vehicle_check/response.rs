@@ -1,4 +1,4 @@
-//! How quickly the vehicle turns to its setpoints, against what the file's loop and inertia predict.
+//! The vehicle's speed of response to its setpoints, compared with the file's loop and inertia.
 
 use std::ops::Range;
 
@@ -9,32 +9,35 @@ use super::{Held, Verdict, blocks, brief};
 use crate::learn::alignment::interpolated;
 use crate::log::import::{AttitudeSetpoint, Flight, SetpointSource};
 
-/// Step of the predicted answer, s.
+/// Step of the predicted response, s.
 const FINE_S: f64 = 1e-3;
-/// Its length, s: the slowest loop that is told has come to rest.
+/// Length of the predicted response, s: the slowest loop comes to rest within it.
 const LENGTH_S: f64 = 12.0;
-/// Step at which the log is looked at, s.
+/// Step at which the log is sampled, s.
 const STEP_S: f64 = 0.02;
-/// How far back a setpoint counts, s.
+/// Longest memory of a setpoint, s.
 const MEMORY_S: f64 = 3.0;
-/// Slowest and quickest answer that are tried, over what is predicted, and how many between.
+/// Least and greatest time scale of the response that are tried, relative to the prediction, and
+/// the number of scales.
 const SCALES: [f64; 2] = [0.25, 4.0];
 const SCALES_TRIED: usize = 49;
-/// A setpoint that is older is none, s: autopilots log theirs at 10 Hz and more.
+/// Age above which a setpoint is missing, s: autopilots log theirs at 10 Hz and more.
 const SETPOINT_AGE_MAX_S: f64 = 0.3;
-/// Share by which the time may differ: an autopilot's own filters and delays are not all in a file.
+/// Share by which the time may differ: a file does not contain all of an autopilot's filters and
+/// delays.
 const TOLERANCE: f64 = 0.25;
-/// The delay of setpoints from the ground is mostly an estimate in a vehicle file, good to this, s.
+/// Accuracy of the delay of setpoints from the ground, s: it is mostly an estimate in a vehicle
+/// file.
 const DELAY_KNOWN_S: f64 = 0.05;
-/// Root mean square of the setpoint's motion that shows a loop, rad.
+/// Root mean square of the setpoint's motion required to show a loop, rad.
 const MOVES_MIN: [f64; 3] = [0.026, 0.026, 0.052];
-/// Share of the motion that the answer must explain to be one.
+/// Share of the motion that the response must explain.
 const EXPLAINED_MIN: f64 = 0.5;
-/// Blocks of which chance is told at least.
+/// Fewest blocks that show the chance variation.
 const BLOCKS_MIN: usize = 3;
-/// Share of a setpoint at which it is called followed.
+/// Share of a setpoint's step that counts as followed.
 const FOLLOWED: f64 = 0.632;
-/// Axes as they are named.
+/// Names of the axes.
 const AXES: [&str; 3] = ["roll", "pitch", "yaw"];
 
 /// The loop of a vehicle file about one axis, near hover.
@@ -44,18 +47,18 @@ enum Loop<'a> {
     Cascade(&'a AttitudeCascade),
 }
 
-/// The angle's answers about one axis, every [`FINE_S`].
+/// The angle's responses about one axis, every [`FINE_S`].
 struct Answer {
-    /// To a step of the desired angle by 1.
+    /// To a unit step of the desired angle.
     attitude: Vec<f64>,
-    /// To a step of the desired rate by 1 for the first instant, over its length: 1/s times s.
+    /// To a unit impulse of the desired rate: 1/s times s.
     rate: Vec<f64>,
 }
 
 impl Answer {
-    /// `is_shaped` says that the setpoints of the log are what an autopilot shaped of those that it
-    /// was sent, as ArduCopter's own log has them: it follows them without shaping them again, and
-    /// feeds their rate forward.
+    /// `is_shaped` means that the log's setpoints are the autopilot's own, after shaping, as in
+    /// ArduCopter's log. The loop follows them without shaping them again, and feeds their rate
+    /// forward.
     fn of(vehicle: &VehicleParams, axis: usize, is_shaped: bool) -> Option<Self> {
         let unshaped = vehicle
             .attitude_cascade
@@ -67,17 +70,17 @@ impl Answer {
             (None, None, None) => return None,
         };
         let mut attitude = simulated(law, vehicle, axis, 1.0, 0.0);
-        // The answer to a step of the rate, by its differences.
+        // The impulse response to the rate, from the differences of the step response.
         let ramp = simulated(law, vehicle, axis, 0.0, 1.0);
         let rate: Vec<f64> = ramp.windows(2).map(|pair| (pair[1] - pair[0]) / FINE_S).collect();
         if unshaped.is_some() {
-            // The rate of a step is an impulse.
+            // The rate of an angle step is an impulse.
             attitude.iter_mut().zip(&rate).for_each(|(angle, forward)| *angle += forward);
         }
         attitude.iter().all(|angle| angle.is_finite()).then_some(Self { attitude, rate })
     }
 
-    /// When a step is followed, s.
+    /// Time until a step is followed, s.
     fn followed_s(&self) -> Option<f64> {
         let at = self.attitude.iter().position(|angle| *angle >= FOLLOWED)?;
         Some(at as f64 * FINE_S)
@@ -89,8 +92,8 @@ impl Answer {
     }
 }
 
-/// The angle under constant desired angle and rate, from rest: rigid body, rotors of first order,
-/// the loop without its bounds.
+/// The angle under constant desired angle and rate, from rest: rigid body, first-order rotors, the
+/// loop without its saturation of rate and torque.
 fn simulated(law: Loop, vehicle: &VehicleParams, axis: usize, angle: f64, rate: f64) -> Vec<f64> {
     let inertia = vehicle.inertia[axis];
     let damping = vehicle.angular_damping_nms.map_or(0.0, |nms| nms[axis]);
@@ -131,7 +134,7 @@ fn simulated(law: Loop, vehicle: &VehicleParams, axis: usize, angle: f64, rate: 
         .collect()
 }
 
-/// What was asked and flown about one axis, every [`STEP_S`] of one span.
+/// Desired and flown angle about one axis, every [`STEP_S`] of one span.
 struct Track {
     start: f64,
     asked: Vec<f64>,
@@ -139,7 +142,7 @@ struct Track {
     flown: Vec<f64>,
 }
 
-/// One sentence an axis; none where the file has no loop.
+/// Compares each axis, one sentence for each; empty where the file has no loop.
 pub(super) fn held(flight: &Flight, spans: &[Range<f64>], vehicle: &VehicleParams) -> Vec<Held> {
     let (delay, known) = match flight.setpoint_source {
         SetpointSource::Ground => (vehicle.command_delay_s, DELAY_KNOWN_S),
@@ -220,7 +223,7 @@ fn of_axis(
             ..held
         };
     }
-    // The jackknife over blocks, of the scale's logarithm.
+    // Jackknife over blocks, of the logarithm of the scale.
     let without: Vec<f64> = (0..count).map(|block| least(&costs, Some(block)).0.ln()).collect();
     let n = count as f64;
     let mean = without.iter().sum::<f64>() / n;
@@ -266,7 +269,7 @@ fn about_mean(values: &[f64]) -> f64 {
     values.iter().map(|value| (value - mean).powi(2)).sum()
 }
 
-/// What an answer at one speed leaves, by block.
+/// Residuals of the response at one time scale, by block.
 struct Costs {
     scale: f64,
     left: Vec<f64>,
@@ -274,11 +277,13 @@ struct Costs {
 }
 
 impl Costs {
-    /// The file's answer, slower by `scale`: `theta = sum of S(t/scale)'s steps times the asked`.
+    /// The residuals of the file's response S stretched in time by `scale`: theta is the desired
+    /// angle convolved with the steps of S(t/scale).
     fn at(scale: f64, answer: &Answer, tracks: &[Track]) -> Self {
         let taps = (MEMORY_S / STEP_S) as usize;
         let step = |k: usize| Answer::at(&answer.attitude, k as f64 * STEP_S / scale);
-        // What the memory ends before is there at once: nothing is lost of a steady setpoint.
+        // The response beyond the memory goes to the last tap, so a steady setpoint keeps its full
+        // response.
         let mut kernel: Vec<f64> = (0..taps).map(|k| step(k + 1) - step(k)).collect();
         let rest = 1.0 - kernel.iter().sum::<f64>();
         if let Some(last) = kernel.last_mut() {
@@ -303,7 +308,7 @@ impl Costs {
     }
 }
 
-/// The scale that leaves least, without one of the blocks, and what it leaves.
+/// The scale with the least residual, without one of the blocks, and that residual.
 fn least(costs: &[Costs], without: Option<usize>) -> (f64, f64) {
     let sum = |costs: &Costs| -> f64 {
         let kept = costs.left.iter().enumerate().filter(|(block, _)| Some(*block) != without);
@@ -315,7 +320,7 @@ fn least(costs: &[Costs], without: Option<usize>) -> (f64, f64) {
     if best == 0 || best + 1 >= sums.len() {
         return (costs[best].scale, sums[best]);
     }
-    // The parabola through the least and its neighbours.
+    // The parabola through the minimum and its neighbours.
     let [before, at, after] = [sums[best - 1], sums[best], sums[best + 1]];
     let bend = before - 2.0 * at + after;
     let shift = if bend > 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
@@ -342,8 +347,8 @@ impl Track {
     }
 }
 
-/// What was asked and flown about `axis` in `span`: pieces in which the log has a setpoint, not older
-/// than [`SETPOINT_AGE_MAX_S`], and the attitude.
+/// Desired and flown angle about `axis` in `span`, in pieces where the log has the attitude and a
+/// setpoint no older than [`SETPOINT_AGE_MAX_S`].
 fn tracks(
     flight: &Flight,
     span: &Range<f64>,
@@ -372,7 +377,7 @@ fn tracks(
         let Some(piece) = pieces.last_mut() else { continue };
         let heading = flown.yaw();
         let angle = |attitude: Attitude, turn: Option<&f64>| match axis {
-            // The direction of the thrust about the vehicle's own heading.
+            // The direction of the thrust relative to the vehicle's own heading.
             0 | 1 => tilted(attitude, heading)[axis],
             _ => turn.map_or(attitude.yaw(), |turn| turn + wrap_angle(attitude.yaw() - turn)),
         };
@@ -391,7 +396,7 @@ fn tracks(
     pieces
 }
 
-/// Roll and pitch, about a heading, of an attitude's thrust.
+/// Roll and pitch of an attitude's thrust direction, relative to a heading.
 fn tilted(attitude: Attitude, heading: f64) -> [f64; 2] {
     let [north, east, down] = attitude.to_world(Frd::new(0.0, 0.0, 1.0)).to_array();
     let (sin, cos) = heading.sin_cos();

@@ -5,17 +5,17 @@ use vehicle::BatteryParams;
 use super::{Draft, GRAVITY, Given, Layout, Measured, Tolerance};
 use crate::parameters::{Autopilot, Parameters, RotorFact};
 
-/// Distances of a rotor from the centre that are taken for metres, m.
+/// Distances of a rotor from the centre that are plausible in metres, m.
 const ARMS: std::ops::RangeInclusive<f64> = 0.02..=0.8;
-/// PX4's own values of what nobody has set.
+/// PX4's defaults.
 const PX4_HOVER: f64 = 0.5;
 const PX4_TORQUE_RATIO: f64 = 0.05;
-/// ArduCopter's.
+/// ArduCopter's default.
 const ARDUCOPTER_HOVER: f64 = 0.35;
-/// Moment of inertia over mass times arm squared, about front and right, and about down: of
-/// published quadrotors 0.16 to 0.31, and about twice that.
+/// Moment of inertia over mass times arm squared, about front and right, and about down. Published
+/// quadrotors have 0.16 to 0.31, and about twice that.
 const INERTIA_SHARES: [f64; 3] = [0.25, 0.25, 0.45];
-/// Their spread.
+/// Spread of these shares.
 const INERTIA_SPREAD: f64 = 0.4;
 /// Drag torque over thrust and diameter of small propellers, and its spread.
 const TORQUE_RATIO: f64 = 0.07;
@@ -84,12 +84,12 @@ pub(super) fn draft(source: &str, parameters: &Parameters, measured: &Measured) 
     }
 }
 
-/// Where the rotors are.
+/// The rotors' places.
 struct Placed {
-    /// Front, right and down of each, m; `None` where nothing says it.
+    /// Front, right and down of each, m; `None` where no source gives it.
     positions: Option<Given<[[f64; 3]; 4]>>,
     spins: Given<[i8; 4]>,
-    /// The place of each in words.
+    /// The place of each, for people.
     order: [String; 4],
 }
 
@@ -97,12 +97,12 @@ struct Read<'a> {
     parameters: &'a Parameters,
     measured: &'a Measured,
     autopilot: Option<Autopilot>,
-    /// Whether the SIH_* parameters are of this vehicle.
+    /// Whether the SIH_* parameters describe this vehicle.
     is_simulated: bool,
 }
 
 impl Read<'_> {
-    /// What was measured, else what the parameters of a simulated vehicle say.
+    /// The measurement, or else the parameter of a simulated vehicle.
     fn one(&self, measured: Option<f64>, flag: &str, simulated: &str) -> Option<Given<f64>> {
         let measured = measured.map(|value| Given::stated(value, format!("measured ({flag})")));
         measured.or_else(|| {
@@ -163,7 +163,7 @@ impl Read<'_> {
         }
     }
 
-    /// Where nothing says it: the order that PX4 and ArduPilot have in common.
+    /// The order that PX4 and ArduPilot share, where no parameters give it.
     fn usual_rotors(&self) -> ([RotorFact; 4], &'static str) {
         let rotor = |front: f64, right: f64, spin: i8| RotorFact { front, right, spin };
         match self.measured.layout {
@@ -221,7 +221,7 @@ impl Read<'_> {
         {
             return Some(Given::stated(torque / thrust, "SIH_Q_MAX over SIH_T_MAX"));
         }
-        // The magnitude that PX4 starts with is none of this vehicle's.
+        // PX4's default magnitude says nothing about this vehicle.
         let stated = self.parameters.number("CA_ROTOR0_KM").map(f64::abs);
         if let Some(ratio) = stated.filter(|ratio| (ratio - PX4_TORQUE_RATIO).abs() > 1e-6) {
             return Some(Given::stated(ratio, "CA_ROTOR0_KM").within(0.2));
@@ -253,7 +253,7 @@ impl Read<'_> {
         }
         let thrust = weight / (4.0 * hover);
         let from = format!("the weight hovers at {} of full thrust ({from})", tidy(hover));
-        // What the autopilot starts with is none of this vehicle's.
+        // The autopilot's default says nothing about this vehicle.
         if usual.is_some_and(|usual| (usual - hover).abs() < 1e-6) {
             let from = format!("{from}: the autopilot's default, which this vehicle need not have");
             return Some(Given::estimate(thrust, Tolerance::Share(0.3), from));
@@ -300,7 +300,7 @@ impl Read<'_> {
     }
 }
 
-/// Without the digits that a 32-bit float and its arithmetic leave.
+/// Removes the digits that come from a 32-bit float and its arithmetic.
 pub(super) fn tidy(value: f64) -> f64 {
     if value == 0.0 || !value.is_finite() {
         return value;

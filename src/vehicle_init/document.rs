@@ -8,8 +8,8 @@ use super::body::tidy;
 use super::{AIR_DENSITY, Draft, GRAVITY, Given, Tolerance, Wanting};
 
 impl Draft {
-    /// The text of the vehicle file: what each number is and where it comes from. Keys that nothing
-    /// is known of are there as comments, which say how to measure them.
+    /// The text of the vehicle file, with the meaning and source of each number. Unknown keys are
+    /// comments that say how to measure them.
     pub fn to_toml(&self) -> String {
         let mut page = Page::default();
         self.head(&mut page);
@@ -104,7 +104,7 @@ impl Draft {
         page.comment("The on-board loop: proportional on the attitude, PID on the body rate.");
         page.comment(&format!("From {}.", cascade.from));
         page.line("[attitude_cascade]");
-        // The struct's own form, its numbers as written here.
+        // Serialised from the struct, with the numbers as formatted here.
         if let Ok(Value::Table(table)) = Value::try_from(cascade.value) {
             for (key, value) in table {
                 page.line(&format!("{key} = {value}"));
@@ -160,7 +160,7 @@ impl Draft {
 }
 
 impl<T> Given<T> {
-    /// Another form of the same number.
+    /// The same number in another form.
     fn as_form<U>(&self, value: U) -> Given<U> {
         Given {
             value,
@@ -171,11 +171,11 @@ impl<T> Given<T> {
     }
 }
 
-/// The text so far.
+/// The text written so far.
 #[derive(Default)]
 struct Page(String);
 
-/// Width of a comment.
+/// Width of a comment, characters.
 const WIDTH: usize = 98;
 
 impl Page {
@@ -184,7 +184,7 @@ impl Page {
         self.0.push('\n');
     }
 
-    /// A comment, broken into lines.
+    /// Writes a comment, broken into lines.
     fn comment(&mut self, text: &str) {
         let mut line = String::from("#");
         for word in text.split_whitespace() {
@@ -198,7 +198,7 @@ impl Page {
         self.line(&line);
     }
 
-    /// A key with the source of its value.
+    /// Writes a key with the source of its value.
     fn entry(&mut self, key: &'static str, unit: &str, given: Option<&Given<String>>) {
         match given {
             Some(given) => {
@@ -218,7 +218,7 @@ impl Page {
         }
     }
 
-    /// A key without its source.
+    /// Writes a key without its source.
     fn short(&mut self, key: &str, value: Option<String>) {
         match value {
             Some(value) => self.line(&format!("{key} = {value}")),
@@ -247,7 +247,7 @@ fn numbers(given: &Given<[f64; 3]>) -> Given<String> {
     given.as_form(array(&given.value))
 }
 
-/// A float as TOML has it.
+/// A float in TOML syntax.
 fn float(value: f64) -> String {
     Value::Float(tidy(value)).to_string()
 }

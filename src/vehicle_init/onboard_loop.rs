@@ -6,8 +6,9 @@ use super::body::tidy;
 use super::{Draft, Given};
 use crate::parameters::{Autopilot, Mixer, NormalisedLoop, Parameters};
 
-/// Gains act on normalised torques: times the moment of a torque of 1, which the mixer, the rotors'
-/// full thrust and their levers make, they are the gains of moments.
+/// Fills in the loop. The autopilot's gains act on normalised torques. The mixer, the rotors' full
+/// thrust and their levers give the moment of a torque of 1; times that moment, the gains give
+/// moments in N m.
 pub(super) fn fill(draft: &mut Draft, parameters: &Parameters) {
     let Some(autopilot) = draft.autopilot else { return };
     let normalised = match NormalisedLoop::of(parameters) {

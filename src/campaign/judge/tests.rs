@@ -1,4 +1,4 @@
-//! The judge on words and setpoints at given times, as on sockets.
+//! The judge on reports and setpoints at given times, as on sockets.
 
 use super::*;
 use crate::campaign::draw;
@@ -8,7 +8,7 @@ use wire::Encoder;
 const OBEYS: u32 = 6 << 16;
 const POSITION: u32 = 3 << 16;
 
-/// A judge, and the vehicle's and the station's words.
+/// A judge, with encoders for the vehicle and the station.
 struct Court {
     judge: Judge,
     vehicle: Encoder,
@@ -71,7 +71,7 @@ impl Court {
     }
 }
 
-/// In flight, all well, until 1000 ms.
+/// A normal flight until 1000 ms.
 fn in_flight(on_its_way_s: f64) -> Court {
     let mut court = Court::new(on_its_way_s);
     court.mode(990, OBEYS);

@@ -33,19 +33,19 @@ use crate::link::vehicle_clock::VehicleClock;
 use crate::planted::{self, Planted};
 
 const HEARTBEAT_PERIOD: Duration = Duration::from_secs(1);
-/// AUTOPILOT_VERSION is asked for this often, this many times.
+/// AUTOPILOT_VERSION is requested at this interval, this many times.
 const VERSION_REPEAT: Duration = Duration::from_millis(400);
 const VERSION_ATTEMPTS: u8 = 5;
-/// An attitude older than this closes no loop.
+/// Age above which an attitude closes no loop.
 const ATTITUDE_FRESH: Duration = Duration::from_millis(200);
-/// A clock that jumped by more than this may be that of another vehicle: back where it was started
-/// since, forward where it was started before.
+/// Clock jump beyond which the vehicle may be another: backwards if it was started later, forwards
+/// if it was started earlier.
 const JUMP_NS: u64 = 1_000_000_000;
-/// What the vehicle tells again and again without a stamp: its mode, whether it is landed, its
+/// Number of things that the vehicle repeats without a stamp: its mode, whether it is landed, its
 /// health, its pack.
 const THINGS_TOLD: usize = 4;
 
-/// Which of them a message tells.
+/// Which of them a message carries.
 fn thing_told(id: u32) -> Option<usize> {
     match id {
         HEARTBEAT_DATA::ID | CURRENT_MODE_DATA::ID => Some(0),
@@ -59,12 +59,12 @@ fn thing_told(id: u32) -> Option<usize> {
 #[derive(Debug)]
 pub(super) struct Vehicle {
     pub(super) id: VehicleId,
-    /// `None` once its connection closed, until it is heard again.
+    /// `None` from the close of its connection until its next frame.
     pub(super) peer: Option<Peer>,
     pub(super) last_heard: HostTime,
     /// Whether it signs its messages.
     pub(super) is_signed: bool,
-    /// Of the protocol, in its newest frame.
+    /// MAVLink version of its newest frame.
     pub(super) version: MavlinkVersion,
 }
 
@@ -75,22 +75,21 @@ pub(super) struct Core {
     pub(super) started: HostTime,
     pub(super) state: LinkState,
     pub(super) vehicle: Option<Vehicle>,
-    /// Autopilots beside it that are no worse known.
+    /// Other autopilots, known as well as the vehicle's or as little.
     pub(super) others: Vec<VehicleId>,
     pub(super) profile: Option<Profile>,
     pub(super) version_due: Option<(HostTime, u8)>,
     pub(super) codec: Codec,
     pub(super) counters: Counters,
     pub(super) sequence: Sequence,
-    /// Place in the sequence of the newest word on each thing that the vehicle tells again and
-    /// again.
+    /// Place in the sequence of the newest message on each of these repeated things.
     pub(super) told: [u64; THINGS_TOLD],
     pub(super) mode_words: ModeWords,
     #[cfg(test)]
     sent: Option<(HostTime, Peer, MavMessage)>,
     pub(super) clock: VehicleClock,
     pub(super) intervals: Intervals,
-    /// What is asked for over a serial line.
+    /// The messages requested over a serial line.
     pub(super) budget: Option<LineBudget>,
     pub(super) requests: Requests,
     pub(super) attitude: Option<(HostTime, AttitudeSource, Attitude)>,
@@ -101,10 +100,10 @@ pub(super) struct Core {
     pub(super) signing: Option<Signing>,
 }
 
-/// The mode that a frame tells, if it tells one: the first field of either message.
+/// The mode that a frame carries, if any: the first field of either message.
 fn mode_word(frame: &Frame) -> Option<u32> {
     matches!(frame.id(), HEARTBEAT_DATA::ID | CURRENT_MODE_DATA::ID).then(|| {
-        // Zeros at a payload's end are not sent.
+        // A payload's trailing zeros are not sent.
         let mut word = [0; 4];
         word.iter_mut().zip(frame.payload()).for_each(|(to, from)| *to = *from);
         u32::from_le_bytes(word)
@@ -151,7 +150,7 @@ impl Core {
         frame: &Frame,
         on: &mut impl FnMut(Heard<'_>),
     ) {
-        // It holds a key: no log and no other station gets it.
+        // It contains a key: neither a log nor another station gets it.
         if frame.id() == SETUP_SIGNING_DATA::ID || !self.is_believed(now, frame) {
             return;
         }
@@ -167,7 +166,7 @@ impl Core {
         };
         let is_vehicle = frame.system() == u32::from(vehicle.id.system)
             && frame.component() == vehicle.id.component;
-        // A companion that borrows the autopilot's ids says nothing of the vehicle.
+        // A companion that uses the autopilot's ids is not a source for the vehicle's state.
         let is_impostor = is_heartbeat && autopilot.is_none_or(|id| vehicle.id.is_another(&id));
         if !is_vehicle || is_impostor {
             self.counters.foreign(frame);
@@ -215,7 +214,7 @@ impl Core {
         }
     }
 
-    /// Whether the frame comes from one who knows the key, where there is one.
+    /// Whether signing admits the frame; true where no key is set.
     fn is_believed(&mut self, now: HostTime, frame: &Frame) -> bool {
         self.turn(now);
         let Self { signing: Some(signing), outbox, events, .. } = self else { return true };
@@ -228,15 +227,15 @@ impl Core {
         }
     }
 
-    /// Advances the time of the signatures.
+    /// Advances the time used for signatures.
     pub(super) fn turn(&mut self, now: HostTime) {
         if let Some(signing) = &mut self.signing {
             signing.turn(now, self.outbox.signer());
         }
     }
 
-    /// Whether the frame says something new: it was not heard before, and what it says of the
-    /// vehicle's mode or condition is not older than what is known.
+    /// Whether the frame is new: it was not received before, and its mode or condition is not older
+    /// than the known one.
     fn newness(&mut self, now: HostTime, frame: &Frame) -> Newness {
         let (number, is_unique) = (frame.sequence(), codec::is_stamped(frame.id()));
         let place = match self.sequence.take(now, number, frame.bytes(), is_unique) {
@@ -277,7 +276,8 @@ impl Core {
                 self.attitude = Some((now, AttitudeSource::Quaternion, *attitude));
             }
             Inbound::Attitude { source, attitude, .. } => {
-                // The two sources are never mixed: Euler angles serve only where they are alone.
+                // The two sources are never mixed: Euler angles serve only where they are the only
+                // source.
                 let is_served = self.attitude.is_some_and(|(at, served, _)| {
                     served == AttitudeSource::Quaternion && now.since(at) < ATTITUDE_FRESH
                 });
@@ -295,8 +295,8 @@ impl Core {
                 self.send_requests(now);
             }
             Inbound::AutopilotVersion { vendor_id, product_id, .. }
-                // Of an autopilot that is not known it decides nothing, and a known one may be about
-                // to be heard.
+                // An unknown autopilot's version decides nothing, and a known autopilot may still
+                // appear.
                 if self.version_due.is_some()
                     && self.vehicle.as_ref().is_some_and(|vehicle| vehicle.id.is_known()) =>
             {
@@ -390,7 +390,7 @@ impl Core {
         }
     }
 
-    /// Nothing can be heard until the transport is open again.
+    /// Marks the link as stale until the transport is open again.
     pub(super) fn transport_closed(&mut self) {
         if self.state == LinkState::Connected {
             self.set_state(LinkState::Stale);
@@ -434,7 +434,7 @@ impl Core {
             Some((due, VERSION_ATTEMPTS)) if due <= now => self.identify(now, None),
             Some((due, attempts)) if due <= now => {
                 self.version_due = Some((now + VERSION_REPEAT, attempts + 1));
-                // One that speaks MAVLink 1 may understand no other.
+                // A MAVLink 1 vehicle may understand no other version.
                 if attempts >= VERSION_ATTEMPTS / 2 && is_old {
                     self.outbox.speak(MavlinkVersion::V1);
                 }

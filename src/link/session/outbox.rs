@@ -1,4 +1,4 @@
-//! Frames on their way to the driver, and the messages that the session itself makes.
+//! Frames queued for the driver, and the messages that the session itself makes.
 
 use mavlink::MavlinkVersion;
 use wire::Encoder;
@@ -8,12 +8,12 @@ use wire::transport::Peer;
 
 use super::VehicleId;
 
-/// Encoded frames, in order. Its memory is reused.
+/// Encoded frames, in order; the buffers are reused.
 #[derive(Debug)]
 pub(super) struct Outbox {
     encoder: Encoder,
     bytes: Vec<u8>,
-    /// Where each frame goes (`None` is every peer) and where it ends in `bytes`.
+    /// Destination of each frame (`None` means every peer), and its end in `bytes`.
     frames: Vec<(Option<Peer>, usize)>,
 }
 
@@ -22,12 +22,12 @@ impl Outbox {
         Self { encoder, bytes: Vec::new(), frames: Vec::new() }
     }
 
-    /// The protocol's version from the next frame on.
+    /// Sets the MAVLink version from the next frame on.
     pub(super) fn speak(&mut self, version: MavlinkVersion) {
         self.encoder.set_version(version);
     }
 
-    /// Who signs the frames.
+    /// The signer of the frames.
     pub(super) fn signer(&mut self) -> Option<&mut Signer> {
         self.encoder.signer()
     }
@@ -38,7 +38,7 @@ impl Outbox {
         }
     }
 
-    /// A frame as it is.
+    /// Queues a finished frame unchanged.
     pub(super) fn push_frame(&mut self, to: Peer, frame: &[u8]) {
         self.bytes.extend_from_slice(frame);
         self.frames.push((Some(to), self.bytes.len()));
@@ -54,7 +54,7 @@ impl Outbox {
     }
 }
 
-/// The daemon's own heartbeat.
+/// The heartbeat of this program.
 pub(super) fn heartbeat() -> MavMessage {
     MavMessage::HEARTBEAT(HEARTBEAT_DATA {
         custom_mode: 0,

@@ -1,4 +1,4 @@
-//! One body's way from samples to poses, with every fault of a room.
+//! From samples of one body to poses, with every fault of a room.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use crate::mocap::sample::Sample;
 use crate::mocap::settings::MocapSettings;
 
 const START: HostTime = HostTime::from_ns(1_700_000_000_000_000_000);
-/// The room's clock, less the host's since the start, s.
+/// The room's clock, less the host's time since the start, s.
 const APART_S: f64 = 5000.0;
 
 struct Room {
@@ -33,7 +33,7 @@ impl Room {
         }
     }
 
-    /// What a body at rest at (1, 2, 3) is seen as at `t`, with noise.
+    /// The sample of a body at rest at (1, 2, 3) at time `t`, with noise.
     fn sample(&mut self, t: f64) -> Sample {
         let [x, y, z]: [f64; 3] = std::array::from_fn(|_| 1e-4 * (self.rng.random::<f64>() - 0.5));
         Sample {
@@ -50,7 +50,7 @@ impl Room {
         self.bridge.take(at(arrives), sample, true)
     }
 
-    /// 100 Hz from `from` to `to`, each 2 ms on its way; the poses to forward.
+    /// Samples at 100 Hz from `from` to `to`, each delayed by 2 ms; returns the poses to forward.
     fn run(&mut self, from: f64, to: f64) -> Vec<Pose> {
         let count = ((to - from) * 100.0).round() as u32;
         let times = (0..count).map(|k| from + 0.01 * f64::from(k));
@@ -83,7 +83,7 @@ fn a_body_is_forwarded_at_the_rate_with_its_time_and_in_the_vehicles_axes() {
     for pose in &poses {
         assert!((pose.position.to_array()[1] + 2.0).abs() < 1e-3 && pose.reset_count == 0);
     }
-    // The stamp is late by the 2 ms that nobody can know, and the latency's setting takes them away.
+    // The stamp is late by the unknowable 2 ms, and the latency setting removes them.
     let off = poses[10].at.since(at(2.2)).as_secs_f64();
     assert!((off - 0.002).abs() < 3e-4, "{off}");
     let mut room = Room::with(MocapSettings { latency_s: 0.002, up: Up::Y, ..Default::default() });
@@ -109,8 +109,8 @@ fn the_rate_is_the_most_that_is_forwarded_whatever_the_room_has() {
     }
 }
 
-/// Each fault of a single sample: it is not forwarded, it is counted and said once, and what comes after is
-/// forwarded again.
+/// Each fault of a single sample: it is not forwarded, is counted, and is reported once. The next
+/// sample is forwarded again.
 #[test]
 fn nothing_wrong_is_forwarded_and_each_is_said_once() {
     let wrong = |change: fn(&mut Sample)| {
@@ -190,7 +190,8 @@ fn a_frozen_room_is_told_after_a_while_and_a_silent_one_too() {
     assert!(room.run(2.5, 4.0).len() > 60, "it comes back where it was");
 }
 
-/// A room that was started anew has another clock; it is taken after a second, and the body where it was.
+/// A restarted room has a different clock. It is accepted after a second, with the body where it
+/// was.
 #[test]
 fn a_room_that_starts_anew_is_taken_anew() {
     let mut room = Room::new();

@@ -1,4 +1,4 @@
-//! What the watch believes of bodies that fly, and of rooms that lie.
+//! Verdicts of the watch on flying bodies and on faulty rooms.
 
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng};
@@ -10,7 +10,7 @@ use super::{Believed, Seen, Watch};
 use crate::mocap::fault::Fault;
 use crate::mocap::settings::WatchSettings;
 
-/// A body that flies about at up to `speed`, seen with a room's noise.
+/// A body that flies at up to `speed`, seen with a room's noise.
 struct Flight {
     rng: Pcg64Mcg,
     phases: [f64; 3],
@@ -25,8 +25,8 @@ impl Flight {
         Self { rng, phases, centre, speed }
     }
 
-    /// Circles of 0.7 m with a weave up and down, the tilt that they take, and 0.3 mm and 0.2 degrees of
-    /// noise.
+    /// Circles of 0.7 m with a vertical weave, the tilt that they need, and 0.3 mm and 0.2 degrees
+    /// of noise.
     fn at(&mut self, t: f64) -> Seen {
         let turn = self.speed / 0.7;
         let [a, b, c] = self.phases;
@@ -53,7 +53,7 @@ fn watch() -> Watch {
     Watch::new(WatchSettings::default())
 }
 
-/// Shows `flight` to `watch` at `rate` from `from` to `to`; the verdicts.
+/// Shows `flight` to `watch` at `rate` from `from` to `to`; returns the verdicts.
 fn show(
     watch: &mut Watch,
     flight: &mut Flight,
@@ -71,8 +71,8 @@ fn believed(verdicts: &[Result<Believed, Fault>]) -> usize {
 const HERE: Ned = Ned::new(0.0, 0.0, -1.0);
 const ELSEWHERE: Ned = Ned::new(2.5, 0.5, -1.0);
 
-/// Of honest rooms nothing is refused after the start, whatever they see: 200 flights of 20 s at 60 to
-/// 240 Hz and up to 3 m/s, a second and a half of standing still among them, are 600,000 poses.
+/// An honest room's poses are never rejected after the start: 200 flights of 20 s at 60 to 240 Hz
+/// and up to 3 m/s, with a second and a half at rest in each, are 600,000 poses.
 #[test]
 fn an_honest_room_is_believed() {
     let mut poses = 0;
@@ -90,9 +90,9 @@ fn an_honest_room_is_believed() {
     assert!(poses > 400_000, "{poses}");
 }
 
-/// Two bodies swap for a while: from the first wrong pose on none is believed, and the right ones are
-/// again once they have come back in time. Both fly; where they are within the watch's reach of each
-/// other the swap is not one that poses can show, and such a seed is passed over.
+/// Two bodies swap for a while. No pose is accepted from the first wrong one on, and the right ones
+/// are accepted again once they return in time. Both fly. Where they are within the watch's reach
+/// of each other, poses cannot show the swap, and that seed is skipped.
 #[test]
 fn a_swap_is_seen_at_its_first_pose_and_forgiven_at_its_end() {
     let (mut swaps, mut named) = (0, 0);
@@ -115,7 +115,7 @@ fn a_swap_is_seen_at_its_first_pose_and_forgiven_at_its_end() {
             if is_swapped {
                 std::mem::swap(&mut first, &mut second);
             }
-            // Trackers tell of bodies in any order.
+            // Trackers report bodies in any order.
             if seed % 2 == 0 {
                 watch.see_other("other", second);
             }
@@ -129,13 +129,14 @@ fn a_swap_is_seen_at_its_first_pose_and_forgiven_at_its_end() {
             }
             back |= t > begins + lasts && verdict.is_ok();
         }
-        // At 1 m/s on a circle of 0.7 m it is within 0.3 m of where it was to be after that time.
+        // At 1 m/s on a circle of 0.7 m it is within 0.3 m of its expected position after that
+        // time.
         assert!(back, "seed {seed} is not taken back");
     }
     assert!(swaps > 200 && named == swaps, "{swaps} swaps, {named} named");
 }
 
-/// A swap that lasts is never believed while the vehicle is armed; on the ground neither.
+/// A lasting swap is never accepted, neither while the vehicle is armed nor on the ground.
 #[test]
 fn a_swap_that_lasts_is_never_believed() {
     for (is_armed, is_last) in [(true, true), (false, true), (true, false), (false, false)] {
@@ -173,13 +174,13 @@ fn a_room_that_freezes_is_not_believed_from_the_first_repetition_on() {
             assert_eq!(watch.is_frozen(at_s), k >= 10);
         }
         assert!(!watch.holds());
-        // It went on by 2 m meanwhile: too far and too long ago to be sure of.
+        // It moved on by 2 m meanwhile: too far and too long ago to be certain.
         let after = show(&mut watch, &mut flight, 100.0, (5.0, 9.0));
         assert_eq!(believed(&after), 0, "seed {seed}");
     }
 }
 
-/// A body that was hidden comes back where it was to be within half a second, or stays away for good.
+/// A hidden body returns to its expected position within half a second, or stays away for good.
 #[test]
 fn a_body_that_was_hidden_is_taken_back_where_it_was_to_be() {
     let (mut back, mut wrong) = (0, 0);
@@ -190,7 +191,7 @@ fn a_body_that_was_hidden_is_taken_back_where_it_was_to_be() {
         watch.lose(Fault::Silent);
         let after = show(&mut watch, &mut flight, 100.0, (3.4, 5.0));
         back += usize::from(believed(&after) > 50);
-        // The other body's label came up in its place.
+        // The other body's label appeared in its place.
         let mut flight = Flight::new(seed, HERE, 0.5);
         let mut watch = self::watch();
         show(&mut watch, &mut flight, 100.0, (0.0, 3.0));
@@ -201,8 +202,8 @@ fn a_body_that_was_hidden_is_taken_back_where_it_was_to_be() {
     assert_eq!((back, wrong), (200, 0));
 }
 
-/// Carried elsewhere by hand while disarmed it is taken where it now is, and the vehicle is told that it
-/// is a new beginning.
+/// A body that was carried elsewhere by hand while disarmed is accepted at its new place, and the
+/// vehicle is notified of a restart.
 #[test]
 fn a_body_that_was_carried_is_taken_anew_while_disarmed() {
     let mut flight = Flight::new(1, HERE, 0.2);
@@ -230,7 +231,7 @@ fn a_body_that_turns_over_at_once_jumped() {
 }
 
 proptest! {
-    /// A jump by more than the reach is seen at the first pose, whichever way it goes.
+    /// A jump beyond the reach is detected at the first pose, in any direction.
     #[test]
     fn a_jump_is_seen_at_once(
         seed in 0..1000u64, north in -1.0..1.0f64, east in -1.0..1.0f64, down in -1.0..1.0f64,

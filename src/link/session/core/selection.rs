@@ -1,4 +1,4 @@
-//! Which of those that are heard is the vehicle, and where it went.
+//! Selects the vehicle among the senders, and follows it to another peer.
 
 use mavlink::MavlinkVersion;
 use message::Inbound;
@@ -12,19 +12,19 @@ use crate::link::counters::LinkState;
 use crate::link::session::{Event, VehicleId};
 use crate::link::vehicle_clock::VehicleClock;
 
-/// MAV_TYPEs that fly nothing, whatever autopilot they name: antenna tracker, ground station,
+/// MAV_TYPEs that do not fly, whatever autopilot they name: antenna tracker, ground station,
 /// onboard controller, gimbal, ADS-B receiver, camera, and the components from charging station to
 /// winch and illuminator.
 fn is_component(vehicle_type: u8) -> bool {
     matches!(vehicle_type, 5 | 6 | 18 | 26 | 27 | 30..=34 | 36..=42 | 44)
 }
 
-/// MAV_AUTOPILOT_INVALID: a component that is no autopilot.
+/// MAV_AUTOPILOT_INVALID: a component without an autopilot.
 const NO_AUTOPILOT: u8 = 8;
-/// Autopilots that are remembered beside the vehicle's.
+/// Most other autopilots that are remembered.
 const OTHERS_MAX: usize = 16;
 
-/// The autopilot that a HEARTBEAT is from; `None` where it is from another component.
+/// The autopilot that sent a HEARTBEAT; `None` if another component did.
 pub(super) fn autopilot_of(peer: Peer, frame: &Frame) -> Option<VehicleId> {
     let Inbound::Heartbeat { autopilot, vehicle_type, .. } = codec::heartbeat(frame.payload())
     else {
@@ -37,9 +37,8 @@ pub(super) fn autopilot_of(peer: Peer, frame: &Frame) -> Option<VehicleId> {
 }
 
 impl Core {
-    /// Takes the first autopilot for the vehicle, one that is known before one that is not, and
-    /// finds it again where it went. Gives whether it is another one, under the ids of the one that
-    /// was known.
+    /// Takes the first autopilot as the vehicle, preferring known ones, and finds it again at
+    /// another peer. Returns whether a different one now answers under the known ids.
     pub(super) fn select(&mut self, now: HostTime, id: VehicleId, is_signed: bool) -> bool {
         if self.settings.vehicle_system.is_some_and(|wanted| wanted != id.system) {
             return false;
@@ -54,7 +53,7 @@ impl Core {
             return false;
         }
         let is_lost = self.state == LinkState::Lost;
-        // Another route to the vehicle counts only when the known one is silent.
+        // A second path to the vehicle counts only while the known one is silent.
         let is_silent = is_lost || known.peer.is_none() || self.state == LinkState::Stale;
         if !is_silent && known.peer != Some(id.peer) {
             return false;
@@ -72,8 +71,8 @@ impl Core {
         } else if is_silent {
             let before = known.peer.replace(id.peer);
             known.id.peer = id.peer;
-            // A connection that closed is another one now, though its number be the same; one that
-            // was merely silent goes on counting.
+            // A reopened connection is a new one even under the same peer number. One that was
+            // merely silent continues its count.
             if before != Some(id.peer) {
                 self.sequence.restart();
             }
@@ -81,8 +80,8 @@ impl Core {
         false
     }
 
-    /// An autopilot beside the vehicle. It takes the place of one that is not known; of two that
-    /// are, or that both are not, only the user can choose.
+    /// Handles a second autopilot. A known one replaces an unknown one. Between two known or two
+    /// unknown ones, only the user can choose.
     fn hear_other(&mut self, now: HostTime, id: VehicleId, is_signed: bool) {
         let Some(vehicle) = self.vehicle.as_ref().map(|vehicle| vehicle.id) else { return };
         if id.is_known() && !vehicle.is_known() {
@@ -96,7 +95,7 @@ impl Core {
         }
     }
 
-    /// Nothing that was known of the vehicle before, and no request to it, holds for this one.
+    /// Replaces the vehicle. Nothing known about the former one applies, and requests to it end.
     fn replaced(&mut self, now: HostTime, id: VehicleId, is_signed: bool) {
         self.profile = None;
         self.intervals.stop();

@@ -1,4 +1,4 @@
-//! What a session sends: setpoints, requests, and the key of a vehicle that is to sign.
+//! The session's sending side: setpoints, requests, and the key for a vehicle that is to sign.
 
 #[cfg(test)]
 use std::time::Duration;
@@ -48,7 +48,7 @@ impl Core {
         Ok(())
     }
 
-    /// A bug of the tests': a setpoint that nobody cleared.
+    /// A bug that tests plant: sends a setpoint that was not cleared.
     #[cfg(test)]
     pub(super) fn send_again(&mut self, now: HostTime) {
         if let Some((at, to, message)) = &self.sent
