@@ -21,8 +21,8 @@ pub enum AttitudeLoop {
         /// N m s/rad.
         kd: [f64; 3],
     },
-    /// The same on board a vehicle that takes attitude and thrust: its rate reference is zero, `M =
-    /// kp (zeta_des - zeta) - kd omega`.
+    /// The same on board a vehicle that takes attitude and thrust: its rate reference is zero,
+    /// `M = kp (zeta_des - zeta) - kd omega`.
     AttitudePd {
         /// N m/rad.
         kp: [f64; 3],
@@ -30,8 +30,8 @@ pub enum AttitudeLoop {
         kd: [f64; 3],
     },
     /// The rate part of the same, on board a vehicle that takes rates and thrust, under the
-    /// daemon's attitude loop (the link's encoder closes it, with the same gain): `M = kd
-    /// (omega_des + gain (zeta_des - zeta) - omega)`.
+    /// daemon's attitude loop (the link's encoder closes it, with the same gain):
+    /// `M = kd (omega_des + gain (zeta_des - zeta) - omega)`.
     RatePd {
         /// rad/s per rad.
         gain: [f64; 3],
@@ -46,8 +46,8 @@ pub enum AttitudeLoop {
         /// Damping ratio.
         damping: [f64; 3],
     },
-    /// Closed by the daemon over an autopilot's own rate loop, as measured: `omega_cmd = omega_des
-    /// + gain (zeta_des - zeta)`, `d omega/dt = (omega_cmd - omega) / tau`.
+    /// Closed by the daemon over an autopilot's own rate loop, as measured:
+    /// `omega_cmd = omega_des + gain (zeta_des - zeta)`, `d omega/dt = (omega_cmd - omega) / tau`.
     Rates {
         /// rad/s per rad.
         gain: [f64; 3],

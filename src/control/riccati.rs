@@ -57,10 +57,10 @@ const SQUARINGS: i32 = 48;
 /// Solves `P = A' P A - A' P B (R + B' P B)^-1 B' P A + Q` for the stabilising `P`.
 ///
 /// Structure-preserving doubling (Chu, Fan, Lin and Wang, "Structure-preserving algorithms for
-/// periodic discrete-time algebraic Riccati equations", Int. J. Control 77, 2004): with `W = I + G
-/// H`, from `A, G = B R^-1 B', H = Q`, `A <- A W^-1 A`, `G <- G + A W^-1 G A'`, `H <- H + A' H W^-1
-/// A`. `H` converges to `P` quadratically: each step equals twice as many steps of the Riccati
-/// recursion as the one before.
+/// periodic discrete-time algebraic Riccati equations", Int. J. Control 77, 2004): with
+/// `W = I + G H`, from `A, G = B R^-1 B', H = Q`, `A <- A W^-1 A`, `G <- G + A W^-1 G A'`,
+/// `H <- H + A' H W^-1 A`. `H` converges to `P` quadratically: each step equals twice as many steps
+/// of the Riccati recursion as the one before.
 ///
 /// # Errors
 /// [`RiccatiError`]; a solution is returned only if its closed loop is stable.

@@ -18,8 +18,8 @@ const SPAN: f64 = 0.06;
 /// Least fraction of the change that the integral must explain for a latency to be accepted.
 const EXPLAINED_MIN: f64 = 0.5;
 
-/// Latency of a flight's streams relative to its gyro, s: a sample stamped t shows the state at `t
-/// - latency`.
+/// Latency of a flight's streams relative to its gyro, s: a sample stamped t shows the state at
+/// `t - latency`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct Alignment {
     /// Of the attitude; `None` if the motion does not reveal it, and 0 is used.

@@ -41,7 +41,7 @@ pub enum CommandSource {
     OnboardLaw,
     /// Logged motor outputs.
     MotorOutputs,
-    /// Logged rotor speeds, which need no lag: the rotors' states themselves.
+    /// Logged rotor speeds, which need no lag: they are the rotors' states.
     RotorSpeeds,
 }
 
@@ -323,7 +323,8 @@ impl OutputTrace {
         piece.outputs.get(index as usize).copied().flatten()
     }
 
-    /// The rotors' states that follow these outputs: of each instant its now and its average.
+    /// The rotors' states that follow from these outputs: at each instant the state and its
+    /// average.
     pub fn states(&self, actuation: &Actuation, lag_s: f64) -> Stream<[f64; 2 * ROTORS]> {
         let rotors = RotorStep::new(actuation, lag_s, self.step);
         let balanced = actuation.balance_s.is_some();

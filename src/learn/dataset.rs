@@ -90,9 +90,9 @@ pub struct ObservedFlight {
 /// A row of the dataset.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
-    /// On the gyro's clock, s.
+    /// Time on the gyro's clock, s.
     pub time: f64,
-    /// Where.
+    /// State and input.
     pub point: Point,
     /// The measured accelerations: linear in world axes, angular in body axes.
     pub label: [f64; ACCELERATIONS],
@@ -103,7 +103,7 @@ pub struct Row {
 /// The log cannot be of this vehicle, or does not show that it is.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Implausible {
-    /// Its commands do not lift the vehicle.
+    /// Its commands do not carry the vehicle's weight.
     #[error(
         "its commands lift {found:.2} of the vehicle's weight on average, not about 1: it is of \
          another vehicle, or the motors' unit is wrong"
@@ -119,7 +119,7 @@ pub enum Implausible {
         by.name()
     )]
     NoInput {
-        /// What should have said it.
+        /// The source that lacks them.
         by: CommandSource,
     },
 }
@@ -160,7 +160,7 @@ impl ObservedFlight {
         Ok(observed)
     }
 
-    /// Observes the flight again with the given windows. Discards the command shift.
+    /// Observes the flight with the given windows, and resets the command shift.
     pub fn observe(&mut self, vehicle: &VehicleParams, settings: &WindowSettings) {
         let Self { flight, segments, alignment, .. } = &*self;
         let attitude = flight.attitude.clone().shifted(-alignment.attitude_s.unwrap_or(0.0));

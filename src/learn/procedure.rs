@@ -1,4 +1,4 @@
-//! From observed flights to a model file: physics, networks, corrections, evaluation.
+//! From a training set to a model file: networks, corrections, evaluation.
 
 use super::dataset::{Row, WindowSettings};
 use super::error::TrainError;
@@ -19,7 +19,7 @@ pub enum Outcome {
     Interrupted(Progress),
 }
 
-/// Trains the networks and fits the physics on a dataset.
+/// Trains the networks on a dataset, whose physics is already fitted, and evaluates the models.
 ///
 /// `progress` resumes an interrupted training.
 ///

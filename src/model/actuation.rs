@@ -7,8 +7,8 @@ use vehicle::rotor::{Allocation, Lag};
 
 /// The rotors' response to their commands.
 ///
-/// `tau ds_i/dt = u_i(t - delay) - s_i`, and rotor i produces `thrust_max_i s_i (V /
-/// full_V)^exponent`.
+/// `tau ds_i/dt = u_i(t - delay) - s_i`, and rotor i produces
+/// `thrust_max_i s_i (V / full_V)^exponent`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Actuation {

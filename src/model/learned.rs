@@ -69,8 +69,8 @@ impl Network {
     }
 
     /// This network with its accelerations scaled by `gains`, and with constants and linear terms
-    /// (feature, acceleration, slope) added, both in normalised units. A ReLU layer represents `c x
-    /// = c relu(x) - c relu(-x)` exactly: each term takes two additional hidden units.
+    /// (feature, acceleration, slope) added, both in normalised units. A ReLU layer represents
+    /// `c x = c relu(x) - c relu(-x)` exactly: each term takes two additional hidden units.
     pub fn corrected(
         &self,
         gains: [f64; OUTPUTS],

@@ -1,8 +1,8 @@
 //! Models of the vehicle's accelerations: nominal physics, learned networks, and their sum.
 //!
-//! A model maps the state without position and the acting input to accelerations: `(v, omega, zeta,
-//! u) -> (dv/dt, domega/dt)`. [`actuation`] covers everything between a command and the acting
-//! input (delay, rotor lag, saturation, voltage).
+//! A model maps the state without position and the acting input to accelerations:
+//! `(v, omega, zeta, u) -> (dv/dt, domega/dt)`. [`actuation`] covers everything between a command
+//! and the acting input (delay, rotor lag, saturation, voltage).
 
 pub mod actuation;
 pub mod features;

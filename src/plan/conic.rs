@@ -2,9 +2,9 @@
 //! constraints or with the paper's l1 penalty.
 //!
 //! Slower than [`super::interior_point`], but exact where that one approximates the norm to second
-//! order. This is the paper's form of the search, and the reference that the tests hold the other
-//! against. The matrices keep one sparsity pattern, explicit zeros included: from the second
-//! subproblem on, the solver updates the values in place and reuses the symbolic factorisation.
+//! order: this is the paper's form of the search, and the reference for the other's tests. The
+//! matrices keep one sparsity pattern, explicit zeros included: from the second subproblem on, the
+//! solver updates the values in place and reuses the symbolic factorisation.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{

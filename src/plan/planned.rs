@@ -241,8 +241,8 @@ impl Plan {
     }
 
     /// Whether the plan may be flown, at its states and between them: a failed search, or one that
-    /// ended with states that no input connects, gives no such plan. Independently of the model,
-    /// the check repeats that velocity and body rate lead from state to state.
+    /// ended with states that no input connects, gives no such plan. Independently of the model, it
+    /// also checks that velocity and body rate lead from state to state.
     ///
     /// # Errors
     /// What it violates, in words.

@@ -34,7 +34,7 @@ pub struct PlanSettings {
     pub solver: SolverChoice,
     /// Weights of position, velocity, attitude and body rate in the distance to the desired state.
     pub weight: [f64; 4],
-    /// Weight of the inputs' distance to those that the desired trajectory needs without air.
+    /// Weight of the inputs' distance to those that the desired trajectory needs without drag.
     pub input_weight: f64,
     /// Largest number of subproblems.
     pub subproblems_max: usize,
@@ -63,10 +63,10 @@ pub struct RecedingSettings {
     /// Time from the state that a plan starts from until its first input is sent, s: the time
     /// available for planning.
     pub lead_s: f64,
-    /// Whether the settings below apply. They suit vehicles whose on-board loop is the autopilot's
-    /// own: the plan's model lacks its integrators and filters, and it acts through rotors that
-    /// lag. A plan that trusts such a model, and a wandering estimate, uses every available input
-    /// to remove the last millimetre, and the vehicle oscillates.
+    /// Whether `knee` and `change_weight` apply. They suit vehicles whose on-board loop is the
+    /// autopilot's own: the plan's model lacks its integrators and filters, and it acts through
+    /// rotors that lag. A plan that trusts such a model, and a wandering estimate, uses every
+    /// available input to remove the last millimetre, and the vehicle oscillates.
     pub cautious: Use,
     /// Distances to the desired state below this are squared (also in plans made before the flight,
     /// whose inputs would otherwise jump from period to period). A vehicle nearer than this to the

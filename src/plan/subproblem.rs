@@ -42,8 +42,8 @@ pub enum DynamicsForm {
 pub const TRUST_SHAPE: StateVector = [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 5.0, 5.0, 5.0];
 
 /// The subproblem: minimise
-/// `sum sqrt(|error + W d|^2 + knee^2) + input_gradient . w + input_curvature/2 |w|^2
-/// + row_penalty sum max(0, rows)`.
+/// `sum sqrt(|error + W d|^2 + knee^2) + input_gradient . w + input_curvature/2 |w|^2 +
+/// row_penalty sum max(0, rows)`.
 #[derive(Clone, Debug)]
 pub struct Subproblem<const INPUTS: usize> {
     /// One per period.
