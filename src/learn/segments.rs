@@ -109,8 +109,8 @@ impl Segments {
     /// Least usable time of a flight, s.
     pub const USABLE_MIN_S: f64 = 3.0;
 
-    /// The flight's usable parts, where any command stream has no gap. If the vehicle does not
-    /// report when it flew, `hover` is the mean output that carries it.
+    /// The flight's usable parts, where setpoints or motor outputs, if logged, have no gap. If the
+    /// vehicle does not report when it flew, `hover` is the mean output that carries it.
     ///
     /// # Errors
     /// [`Unusable`].
