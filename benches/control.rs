@@ -42,7 +42,7 @@ fn control(c: &mut Criterion) {
     });
 }
 
-/// A tick of the controller alone, with the observer, and with parameters adapted.
+/// One tick of the controller alone, with the observer, and with adapted parameters.
 fn adaptation(c: &mut Criterion) {
     let lqr = Lqr::design(&VEHICLE, &PD, &ControlSettings::default()).expect("a stabilising gain");
     let observer = || {
@@ -66,7 +66,7 @@ fn adaptation(c: &mut Criterion) {
         c.bench_function(&format!("tick_with_{name}"), |b| {
             b.iter(|| {
                 tick += 1;
-                // A noise that repeats itself after a prime number of ticks.
+                // A noise with a period of a prime number of ticks.
                 let noise = 1e-2 * (f64::from(tick * 79 % 101) / 50.0 - 1.0);
                 let velocity = Ned::new(noise, -noise, noise);
                 let state = State { velocity, ..State::default() };

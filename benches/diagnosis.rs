@@ -1,10 +1,10 @@
-//! `downwash diagnose` on ten minutes of flight against the whole catalogue: the whole process,
-//! from logs to the answer, and the most memory that it held.
+//! `downwash diagnose` on ten minutes of flight against the whole catalogue: run time of the whole
+//! process, from logs to the answer, and its peak memory.
 //!
 //! `cargo bench --bench diagnosis -- [--minutes 10] [--twins 40] [--seed 1]`
 //!
 //! The flights are an exam's: a vehicle with one effect, drawn from the seed, telemetry at up to
-//! 250 Hz, one flight a minute, the last held out.
+//! 250 Hz, one flight per minute, with the last held out.
 
 use std::fs;
 use std::path::Path;
@@ -14,9 +14,9 @@ use std::time::{Duration, Instant};
 use downwash::exam::case::Case;
 use downwash::exam::order::{Kind, Order, Settings};
 
-/// How often a running process is asked for its peak of memory.
+/// Interval of the peak memory samples.
 const POLL: Duration = Duration::from_millis(50);
-/// How strongly the effect shows.
+/// Strength of the effect.
 const RATIO: f64 = 6.0;
 
 struct Options {
@@ -41,7 +41,7 @@ fn options() -> Options {
     options
 }
 
-/// The most memory that a process has held so far, MB, as Linux tells it.
+/// The peak memory of a process so far, MB, as Linux reports it.
 fn peak_mb(child: &Child) -> Option<f64> {
     let status = fs::read_to_string(format!("/proc/{}/status", child.id())).ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;

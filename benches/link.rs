@@ -1,4 +1,4 @@
-//! Cost of the link in the control line: a telemetry datagram in, a setpoint frame out.
+//! Cost of the link in the control path: a telemetry datagram in, a setpoint frame out.
 
 use std::hint::black_box;
 
@@ -23,7 +23,7 @@ fn frame(encoder: &mut Encoder, message: MavMessage) -> Vec<u8> {
     bytes
 }
 
-/// A setpoint that may leave.
+/// A setpoint that may be sent.
 fn cleared(now: HostTime) -> Cleared {
     let mut guard = Guard::new(Limits::default(), 20.0, now);
     let setpoint = Setpoint { thrust_n: 9.81, ..Setpoint::default() };
@@ -58,7 +58,7 @@ fn link(criterion: &mut Criterion) {
     let odometry = MavMessage::ODOMETRY(ODOMETRY_DATA {
         time_usec: 1_000_000,
         q: [1.0, 0.0, 0.0, 0.0],
-        // As long as the frame gets.
+        // The longest possible frame.
         pose_covariance: [0.1; 21],
         velocity_covariance: [0.1; 21],
         frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
@@ -86,7 +86,7 @@ fn link(criterion: &mut Criterion) {
     });
 }
 
-/// What a signature costs a frame of the usual length.
+/// Cost of a signature for a frame of typical length.
 fn sign(criterion: &mut Criterion) {
     let key = Key::new([7; KEY_LEN]);
     let now = Stamp::from_unix_ns(NOW.as_ns());
@@ -114,7 +114,7 @@ fn sign(criterion: &mut Criterion) {
     let settings =
         VerifierSettings { key, unsigned: vec![], ahead_max: 60 * Stamp::PER_S, streams: vec![] };
     let mut verifier = Verifier::new(settings, now);
-    // Only the first is believed: the hash of each is taken all the same.
+    // The verifier accepts only the first frame, but computes the hash of each.
     criterion.bench_function("check a signature", |bencher| {
         bencher.iter(|| black_box(verifier.check(black_box(&frame))));
     });

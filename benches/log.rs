@@ -1,4 +1,4 @@
-//! What logging costs: one simulated second of a flight, and one tick's records.
+//! Cost of logging: one simulated second of a flight, and one tick's records.
 
 #[path = "../tests/log_flight/mod.rs"]
 mod log_flight;
@@ -25,7 +25,7 @@ fn log(c: &mut Criterion) {
     group.sample_size(30).warm_up_time(Duration::from_secs(1));
     group.measurement_time(Duration::from_secs(4));
     group.throughput(Throughput::Elements(second.len() as u64));
-    // Without the syncs, which cost what the disk costs.
+    // Without syncs, whose cost depends on the disk.
     let mut writer = create();
     group.bench_function("write_one_flight_second", |b| {
         b.iter(|| second.iter().for_each(|r| writer.write(r).expect("write")));

@@ -1,5 +1,5 @@
 //! Speed of planning: whole searches along the sinusoid with yaw, one subproblem, one
-//! linearisation; through physics, and through networks of the usual size fitted to it.
+//! linearisation; through physics, and through networks of typical size fitted to it.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -25,7 +25,7 @@ use rand_pcg::Pcg64Mcg;
 use vehicle::VehicleParams;
 
 const HIDDEN: usize = 100;
-/// How far from zero the fit's points lie: v, omega, zeta, u of a nano quadrotor.
+/// Range of the fit's points about zero: v, omega, zeta, u of a nano quadrotor.
 const SIZE: [f64; VARIABLES] =
     [2.0, 2.0, 2.0, 4.0, 4.0, 4.0, 0.6, 0.6, 3.2, 0.25, 1e-3, 1e-3, 5e-4];
 
@@ -47,8 +47,8 @@ fn planned(vehicle: &VehicleParams) -> PlannedVehicle {
     }
 }
 
-/// Networks with random hidden units, and output weights fitted to the physics by least squares:
-/// as many kinks as a trained one has, at the price of a small linear system.
+/// Networks with random hidden units, and output weights fitted to the physics by least squares: as
+/// many kinks as in a trained network, at the cost of a small linear system.
 fn fitted(physics: &PhysicsModel) -> NetworkModel {
     const ROWS: usize = 3000;
     let mut random = Pcg64Mcg::seed_from_u64(1);
@@ -157,7 +157,7 @@ fn searches(c: &mut Criterion) {
     group.finish();
 }
 
-/// A subproblem about the desired states themselves.
+/// A subproblem around the desired states themselves.
 fn subproblem(dynamics: &CommandedDynamics<'_>, planner: &Planner) -> Subproblem<7> {
     let desire = planner.desire(&sinusoid(300)).expect("desired states");
     let problem = planner.problem(&desire, desire.states[0]);

@@ -1,14 +1,14 @@
-//! Planning anew in flight: how long a plan takes that goes on from the one before, and whether a
-//! loop of fixed rate waits for one.
+//! Replanning in flight: the time of a plan that continues the previous one, and whether a
+//! fixed-rate loop waits for it.
 //!
-//! `cargo bench --bench replan -- --model model.safetensors [--hybrid] [--vehicle crazyflie] [--rate 200]
-//! [--seconds 60] [--subproblems 1] [--damping 0.5] [--states 100]`
+//! `cargo bench --bench replan -- --model model.safetensors [--hybrid] [--vehicle crazyflie]
+//! [--rate 200] [--seconds 60] [--subproblems 1] [--damping 0.5] [--states 100]`
 //!
-//! The vehicle is the model itself, moved by the plan's inputs and shaken at random; it flies
-//! `sinusoid-yaw` round and round, and a plan of 100 states over 1 s is made at each tick, which is its
-//! only feedback. Each plan's time is the thread's CPU time; a tick is late where the next is due
-//! before its plan is ready, by CPU time or by the wall clock, and beside it is counted how often an
-//! idle loop of the same period wakes late by as much.
+//! The vehicle is the model itself, moved by the plan's inputs and shaken at random. It flies
+//! `sinusoid-yaw` repeatedly, and its only feedback is a plan of 100 states over 1 s at each tick.
+//! The time of each plan is the thread's CPU time. A tick is late if its plan is ready only after
+//! the next tick is due, by CPU time or by the wall clock; for comparison, the bench counts how
+//! often an idle loop of the same period wakes as late.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -32,7 +32,7 @@ use rustix::time::{ClockId, clock_gettime};
 use vehicle::VehicleParams;
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 
-/// What moves the vehicle beside the model, a second: m/s^2 and rad/s^2.
+/// Random disturbance of the vehicle per second: m/s^2 and rad/s^2.
 const SHAKE: [f64; 2] = [1.0, 5.0];
 
 struct Arguments {
@@ -157,7 +157,7 @@ fn main() {
         }
         thread::sleep(due.saturating_duration_since(Instant::now()));
     }
-    // The first plan has none to go on from, and is searched to its end.
+    // The first plan has no predecessor, and is searched to its end.
     let (first_s, mut used) = (used[0], used.split_off(1));
     waited.remove(0);
     let idle = idle(ticks.min(20_000), every);
@@ -181,7 +181,7 @@ fn main() {
     );
 }
 
-/// How much later than due a loop wakes that does nothing, s.
+/// Wake-up delays of a loop that does nothing, s.
 fn idle(ticks: usize, every: Duration) -> Vec<f64> {
     let mut due = Instant::now();
     (0..ticks)

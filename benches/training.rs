@@ -1,10 +1,11 @@
-//! A hundred passes over 144,000 rows on both networks: full-batch Rprop and Adam at one and two
-//! threads, with and without the looks at the validation rows, and the same full-batch pass on a
+//! A hundred passes over 144,000 rows on both networks: full-batch Rprop and Adam on one and two
+//! threads, with and without evaluation of the validation rows, and the same full-batch pass with a
 //! library's matrix products.
 //!
 //! `cargo bench --bench training -- [--rows FILE] [--threads N] [--passes 100] [--json]`
 //!
-//! FILE is what `benches/peers/data.py` writes; without it the rows are drawn here, alike in size.
+//! FILE is the output of `benches/peers/data.py`; without it, the bench draws random rows of the
+//! same size.
 
 use std::hint::black_box;
 use std::ops::ControlFlow;
@@ -77,7 +78,7 @@ fn read(path: &PathBuf) -> [Parts; 2] {
     })
 }
 
-/// Rows of uniform numbers, with products and sines of them as targets.
+/// Rows of uniform random numbers, with products and sines of them as targets.
 fn draw() -> [Parts; 2] {
     let mut state = 1_u64;
     let mut uniform = move || {
@@ -98,7 +99,7 @@ fn draw() -> [Parts; 2] {
     })
 }
 
-/// CPU seconds and the most memory in MiB that this process has used.
+/// CPU seconds and peak memory in MiB of this process.
 #[allow(unsafe_code, reason = "the C library alone knows")]
 fn usage() -> (f64, f64) {
     // SAFETY: getrusage writes the whole structure, for which zeros are valid.
@@ -120,7 +121,7 @@ struct Row {
     networks: Vec<Mlp>,
 }
 
-/// Both networks side by side, as `train` does it.
+/// Trains both networks in parallel, as `train` does.
 fn both(tool: &'static str, nets: &[Parts; 2], threads: usize, settings: &Settings) -> Row {
     let one = |[training, validation, _]: &Parts| -> Training {
         train(training, validation, settings, None, |_, _| ControlFlow::Continue(()))
@@ -136,7 +137,7 @@ fn both(tool: &'static str, nets: &[Parts; 2], threads: usize, settings: &Settin
     Row { tool, threads, passes: settings.passes, seconds, cpu_s, networks }
 }
 
-/// The gradients of both networks on `matrixmultiply`, its products over 4,096 rows at a time.
+/// The gradients of both networks with `matrixmultiply`, on products over 4,096 rows at a time.
 fn gemm(passes: usize) -> Row {
     const ROWS: usize = 4096;
     let (before, _) = usage();
@@ -174,7 +175,7 @@ fn gemm(passes: usize) -> Row {
     Row { tool: "gemm", threads: 1, passes, seconds, cpu_s: usage().0 - before, networks: vec![] }
 }
 
-/// `C = A B + beta C` of the sizes m, k, n; C is row-major.
+/// `C = A B + beta C` with the sizes m, k, n; C is row-major.
 #[allow(unsafe_code, reason = "the library takes pointers")]
 fn product(
     [m, k, n]: [usize; 3],
@@ -192,7 +193,7 @@ fn product(
     assert!(m * n <= c.len());
     let [[ra, ca], [rb, cb]] = [a_strides, b_strides].map(|strides| strides.map(|s| s as isize));
     let (a, b, c) = (a.as_ptr(), b.as_ptr(), c.as_mut_ptr());
-    // SAFETY: all that the sizes and strides reach lies within the slices, as just asserted.
+    // SAFETY: the assertions above keep everything that sizes and strides reach within the slices.
     unsafe { matrixmultiply::sgemm(m, k, n, 1.0, a, ra, ca, b, rb, cb, beta, c, n as isize, 1) }
 }
 

@@ -1,5 +1,5 @@
-//! Flies the simulated vehicle along a trajectory, faster than real time, with rotors that lift less
-//! than the controller believes:
+//! Flies the simulated vehicle along a trajectory, faster than real time, with rotors that produce
+//! less thrust than the controller assumes:
 //!
 //!     cargo run --example fly_lockstep
 
@@ -20,7 +20,8 @@ use sitl::config::SitlConfig;
 use vehicle::VehicleParams;
 use vehicle::effects::EffectSet;
 
-/// How the flight ended, and the RMS distance from the trajectory, m.
+/// Flies with an effect and a law; returns how the flight ended and the RMS distance from the
+/// trajectory, m.
 pub fn fly(effect: &str, law: Law) -> anyhow::Result<(End, f64)> {
     let params = VehicleParams::from_toml_str(include_str!("../config/vehicles/crazyflie.toml"))?;
     let trajectory = Trajectory::parse(
@@ -29,12 +30,12 @@ pub fn fly(effect: &str, law: Law) -> anyhow::Result<(End, f64)> {
         "circle.toml".as_ref(),
     )?;
 
-    // The vehicle: its file, and what the file does not say.
+    // The vehicle: its file, and an effect that the file does not state.
     let mut effects = EffectSet::new();
     effects.insert_argument(effect)?;
     let mut vehicle = Vehicle::new(params.clone(), effects, SitlConfig::default(), 1)?;
 
-    // The ground station: what it believes of the vehicle, and what it flies.
+    // The ground station: its assumptions about the vehicle, and the flight.
     let thrust_full_n = params.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
     let hover =
         HoverVehicle { mass_kg: params.mass, inertia: params.inertia, gravity: params.gravity };
@@ -61,7 +62,7 @@ pub fn fly(effect: &str, law: Law) -> anyhow::Result<(End, f64)> {
     };
     let mut station = Station::new(settings, lockstep::host_time(0));
 
-    // Both exchange MAVLink bytes on one virtual clock; what the log would hold comes out.
+    // Both exchange MAVLink bytes on one virtual clock; the callback receives the log's records.
     let mut squares = Vec::new();
     let record = |record| {
         if let Record::Tick(tick) = record

@@ -1,4 +1,5 @@
-//! Flies the simulated vehicle with a control law of one's own, beside one that downwash has:
+//! Flies the simulated vehicle with a custom control law, and with one of downwash's for
+//! comparison:
 //!
 //!     cargo run --example own_control_law
 
@@ -13,7 +14,7 @@ use downwash::setpoint::{Reference, Setpoint, State};
 use downwash::station::End;
 use vehicle::frame::{Euler, Frd, Ned};
 
-/// The law as a table of laws lists it.
+/// The law's entry, as in a table of laws.
 static PID: LawSpec = LawSpec {
     id: "pid",
     summary: "PID of the position, small angles.",
@@ -26,7 +27,7 @@ static PID: LawSpec = LawSpec {
     design: |problem| Ok(Box::new(Pid::design(problem)?)),
 };
 
-/// Natural frequency of the position, rad/s, and the integral's share of it.
+/// Natural frequency of the position, rad/s.
 const BANDWIDTH: f64 = 2.0;
 /// The largest integral of the position error, m s.
 const INTEGRAL_MAX: f64 = 1.0;
@@ -65,7 +66,7 @@ impl ControlLaw for Pid {
         let (sin, cos) = state.attitude.yaw().sin_cos();
         let [north, east, down] = acceleration.to_array();
         let (ahead, right) = (cos * north + sin * east, cos * east - sin * north);
-        // Nose down pushes ahead, right side down pushes right.
+        // Nose down accelerates ahead, right side down to the right.
         let feedback = Setpoint {
             thrust_n: -self.mass_kg * down,
             attitude: Euler::new(right / self.gravity, -ahead / self.gravity, 0.0),
@@ -79,8 +80,8 @@ impl ControlLaw for Pid {
     }
 }
 
-/// How flights under the LQR and under this law end, and their RMS distance from the trajectory, m,
-/// with rotors that lift a tenth less than believed.
+/// Flies under the LQR and under this law, with rotors that produce a tenth less thrust than
+/// assumed; returns how each flight ended and its RMS distance from the trajectory, m.
 pub fn compare() -> anyhow::Result<[(End, f64); 2]> {
     let effect = "thrust_scale:scale=0.9";
     Ok([fly_lockstep::fly(effect, Law::LQR)?, fly_lockstep::fly(effect, Law::new(&PID))?])

@@ -1,4 +1,4 @@
-//! Plans a trajectory through the vehicle's physics, with a ball to keep out of:
+//! Plans a trajectory through the vehicle's physics, around a ball to avoid:
 //!
 //!     cargo run --example plan_trajectory
 
@@ -13,7 +13,7 @@ use downwash::plan::planner::{KeepOutSetting, PlanSettings, PlannedVehicle, Plan
 use downwash::plan::scp::Outcome;
 use vehicle::VehicleParams;
 
-/// Two metres north past a ball; the plan, with the thrust, attitude and rates of every step.
+/// Plans two metres north past a ball; the plan has the thrust, attitude and rates of every step.
 pub fn plan() -> anyhow::Result<Outcome<7>> {
     let params = VehicleParams::from_toml_str(include_str!("../config/vehicles/crazyflie.toml"))?;
     let trajectory = Trajectory::parse(

@@ -1,4 +1,4 @@
-//! What is in flight logs, whatever wrote them:
+//! Lists the contents of flight logs in any supported format:
 //!
 //!     cargo run --example read_log -- flight.ulg flight.mcap
 
@@ -7,7 +7,7 @@ use std::path::Path;
 
 use downwash::log::import;
 
-/// The streams of a log, each with its rate, and what was left out of it.
+/// The streams of a log with their rates, and the number of kinds of samples left out.
 pub fn describe(log: &Path) -> anyhow::Result<String> {
     let flight = import::open(log, None)?;
     let mut text = format!("{}\n", log.display());
@@ -22,7 +22,7 @@ pub fn describe(log: &Path) -> anyhow::Result<String> {
     for (name, samples, rate_hz) in streams.into_iter().filter(|(_, samples, _)| *samples > 0) {
         writeln!(text, "  {name}: {samples} samples at {rate_hz:.0} Hz")?;
     }
-    // Every sample has its time on one clock, s, and its frame in its type: this is north, east, down.
+    // Every sample has its time on one clock, s, and its frame in its type: here north, east, down.
     if let Some((time, position)) = flight.position.iter().last() {
         writeln!(text, "  {time:.2} s: {:.2} m above the origin", -position.down())?;
     }

@@ -1,25 +1,25 @@
-//! What changes in flight.
+//! Changes in flight.
 
 use sitl::autopilot::Vehicle;
 use vehicle::foreign::Foreign;
 
 use crate::flight::Draw;
 
-/// Of the vehicle's mass.
+/// Added fraction of the vehicle's mass.
 const PAYLOAD: f64 = 0.3;
-/// m/s
+/// Gust speed, m/s.
 const GUST: f64 = 5.0;
-/// Of one rotor's thrust and torque.
+/// Lost fraction of one rotor's thrust and torque.
 const WEAR: f64 = 0.25;
-/// What the pack is down to at once, and how thrust follows its voltage.
+/// Charge to which the pack drops at once, and dependence of thrust on its voltage.
 const CHARGE: f64 = 0.35;
 const SAG_SLOPE: f64 = 1.5;
 const SAG_S: f64 = 1.5;
-/// The thrust map's dead zone and power.
+/// Dead zone and exponent of the thrust map.
 const DEAD: f64 = 0.05;
 const POWER: f64 = 1.15;
 
-/// A change that nobody announces.
+/// A change without any announcement to the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
     None,
@@ -49,7 +49,7 @@ impl Change {
         Self::ALL.into_iter().find(|change| change.name() == name)
     }
 
-    /// Lets it happen.
+    /// Applies the change.
     pub fn act(self, vehicle: &mut Vehicle, draw: &Draw) {
         let (sin, cos) = draw.direction_rad.sin_cos();
         let foreign = match self {

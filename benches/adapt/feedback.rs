@@ -1,9 +1,9 @@
-//! What meets the changes.
+//! Forms of feedback that meet the changes.
 
 use downwash::control::{Law, Use};
 use downwash::station::StationSettings;
 
-/// A form of the feedback.
+/// One form of feedback.
 #[derive(Clone, Copy, Debug)]
 pub struct Feedback {
     pub name: &'static str,
@@ -20,7 +20,7 @@ impl Feedback {
     pub const ORACLE: Self =
         Self { name: "lqr+adaptive", law: "lqr", observer: Use::Off, adaptive: true };
 
-    /// The paper's first: it is what all others are beside.
+    /// The paper's comes first: it is the baseline.
     pub const ALL: [Self; 7] = [
         plain("lqr"),
         plain("geometric"),

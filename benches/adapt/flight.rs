@@ -1,4 +1,4 @@
-//! One flight with a change in it.
+//! One flight with a change.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -22,18 +22,18 @@ use vehicle::effects::EffectSet;
 use crate::change::Change;
 use crate::feedback::Feedback;
 
-/// Time along the trajectory at which the change comes at the earliest, and its span, s.
+/// Earliest time of the change along the trajectory, and the range after it, s.
 const CHANGE_S: f64 = 6.0;
 const SPAN_S: f64 = 1.0;
-/// How long it is watched before and after, s.
+/// Length of the evaluation before and after, s.
 pub const BEFORE_S: f64 = 3.0;
 pub const AFTER_S: f64 = 7.0;
-/// A vehicle that is this far off is lost, m.
+/// A vehicle with a larger error is lost, m.
 const LOST_M: f64 = 3.0;
-/// Drag over mass of a vehicle whose file has none, so that wind acts, 1/s.
+/// Drag over mass of a vehicle whose file has none, so that wind has an effect, 1/s.
 const DRAG_PER_S: f64 = 0.25;
 
-/// What is flown.
+/// The trajectory of the flights.
 #[derive(Clone, Copy, Debug)]
 pub enum Course {
     Hover,
@@ -66,7 +66,7 @@ impl Course {
     }
 }
 
-/// What is drawn for a flight.
+/// The random parameters of a flight.
 #[derive(Clone, Copy, Debug)]
 pub struct Draw {
     pub seed: u64,
@@ -88,13 +88,13 @@ impl Draw {
     }
 }
 
-/// How a flight went.
+/// The result of a flight.
 #[derive(Clone, Debug)]
 pub struct Flown {
-    /// Time since the change, s, and distance from where the vehicle is wanted, m.
+    /// Time since the change, s, and distance from the desired position, m.
     pub errors: Vec<(f64, f64)>,
     pub is_lost: bool,
-    /// What adaptation told.
+    /// Messages of the adaptation.
     pub words: Vec<String>,
 }
 
@@ -123,7 +123,7 @@ fn settings(params: &VehicleParams, trajectory: Trajectory) -> StationSettings {
     }
 }
 
-/// Flies every draw; the change comes at its moment, or is there `since_start` of the trajectory.
+/// Flies every draw; the change occurs at its time, or `since_start` of the trajectory.
 pub fn fly_all(
     vehicle: &str,
     course: Course,

@@ -1,12 +1,13 @@
-//! Changes in flight that nobody announces, each met by each form of the feedback: the error before,
-//! its peak, how long it takes until it is that of an oracle, and how many flights are lost.
+//! Unannounced changes in flight under each form of feedback: the error before, its peak, the time
+//! until it matches an oracle's, and the number of lost flights.
 //!
 //! `cargo bench --bench adapt -- [--draws 40] [--seed 1] [--vehicle quad1200] [--course hover]
 //! [--change payload] [--feedback lqr+adaptive]`
 //!
-//! The flights are of the bundled simulator, in lockstep. Each draw has its own noise, moment,
-//! direction and rotor, the same for every feedback. The oracle is `lqr+adaptive` in the same draw
-//! with the change there since the trajectory began: it knows it when the others meet it.
+//! The flights are in the bundled simulator, in lockstep. Each draw has its own noise, time,
+//! direction and rotor, the same for every feedback. The oracle is `lqr+adaptive` in the same draw,
+//! with the change present since the start of the trajectory: it has already adapted when the
+//! others meet the change.
 
 mod change;
 mod feedback;
@@ -24,7 +25,7 @@ struct Options {
     course: Course,
     changes: Vec<Change>,
     feedbacks: Vec<Feedback>,
-    /// Prints what adaptation told in the first draw.
+    /// Prints the messages of the adaptation in the first draw.
     words: bool,
 }
 

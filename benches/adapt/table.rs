@@ -1,4 +1,4 @@
-//! The table: a row for each change and feedback.
+//! The table: one row per change and feedback.
 
 use crate::change::Change;
 use crate::feedback::Feedback;
@@ -6,9 +6,9 @@ use crate::flight::{AFTER_S, BEFORE_S, Flown};
 
 /// Errors are averaged over this time and all flights, s.
 const WINDOW_S: f64 = 0.25;
-/// The error is back within this factor of the oracle's.
+/// The error has recovered within this factor of the oracle's.
 const BACK: f64 = 1.2;
-/// Two-sided 95 %.
+/// Normal quantile of a two-sided 95 % interval.
 const NORMAL_95: f64 = 1.96;
 
 pub fn head() {
@@ -45,7 +45,7 @@ fn rms(windows: &[f64]) -> f64 {
     (windows.iter().map(|error| error * error).sum::<f64>() / windows.len() as f64).sqrt()
 }
 
-/// Mean over the flights of each one's largest error after the change, m.
+/// Mean over the flights of the largest error after the change, m.
 fn peak(flown: &[Flown]) -> f64 {
     let largest = |flown: &Flown| {
         let after = flown.errors.iter().filter(|(time_s, _)| (0.0..AFTER_S).contains(time_s));
@@ -54,7 +54,7 @@ fn peak(flown: &[Flown]) -> f64 {
     flown.iter().map(largest).sum::<f64>() / flown.len() as f64
 }
 
-/// Wilson's interval of a share.
+/// Wilson's interval of a proportion.
 fn interval(lost: usize, of: usize) -> [f64; 2] {
     let (n, p, z) = (of as f64, lost as f64 / of as f64, NORMAL_95);
     let middle = (p + z * z / (2.0 * n)) / (1.0 + z * z / n);

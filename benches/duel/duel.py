@@ -1,4 +1,4 @@
-"""Flies drawn vehicles by every competitor, a row of JSON a vehicle; vehicles whose row is there are kept.
+"""Flies random vehicles with every competitor, one JSON row per vehicle; existing rows are kept.
 
     python duel.py ROWS [VEHICLES] [SEED] [JOBS]
 """
@@ -22,16 +22,16 @@ from raptor import Policy
 from se3 import Geometric
 from vehicles import draw
 
-# Where a flight from the ground never came to its mission, those on board begin when most do.
+# If a flight from the ground never reached its mission, those on board begin when most do.
 USUAL_BEGIN_S = 9.0
 SEEDS_APART = 100_000
 
 
 def fly(seed: int, index: int) -> dict[str, Any]:
-    """One vehicle, every mission and every competitor."""
+    """One vehicle, on every mission, with every competitor."""
     began = time.monotonic()
     drawn = draw(seed, index)
-    # What the file says must not hold what is hidden.
+    # The file must not contain the hidden effects.
     assert dw.Vehicle.parse(json.dumps(drawn.file)).to_dict()["modelled_effects"] == {}
     flight_seed = seed * SEEDS_APART + index
     own_seed = flight_seed + SEEDS_APART // 2
@@ -66,7 +66,7 @@ def fly(seed: int, index: int) -> dict[str, Any]:
 
 
 def attempt(seed: int, index: int) -> dict[str, Any]:
-    """As `fly`; what breaks the bench is a row with its reason, never a vehicle left out."""
+    """As `fly`; an error of the bench becomes a row with its reason, never a missing vehicle."""
     try:
         return fly(seed, index)
     except Exception as error:  # noqa: BLE001
@@ -98,7 +98,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # Two processes share the cores; within one, nothing does.
+    # Two processes share the cores; each process is single-threaded.
     os.environ.setdefault("RAYON_NUM_THREADS", "1")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     main()

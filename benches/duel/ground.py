@@ -18,7 +18,7 @@ from missions import RATE_HZ, Array, desired, error_m, trajectory
 from vehicles import Drawn
 
 OWN_FLIGHT_S = 60
-# Searches end by their number of subproblems and not by the clock, so that a busy machine plans alike.
+# A subproblem limit ends searches, not the clock: a busy machine finds the same plans.
 PLANNING = {"plan.time_limit_s": 600.0, "plan.subproblems_max": 12}
 REGULARIZATION = 1e-5
 FLYING: dict[str, Any] = {"control.adaptive": True}
@@ -26,8 +26,8 @@ UNPLANNED: dict[str, Any] = {"offboard.offset_free.feed_forward": "on"}
 
 
 def flown(log: str, points: Array) -> tuple[float | None, float | None]:
-    """The true error along the desired points, m, and when they began by the vehicle's clock, s;
-    nothing where they were never followed, no error where the log ends before they do."""
+    """The true error along the desired points, m, and their start on the vehicle's clock, s;
+    None if they were never followed, no error if the log ends before they do."""
     decoders = [DecoderFactory()]
     with Path(log).open("rb") as file:
         reader = make_reader(file, decoder_factories=decoders)
@@ -65,7 +65,7 @@ def _fly(
     )[0]
     error, begin = flown(row["log"], desired(mission))
     os.remove(row["log"])
-    # Ended before the mission's end: lost, or landed early by its own supervisor.
+    # Ended before the mission did: lost, or landed early by its own supervisor.
     crashed = row["end"] != "done" or error is None
     return {
         "crashed": crashed,
@@ -76,12 +76,12 @@ def _fly(
 
 
 def model_free(drawn: Drawn, mission: str, seed: int, folder: Path) -> dict[str, Any]:
-    """The paper's LQR along the trajectory, with nothing learned and nothing estimated."""
+    """The paper's LQR along the trajectory, without learning or estimation."""
     return _fly(drawn, trajectory(mission), mission, seed, folder / "lqr", {})
 
 
 def _own_flight(drawn: Drawn, seed: int, folder: Path) -> list[Path]:
-    """Logs of a minute along the programme that `downwash collect` flies."""
+    """Logs of one minute of the programme that `downwash collect` flies."""
     vehicle, effects = folder / "vehicle.json", folder / "effects.toml"
     drawn.vehicle().save(vehicle)
     lines = []
@@ -101,7 +101,7 @@ def _own_flight(drawn: Drawn, seed: int, folder: Path) -> list[Path]:
 def learned_from_own_flight(
     drawn: Drawn, seed: int, folder: Path
 ) -> tuple[dw.Model, dict[str, Any]]:
-    """The model, and what it was learned from. A file and a minute of logs are all that it sees."""
+    """The model, and its training data. It sees only a file and a minute of logs."""
     logs = _own_flight(drawn, seed, folder)
     model = dw.Learner(drawn.vehicle(), regularization=(REGULARIZATION,)).fit(logs).model_
     return model, {"logs": len(logs), "kind": model.preferred}
@@ -112,7 +112,7 @@ def planned(
 ) -> dict[str, Any]:
     """Plans through the learned model, and flies the plan."""
     began = time.monotonic()
-    # Within the thrust that the configuration's envelope lets a trajectory ask for, 1.6 g.
+    # Within the thrust that the configuration's envelope allows a trajectory, 1.6 g.
     bound = {"offboard.limits.thrust_max": min(0.9, 1.5 * drawn.file["hover_thrust"])}
     plan = dw.plan(trajectory(mission), drawn.vehicle(), model, settings=PLANNING | bound)
     planned_s = round(time.monotonic() - began, 2)
@@ -122,6 +122,6 @@ def planned(
             return _fly(drawn, plan, mission, seed, folder / "plan", FLYING) | told
         except dw.DownwashError as refusal:
             told["not_flyable"] = str(refusal)
-    # Without a plan that it may fly, the trajectory itself is flown.
+    # Without a flyable plan, it flies the trajectory itself.
     course = trajectory(mission)
     return _fly(drawn, course, mission, seed, folder / "plan", FLYING | UNPLANNED) | told

@@ -1,4 +1,4 @@
-"""What is flown, and how far a flight strayed from it."""
+"""The missions, and the error of a flight along them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 RATE_HZ = 100.0
-# Farther from the desired position, or turned over, a flight counts as a crash.
+# A flight farther than this from the desired position, or turned over, counts as a crash.
 LOST_M = 3.0
 
 # The authors' figure: 2 m by 1 m.
@@ -52,13 +52,13 @@ def trajectory(mission: str) -> dw.Trajectory:
 
 
 def desired(mission: str) -> Array:
-    """Its points at the common rate, columns `dw.POINT`."""
+    """Its points at the common rate, with columns `dw.POINT`."""
     along = trajectory(mission)
     return along.sample(np.arange(0.0, along.duration_s + 1e-9, 1 / RATE_HZ))
 
 
 def error_m(positions: Array, points: Array) -> float:
-    """Root mean square of the distance between positions and desired ones, row by row."""
+    """Root mean square distance between actual and desired positions, row by row."""
     return float(np.sqrt(np.mean(np.sum((positions - points[:, :3]) ** 2, axis=1))))
 
 

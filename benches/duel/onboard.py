@@ -16,10 +16,10 @@ STEPS = round(1 / RATE_HZ / dw.Plant.step_s)
 
 
 class Controller(Protocol):
-    """Flies several vehicles at once, a row for each."""
+    """Flies several vehicles at once, one row each."""
 
     def outputs(self, states: Array, points: Array) -> Array:
-        """Motor outputs in 0..1, shape (n, 4), of states and desired points."""
+        """Motor outputs in 0..1, shape (n, 4), from states and desired points."""
 
 
 def turned(quaternion: Array, roll: float, pitch: float) -> Array:
@@ -44,7 +44,7 @@ def fly(
     seed: int,
     make: Callable[[int], Controller],
 ) -> list[dict[str, Any]]:
-    """Flies each mission: hovers from `HOVER_S` before it begins, by the plant's clock."""
+    """Flies each mission, after a hover of `HOVER_S` on the plant's clock."""
     vehicle = drawn.vehicle()
     trim = drawn.effects.get("attitude_trim", {})
     roll, pitch = trim.get("roll_rad", 0.0), trim.get("pitch_rad", 0.0)

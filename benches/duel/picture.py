@@ -1,4 +1,4 @@
-"""The rows of `duel.py` as a picture: each vehicle's error by RAPTOR and by downwash.
+"""The rows of `duel.py` as a picture: each vehicle's error under RAPTOR and under downwash.
 
     python picture.py ROWS PICTURE
 """

@@ -1,4 +1,4 @@
-"""RAPTOR, the foundation policy, zero-shot: what its deployment on PX4 gives it."""
+"""RAPTOR, the foundation policy, zero-shot, with the inputs of its deployment on PX4."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from missions import Array
 
 POSITION_ERROR_MAX_M = 0.5
 VELOCITY_ERROR_MAX_M_S = 1.0
-# Thrust over rotor command of the vehicles that it was trained on, all scaled alike: the constant,
-# linear and square part, of which the sum is full thrust.
+# Thrust over rotor command of its training vehicles, all scaled alike: the constant, linear and
+# square coefficients, whose sum is full thrust.
 THRUST_CURVE = np.array([0.00352526, 0.01437313, 0.09223048])
 
 

@@ -1,7 +1,7 @@
-"""Whether RAPTOR flies in downwash's plant as it does elsewhere: vehicles of its own kinds, no effects.
+"""Whether RAPTOR flies in downwash's plant as it does elsewhere: its own kinds of vehicle, no effects.
 
-Its authors' deployment flies a figure of eight of 2 m by 1 m in 10 s by default. RotorPy has an adapter of its own
-for the policy; what it flies in RotorPy stands beside.
+Its authors' deployment flies a figure of eight of 2 m by 1 m in 10 s by default. RotorPy has its own adapter
+for the policy; its results in RotorPy are printed for comparison.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def points(keys: dict[str, object]) -> Array:
 
 
 def like_x500() -> dict[str, object]:
-    """The numbers that the authors' simulator has of an x500: 2 kg, arms of 0.25 m, 50 N in all."""
+    """The authors' simulator's parameters of an x500: 2 kg, arms of 0.25 m, 50 N in total."""
     file = dw.Vehicle("quad1200").to_dict()
     side, mass, inertia, full = 0.1768, 2.0, np.array([0.02448, 0.02448, 0.04396]), 12.8
     rotors = [
@@ -51,7 +51,7 @@ def like_x500() -> dict[str, object]:
 
 
 def in_rotorpy(course: Array) -> float:
-    """RAPTOR by RotorPy's own adapter in RotorPy's own simulator, on RotorPy's own Crazyflie."""
+    """RAPTOR through RotorPy's own adapter, in RotorPy's simulator, on RotorPy's Crazyflie."""
     hover = float(np.sqrt(CRAZYFLIE["mass"] * 9.81 / 4 / CRAZYFLIE["k_eta"]))
     state = {
         "x": FLU @ course[0, :3],
@@ -75,8 +75,8 @@ def in_rotorpy(course: Array) -> float:
 
 
 def same_air_m_s2() -> float:
-    """By how much the acceleration of a flight from the ground, gusts and all, differs at most from that of
-    the plant that those on board fly, at the same states and the same time."""
+    """Largest difference in acceleration, gusts included, between a flight from the ground and the plant
+    of the on-board controllers, at the same states and times."""
     effects = {
         "wind": {"north_m_s": 1.0},
         "gusts": {"sigma_m_s": 0.8},

@@ -23,19 +23,19 @@ def rows(path: str) -> list[dict[str, Any]]:
     found = {}
     for line in Path(path).read_text().splitlines():
         row = json.loads(line)
-        # A later row of a vehicle stands for the earlier.
+        # A later row of a vehicle replaces the earlier.
         found[row["seed"], row["index"]] = row
     return [found[key] for key in sorted(found)]
 
 
 def errors(flown: list[dict[str, Any]], mission: str, who: str) -> np.ndarray:
-    """Errors in m, a crash as infinite."""
+    """Errors in m; infinite for a crash."""
     each = (row["missions"][mission][who] for row in flown)
     return np.array([math.inf if e["crashed"] else e["error_m"] for e in each])
 
 
 def quantile(values: np.ndarray, share: float) -> float:
-    # Towards an infinity there is nothing to interpolate.
+    # There is no interpolation towards infinity.
     if np.isinf(high := np.quantile(values, share, method="higher")):
         return float(high)
     return float(np.quantile(np.where(np.isinf(values), high, values), share))
@@ -46,7 +46,7 @@ def length(value: float) -> str:
 
 
 def ratio(of: np.ndarray, to: np.ndarray) -> np.ndarray:
-    """By how much downwash's error is lower, vehicle by vehicle; a crash of both is 1."""
+    """Ratio of the errors `of` to `to`, vehicle by vehicle; 1 if both crash."""
     both = np.isinf(of) & np.isinf(to)
     return np.where(both, 1.0, of / np.where(both, 1.0, to))
 

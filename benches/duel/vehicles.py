@@ -1,4 +1,4 @@
-"""Vehicles that are drawn, each as a file and as effects that the file does not say. SI."""
+"""Random vehicles, each a file and effects that the file does not state. SI."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 
 GRAVITY = 9.80665
 LIGHTEST_KG, HEAVIEST_KG = 0.035, 2.4
-# Thrust over weight and angular acceleration at full roll that RAPTOR's training draws from.
+# Ranges of thrust over weight and of angular acceleration at full roll in RAPTOR's training.
 THRUST_TO_WEIGHT = (1.5, 5.0)
 TORQUE_TO_INERTIA_RAD_S2 = (40.0, 1200.0)
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A vehicle: what its file says, and what it has beside that."""
+    """A vehicle: its file, and its hidden effects."""
 
     name: str
     file: dict[str, Any]
@@ -26,12 +26,12 @@ class Drawn:
     kinds: tuple[str, ...]
 
     def vehicle(self) -> dw.Vehicle:
-        """The vehicle as its file says."""
+        """The vehicle according to its file."""
         return dw.Vehicle.parse(json.dumps(self.file), f"{self.name}.json")
 
 
 def _file(name: str, mass: float, rng: np.random.Generator) -> dict[str, Any]:
-    # Mass goes with the cube of the length; that of a Crazyflie is 0.040 m at 31 g.
+    # Mass scales with the cube of the length; a Crazyflie has 0.040 m at 31 g.
     arm = 0.0396 * np.cbrt(mass / 0.0306) * rng.uniform(0.9, 1.3)
     roll = rng.uniform(0.16, 0.28) * mass * arm**2
     inertia = roll * np.array([1.0, rng.uniform(0.95, 1.15), rng.uniform(1.6, 2.0)])
@@ -40,7 +40,7 @@ def _file(name: str, mass: float, rng: np.random.Generator) -> dict[str, Any]:
     thrust_max = thrust_to_weight * mass * GRAVITY / 4
     side = arm / np.sqrt(2)
     torque = rng.uniform(0.006, 0.02)
-    # An on-board loop as quick as the rotors let it be.
+    # An on-board loop as fast as the rotors allow.
     roll_rad_s = min(16.0, 0.55 / lag)
     frequency = np.array([roll_rad_s, roll_rad_s, 0.4 * roll_rad_s])
     kp, kd = inertia * frequency**2, inertia * 2 * 0.9 * frequency
@@ -121,7 +121,7 @@ def _inertia(file, rng):
     return {"inertia": {"scale": rng.uniform(0.8, 1.25, 3).tolist()}}
 
 
-# Air that moves acts through drag, so it comes with some.
+# Moving air acts through drag, so it comes with some.
 def _wind(file, rng):
     speed, towards = rng.uniform(0.5, 3.0), rng.uniform(0, 2 * np.pi)
     wind = {"north_m_s": speed * np.cos(towards), "east_m_s": speed * np.sin(towards)}
@@ -149,12 +149,12 @@ KINDS = {
 
 
 def within(drawn: Drawn) -> bool:
-    """Whether the vehicle, its effects included, is one that RAPTOR was trained on."""
+    """Whether the vehicle, its effects included, is within RAPTOR's training range."""
     file, effects = drawn.file, drawn.effects
     mass = effects.get("mass", {}).get("mass_kg", file["mass"])
     scale = effects.get("thrust_scale", {}).get("scale", 1.0)
     thrust = scale * file["rotors"][0]["thrust_max_N"]
-    # As its training has it: two of four rotors at full thrust, on arms at 45 degrees.
+    # As in its training: two of four rotors at full thrust, on arms at 45 degrees.
     side = file["rotors"][0]["position_m"][0]
     factors = effects.get("inertia", {}).get("scale", [1.0, 1.0, 1.0])
     turns = [np.sqrt(2) * side * thrust / (file["inertia"][i] * factors[i]) for i in (0, 1)]
@@ -172,16 +172,16 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def draw(seed: int, index: int) -> Drawn:
-    """Vehicle ``index`` of a seed, the same whatever else is drawn."""
+    """Vehicle ``index`` of a seed; independent of all other draws."""
     rng = np.random.default_rng([seed, index])
     while True:
-        # Evenly in size, as RAPTOR's training does.
+        # Uniform in size, as in RAPTOR's training.
         mass = float(rng.uniform(np.cbrt(LIGHTEST_KG), np.cbrt(HEAVIEST_KG)) ** 3)
         file = _file(f"duel-{seed}-{index:03d}", mass, rng)
         kinds = tuple(rng.choice(list(KINDS), size=rng.integers(1, 3), replace=False).tolist())
         sets = [KINDS[kind](file, rng) for kind in kinds]
         effects = {name: _plain(values) for each in sets for name, values in each.items()}
         drawn = Drawn(file["name"], file, effects, kinds)
-        # Two kinds that set the same effect would be one.
+        # Two kinds that set the same effect would count as one.
         if len(effects) == sum(map(len, sets)) and within(drawn):
             return drawn

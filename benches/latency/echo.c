@@ -1,5 +1,5 @@
-/* The floor of a UDP round trip on this machine: sends every datagram back to where it came from.
-   cc -O2 echo.c -o echo && ./echo        prints the port it listens on, on loopback. */
+/* The lower bound of a UDP round trip on this machine: returns every datagram to its sender.
+   cc -O2 echo.c -o echo && ./echo        prints the port on which it listens, on loopback. */
 #include <arpa/inet.h>
 #include <netinet/in.h>
 #include <stdio.h>

@@ -1,9 +1,9 @@
 //! Telemetry datagram in, setpoint datagram out, over loopback UDP in real time, measured from
 //! outside: a minimal vehicle stamps its ODOMETRY when it sends it and the daemon's setpoint when
-//! it has it. Beside it, half a period later and at the same rate, the same datagram goes to a
-//! plain C echo, which is the floor that the machine sets.
+//! it receives it. Half a period later, at the same rate, it sends the same datagram to a plain C
+//! echo, which is the lower bound on this machine.
 //!
-//! All of them are kept on one core, where waking another adds no noise.
+//! All processes run on one core, where waking another adds no noise.
 
 mod processes;
 mod vehicle;
@@ -27,10 +27,10 @@ cargo bench --bench latency -- [OPTIONS]
     --daemon PATH   the downwash to measure [the one that was just built]
     --json          one line of JSON";
 
-/// Time for the daemon to identify the vehicle and to stream.
+/// Time limit for the daemon to identify the vehicle and start streaming.
 const START_LIMIT: Duration = Duration::from_secs(20);
-/// What the line is held to: over the echo's median, us; times the echo's 99th percentile; share
-/// of a core.
+/// Requirements on the control path: over the echo's median, us; times the echo's 99th percentile;
+/// fraction of a core.
 const P50_OVER_ECHO_US: f64 = 30.0;
 const P99_OF_ECHO: f64 = 3.0;
 const CPU_SHARE: f64 = 0.05;
@@ -93,7 +93,7 @@ impl Latencies {
         Self(us)
     }
 
-    /// The time that this share of all is not above.
+    /// The quantile `share`, by nearest rank.
     fn quantile(&self, share: f64) -> f64 {
         let rank = (self.0.len() as f64 * share).ceil() as usize;
         self.0.get(rank.saturating_sub(1)).copied().unwrap_or(f64::NAN)
@@ -112,21 +112,21 @@ impl Latencies {
     }
 }
 
-/// What a run gave.
+/// Results of a run.
 struct Measured {
     daemon: Latencies,
     echo: Latencies,
     ticks: usize,
-    /// Setpoints that came after half a period.
+    /// Setpoints that arrived more than half a period after their telemetry.
     late: usize,
-    /// Ticks whose setpoint never came.
+    /// Ticks whose setpoint never arrived.
     missed: usize,
-    /// Ticks that this process itself began too late to keep the pace.
+    /// Ticks that this process itself started too late to keep the pace.
     slipped: usize,
     cpu_share: f64,
 }
 
-/// Sends at an even pace.
+/// Paces the sends evenly.
 struct Pace {
     next: Instant,
     step: Duration,
@@ -138,8 +138,8 @@ impl Pace {
         Self { next: Instant::now(), step, slipped: 0 }
     }
 
-    /// Sleeps until the next step. A machine that is busy may wake this process late: what was
-    /// missed is not made up for by a burst, which no vehicle would send.
+    /// Sleeps until the next step. A busy machine may wake this process late: missed steps are not
+    /// made up by a burst, which no vehicle would send.
     fn wait(&mut self) {
         self.next += self.step;
         std::thread::sleep(self.next.saturating_duration_since(Instant::now()));
@@ -195,7 +195,7 @@ fn measure(options: &Options, vehicle: &mut Vehicle, daemon: &Process, echo_port
     }
 }
 
-/// Load averages over 1, 5 and 15 minutes: what else the machine did.
+/// Load averages over 1, 5 and 15 minutes, to show other load on the machine.
 fn load() -> String {
     let text = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     text.split_whitespace().take(3).collect::<Vec<_>>().join(" ")

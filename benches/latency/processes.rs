@@ -1,4 +1,4 @@
-//! The two that are measured, each a process of its own: the daemon and the echo.
+//! The two measured processes: the daemon and the echo.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -9,9 +9,9 @@ use std::process::{Child, Command, Stdio};
 /// A process that is killed when dropped.
 pub struct Process {
     child: Child,
-    /// Where it listens on loopback.
+    /// Port on which it listens on loopback.
     pub port: u16,
-    /// What it says.
+    /// File with its log output.
     pub log: Option<PathBuf>,
 }
 
@@ -36,8 +36,8 @@ impl Process {
         Self { child, port: line.trim().parse().expect("a port"), log: None }
     }
 
-    /// Starts `PROGRAM daemon` on a free port, with control at `rate_hz`, and the live view on
-    /// another.
+    /// Starts `PROGRAM daemon` on a free port, with control at `rate_hz`, and with the live view on
+    /// another port.
     pub fn daemon(program: &Path, folder: &Path, rate_hz: f64, is_viewed: bool) -> Self {
         let probe = UdpSocket::bind("127.0.0.1:0").expect("a socket");
         let port = probe.local_addr().expect("its address").port();
@@ -62,8 +62,8 @@ impl Process {
         Self { child, port, log: Some(log) }
     }
 
-    /// User and system time so far, s, from the scheduler's sum of run times: the clock ticks of
-    /// `/proc/PID/stat` miss what runs between them.
+    /// User and system time so far, s, from the scheduler's total run time: the clock ticks of
+    /// `/proc/PID/stat` miss short runs between them.
     pub fn cpu_seconds(&self) -> f64 {
         let threads = std::fs::read_dir(format!("/proc/{}/task", self.child.id()));
         let run_time = |thread: PathBuf| -> Option<f64> {
@@ -75,10 +75,10 @@ impl Process {
     }
 }
 
-/// Lets this thread run on any core again.
+/// Allows this thread to run on any core again.
 pub fn unpin() {
-    // SAFETY: plain values; the set is initialised before it is read. The system leaves out the
-    // cores that there are not.
+    // SAFETY: plain values; the set is initialised before it is read. The system ignores cores that
+    // do not exist.
     unsafe {
         let mut set: libc::cpu_set_t = std::mem::zeroed();
         (0..64).for_each(|core| libc::CPU_SET(core, &mut set));
@@ -86,7 +86,7 @@ pub fn unpin() {
     }
 }
 
-/// Keeps this process, and those that it starts from now on, on one core.
+/// Pins this process, and those that it starts from now on, to one core.
 pub fn pin(core: usize) {
     // SAFETY: plain values; the set is initialised before it is read.
     let pinned = unsafe {

@@ -1,4 +1,4 @@
-//! The least of a vehicle that the daemon streams its hold to.
+//! A minimal vehicle, sufficient for the daemon to stream its hold setpoint.
 
 use std::io::ErrorKind;
 use std::net::UdpSocket;
@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 use wire::dialect::*;
 use wire::{Decoder, Encoder};
 
-/// PX4's word for HOLD.
+/// PX4's custom mode for HOLD.
 const HOLD: u32 = 4 << 16 | 3 << 24;
 
-/// A socket to one port on loopback that never blocks.
+/// A non-blocking socket to one port on loopback.
 pub fn socket_to(port: u16) -> UdpSocket {
     let socket = UdpSocket::bind("127.0.0.1:0").expect("a socket");
     socket.connect(("127.0.0.1", port)).expect("connected");
@@ -19,8 +19,8 @@ pub fn socket_to(port: u16) -> UdpSocket {
     socket
 }
 
-/// Waits for a datagram. Not by the socket's time-out, which the kernel rounds up to its tick of
-/// several milliseconds.
+/// Waits for a datagram. The socket's own time-out would not do: the kernel rounds it up to its
+/// tick of several milliseconds.
 pub fn receive(
     socket: &UdpSocket,
     datagram: &mut [u8],
@@ -37,7 +37,7 @@ pub fn receive(
         unsafe { libc::ppoll(&mut ready, 1, &timeout, std::ptr::null()) };
         match socket.recv(datagram) {
             Ok(count) => return Some((count, Instant::now())),
-            // What was sent before the other end listened was refused.
+            // Datagrams sent before the other end listened were refused.
             Err(error) if error.kind() == ErrorKind::ConnectionRefused => {}
             Err(_) if left.is_zero() => return None,
             Err(_) => {}
@@ -45,7 +45,7 @@ pub fn receive(
     }
 }
 
-/// Stands on the ground, disarmed, in HOLD, and answers what it is asked.
+/// On the ground, disarmed, in HOLD; answers requests.
 pub struct Vehicle {
     socket: UdpSocket,
     encoder: Encoder,
@@ -65,7 +65,7 @@ impl Vehicle {
         }
     }
 
-    /// The frame that was sent last.
+    /// The last frame sent.
     pub fn last_frame(&self) -> &[u8] {
         &self.frame
     }
@@ -83,7 +83,7 @@ impl Vehicle {
         self.start.elapsed().as_micros() as u64 + 1_000_000
     }
 
-    /// What comes once a second.
+    /// Sends the messages that are due once a second.
     pub fn send_slow_messages(&mut self) {
         self.send(&MavMessage::HEARTBEAT(HEARTBEAT_DATA {
             custom_mode: HOLD,
@@ -104,7 +104,7 @@ impl Vehicle {
         }));
     }
 
-    /// Sends the state; returns when.
+    /// Sends the state; returns the send time.
     pub fn send_odometry(&mut self) -> Instant {
         let message = MavMessage::ODOMETRY(ODOMETRY_DATA {
             time_usec: self.time_us(),
@@ -116,12 +116,12 @@ impl Vehicle {
         self.send(&message)
     }
 
-    /// Takes what has come; how many setpoints were among it.
+    /// Reads all pending messages; returns the number of setpoints among them.
     pub fn late_setpoints(&mut self) -> usize {
         std::iter::from_fn(|| self.await_setpoint(Instant::now())).count()
     }
 
-    /// Reads until a setpoint has come, and answers everything else; returns when it came.
+    /// Reads until a setpoint arrives, and answers all other messages; returns its arrival time.
     pub fn await_setpoint(&mut self, until: Instant) -> Option<Instant> {
         let mut datagram = [0; 2048];
         loop {
@@ -142,7 +142,7 @@ impl Vehicle {
     }
 
     /// Waits for the daemon to stream: sends the state at its rate until a second's worth of
-    /// setpoints has come. Returns whether it did within `limit`.
+    /// setpoints has arrived. Returns whether that happened within `limit`.
     pub fn is_streamed_to(&mut self, period: Duration, limit: Duration) -> bool {
         let begun = Instant::now();
         let (mut answered, wanted) = (0, (1.0 / period.as_secs_f64()).ceil() as usize);

@@ -1,4 +1,4 @@
-//! A client of the live view that takes all topics as they come.
+//! A client of the live view that receives all topics as they come.
 
 use std::net::TcpStream;
 use std::sync::Arc;
@@ -11,11 +11,11 @@ use tungstenite::http::HeaderValue;
 
 use crate::processes::{Process, unpin};
 
-/// A viewer in a thread of its own.
+/// A viewer on a separate thread.
 pub struct Viewer(Arc<AtomicU64>);
 
 impl Viewer {
-    /// Messages of topics so far.
+    /// Number of topic messages so far.
     pub fn messages(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }

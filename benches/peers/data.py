@@ -7,8 +7,8 @@
     per network and part: rows x (inputs + outputs) f32, row-major, little-endian, normalised
     by the mean and deviation of the training part
 
-States are drawn from the envelope of ordinary flight, not flown: what is timed is the same for any
-rows, and the errors of the tools are compared on the same ones.
+States are drawn from the envelope of ordinary flight, not flown: the timing is the same for any rows,
+and the errors of all tools are compared on the same rows.
 """
 
 import sys
@@ -24,7 +24,7 @@ DAMPING = 1e-6
 
 
 def body_to_world(attitude):
-    """Rotation matrices of roll, pitch, yaw (z-y-x), one a row."""
+    """Rotation matrices of roll, pitch, yaw (z-y-x), one per row."""
     (sr, sp, sy), (cr, cp, cy) = np.sin(attitude).T, np.cos(attitude).T
     rows = [
         [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
@@ -35,7 +35,7 @@ def body_to_world(attitude):
 
 
 def problem():
-    """Yields inputs and targets, not yet normalised, of the two networks."""
+    """Yields the inputs and targets of the two networks, before normalisation."""
     random = np.random.default_rng(7)
     draw = lambda *deviations: random.normal(0, deviations, (ROWS, len(deviations)))
     velocity = draw(0.55, 0.5, 0.5)

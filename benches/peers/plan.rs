@@ -1,11 +1,11 @@
-//! The planning problem that other solvers were given, with wrenches as inputs: from the desired
-//! states and hover, cold, and again from a plan whose start has moved.
+//! The planning problem given to the other solvers, with wrenches as inputs: cold, from the desired
+//! states and hover, and again from a plan whose start has moved.
 //!
 //! `cargo bench --bench plan -- [--problem DIR] [--repeats 5] [--model NAME] [--out DIR] [--json]`
 //!
 //! DIR holds `params.json`, `nets.json` and `traj_sinyawN.json`; by default it is
-//! `$DOWNWASH_PEERS_PROBLEM`, else `../shared/peers/problem` beside the repository. Nothing is
-//! measured where it is missing. With `--out`, plans are written as `{"S": states, "U": inputs}`.
+//! `$DOWNWASH_PEERS_PROBLEM`, else `../shared/peers/problem` beside the repository. If it is
+//! missing, nothing is measured. With `--out`, plans are written as `{"S": states, "U": inputs}`.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -154,7 +154,7 @@ impl Model for Hybrid<'_> {
 }
 
 /// Networks of the same size and normalisation with random weights, whose accelerations are a few
-/// per cent of theirs.
+/// per cent of those of `nets`.
 fn residual(nets: &NetworkModel) -> NetworkModel {
     let mut random = Pcg64Mcg::seed_from_u64(7);
     let mut redraw = |network: &Network| {
@@ -209,7 +209,7 @@ fn read<T: DeserializeOwned>(folder: &Path, name: &str) -> T {
     serde_json::from_slice(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// One search `repeats` times: its outcome, and the seconds of each.
+/// One search `repeats` times: its outcome, and the sorted times in s.
 fn timed(
     problem: &Problem<4>,
     dynamics: &WrenchDynamics<'_>,
@@ -279,7 +279,7 @@ fn main() {
     let nets = NetworkModel { features: Features::World, linear: nn1.into(), angular: nn2.into() };
     let hybrid = Hybrid(&physics, residual(&nets));
     let cold = ScpSettings::default();
-    // A plan is there already: small steps, and an end once they pay little.
+    // A plan already exists: small steps, and an end once they gain little.
     let near = ScpSettings { trust: 0.1, progress: 1e-2, ..cold };
     let models: [(&str, &dyn Model); 3] =
         [("physics", &physics), ("nets", &nets), ("hybrid", &hybrid)];
@@ -312,7 +312,7 @@ fn main() {
             let (outcome, seconds) = timed(&problem, &dynamics, &cold, &guess, options.repeats);
             print(&options, name, "cold", &outcome, &seconds);
             write(&options, name, "cold", &outcome);
-            // The vehicle is found 2 cm, 5 cm/s and 0.02 rad beside its plan.
+            // The vehicle is 2 cm, 5 cm/s and 0.02 rad off its plan.
             let moved = [0.02, -0.02, 0.01, 0.05, 0.05, 0.0, 0.02, -0.02, 0.0, 0.0, 0.0, 0.0];
             for (start, moved) in problem.start.iter_mut().zip(moved) {
                 *start += moved;

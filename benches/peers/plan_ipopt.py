@@ -1,8 +1,8 @@
-"""The planning problem by CasADi and IPOPT: `python plan_ipopt.py FOLDER MODEL PERIODS [WIDTH]`, prints JSON.
+"""The planning problem in CasADi and IPOPT: `python plan_ipopt.py FOLDER MODEL PERIODS [WIDTH]`, prints JSON.
 
 Direct multiple shooting from the desired states and hover, exact Hessian, MUMPS. MODEL is physics or nets. A WIDTH
 above 0 rounds the networks' ReLUs off to `(x + sqrt(x^2 + WIDTH^2)) / 2` for the search: with their kinks IPOPT
-does not converge. What is printed of the result is always by the exact model, and the time is the search's only.
+does not converge. The printed result always uses the exact model, and the time is the search's only.
 """
 
 import json
@@ -60,7 +60,7 @@ def euler_step(round_off):
     return ca.Function("step", [s, w], [s + course["dt"] * ca.vertcat(v, linear, turning, angular)])
 
 
-# One vector of (w_0, s_1, w_1, s_2, ...), so that the equations are banded.
+# One vector (w_0, s_1, w_1, s_2, ...) makes the equations banded.
 x = ca.MX.sym("x", 16, periods)
 inputs, states = x[:4, :], x[4:, :]
 before = ca.horzcat(ca.DM(course["s0"]), states[:, :-1])

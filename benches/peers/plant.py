@@ -1,6 +1,6 @@
 """Vehicle steps per second of a peer's batch on one core: `python plant.py crazyflow|rotorpy`.
 
-Prints one JSON object a line, as `cargo bench -p downwash-vehicle --bench batch` does. Pin it to one core.
+Prints one JSON object per line, like `cargo bench -p downwash-vehicle --bench batch`. Pin it to one core.
 """
 
 import json
@@ -11,13 +11,13 @@ import time
 RUNS = 7
 RUN_S = 0.3
 
-# One core: JAX would else make a pool of threads.
+# One core: otherwise JAX would start a thread pool.
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 
 def best(step, steps_a_call):
-    """Steps per second, the best of several short runs: others on the machine only take time away."""
+    """Steps per second, the best of several short runs: other load on the machine only takes time away."""
     step()
     rates = []
     for _ in range(RUNS):
@@ -51,10 +51,10 @@ def crazyflow():
                 control=Control.rotor_vel,
                 integrator=integrator,
             )
-            # Off the floor, where it holds what falls.
+            # Off the floor, which stops falling vehicles.
             position = sim.data.states.pos.at[..., 2].set(1000.0)
             sim.data = sim.data.replace(states=sim.data.states.replace(pos=position))
-            # Below hover: it sinks a little.
+            # Below hover: the vehicle sinks slowly.
             sim.rotor_vel_control(np.full((worlds, 1, 4), 14_000.0, np.float32))
 
             def step(sim=sim):

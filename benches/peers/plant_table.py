@@ -1,4 +1,4 @@
-"""The table of the plants: best figure of all rounds, and how often a peer's it is."""
+"""The table of the plants: best figure of all rounds, and its ratio to a peer's."""
 
 import json
 import sys

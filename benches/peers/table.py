@@ -1,4 +1,4 @@
-"""The medians of all rounds as one table: `python table.py RESULTS`, a JSON object a line."""
+"""The medians of all rounds as one table: `python table.py RESULTS`, one JSON object per line."""
 
 import json
 import statistics

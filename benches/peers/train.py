@@ -1,7 +1,7 @@
 """One peer's training, timed: `python train.py numpy|torch FILE THREADS PASSES`, prints JSON.
 
-Full-batch Rprop on both networks of FILE, one hidden layer of 100 ReLUs, as `benches/training.rs`.
-Only the passes are timed: reading, and the errors that are printed, are not.
+Full-batch Rprop on both networks of FILE, one hidden layer of 100 ReLUs, as in `benches/training.rs`.
+Only the passes are timed, not the reading of the rows or the printed errors.
 """
 
 import json
@@ -28,7 +28,7 @@ def clocks():
 
 
 def first_parameters(inputs, outputs, random):
-    """As torch.nn.Linear draws them."""
+    """Initial weights with the distribution of torch.nn.Linear."""
     uniform = lambda fan, *shape: random.uniform(-1, 1, shape).astype("f4") / np.float32(fan**0.5)
     hidden = [uniform(inputs, inputs, HIDDEN), uniform(inputs, HIDDEN)]
     return hidden + [uniform(HIDDEN, HIDDEN, outputs), uniform(HIDDEN, outputs)]
@@ -40,7 +40,7 @@ def forward(parameters, inputs):
 
 
 def train_numpy(inputs, targets, random):
-    """Back-propagation by hand: each array is made once, each product is one BLAS call."""
+    """Explicit back-propagation: each array is allocated once, each product is one BLAS call."""
     parameters = first_parameters(inputs.shape[1], targets.shape[1], random)
     steps = [np.full_like(p, FIRST_STEP) for p in parameters]
     last = [np.zeros_like(p) for p in parameters]

@@ -1,11 +1,10 @@
-//! The fastest way through the course of 19 waypoints that published planners are compared on, its
-//! time and the time of one core that finding it takes; and theirs, by the same judge.
+//! The fastest way through the 19-waypoint course on which published planners are compared: its
+//! flight time, and the single-core planning time; and the published results under the same judge.
 //!
 //! `cargo bench --bench race -- [--published DIR] [--repeats 5]`
 //!
-//! DIR holds the trajectories that come with FSC-Lab/TOGT-Planner at 6707d3a
-//! (`resources/trajectory`): `aos_traj.csv` and `aos_refined_traj.csv`. Without it only the plans
-//! of this repository are judged.
+//! DIR holds the trajectories from FSC-Lab/TOGT-Planner at 6707d3a (`resources/trajectory`):
+//! `aos_traj.csv` and `aos_refined_traj.csv`. Without it, only this repository's plans are judged.
 
 #[allow(dead_code, reason = "the tests use all of it")]
 #[path = "../../tests/race_course.rs"]
@@ -24,7 +23,7 @@ use race_course as course;
 use race_judge as judge;
 use race_judge::{JudgedInput, JudgedState, JudgedVehicle, Verdict};
 
-/// Waypoints of the whole course.
+/// Number of waypoints of the whole course.
 const WHOLE: usize = 19;
 
 fn main() {
@@ -86,8 +85,8 @@ fn main() {
     }
 }
 
-/// Time that this process, which plans on one thread, has had a core for, s: what others do on the
-/// machine is not in it.
+/// CPU time of this process, which plans on one thread, s: other load on the machine does not
+/// count.
 fn core_s() -> f64 {
     let time = clock_gettime(ClockId::ProcessCPUTime);
     time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
@@ -108,13 +107,13 @@ fn print(name: &str, planning_s: Option<f64>, verdict: &Verdict) {
     );
 }
 
-/// States and the thrusts that are held from each to the next.
+/// States, and the thrusts held from each to the next.
 struct Flight {
     states: Vec<JudgedState>,
     inputs: Vec<JudgedInput>,
 }
 
-/// Judged by its own states; between them by its inputs, from each state on.
+/// Judges a flight by its own states; between them by its inputs, from each state on.
 fn judge_published(flight: &Flight) -> Verdict {
     let course = course::course(WHOLE, true);
     let vehicle = course::vehicle();

@@ -1,14 +1,15 @@
-//! Arm drag: F_body = -1/2 rho cda (|v_ax| v_ax, |v_ay| v_ay, 0), as of thin arms that cross the air.
+//! Arm drag: F_body = -1/2 rho cda (|v_ax| v_ax, |v_ay| v_ay, 0), as from thin arms across the
+//! flow.
 //!
-//! Each axis has its own quadratic drag, where parasitic drag is along the whole velocity. An effect
-//! that the catalogue does not have: copied to `vehicle/src/effects/arm_drag.rs`, with the line
-//! `ArmDrag arm_drag body,` in `catalogue!`, it is flown, learned and diagnosed.
+//! Each axis has its own quadratic drag, whereas parasitic drag acts along the whole velocity. The
+//! catalogue does not include this effect: copy it to `vehicle/src/effects/arm_drag.rs` and add the
+//! line `ArmDrag arm_drag body,` to `catalogue!` to fly, learn and diagnose it.
 
 use super::{BodyEffect, Effect, EffectId, Flow, Need, Parameter, Slots, Spec, Wrench, slots};
 use crate::frame::Frd;
 use crate::scalar::Scalar;
 
-/// Drag of the arms, by the body's axes.
+/// Drag of the arms along the body's axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmDrag {
     /// Area times drag coefficient of the arms, m^2.

@@ -1,12 +1,12 @@
-//! What lies between a setpoint and the vehicle's acceleration beside the attitude loop: the
-//! transport delay and the rotors' lag, as far as they are known.
+//! Delay and lag between a setpoint and the vehicle's acceleration, apart from the attitude loop:
+//! the transport delay and the rotors' lag, as far as they are known.
 
 use nalgebra::SMatrix;
 
 use super::attitude_loop::AttitudeLoop;
 use super::hover_model::{HoverModel, INPUTS, STATES};
 
-/// How late a setpoint acts.
+/// The latency of a setpoint.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Actuation {
     /// Mean time from sending a setpoint to its use on board, s.
@@ -16,48 +16,48 @@ pub struct Actuation {
 }
 
 impl Actuation {
-    /// At once: the paper's model.
+    /// No delay and no lag: the paper's model.
     pub const IMMEDIATE: Self = Self { command_delay_s: 0.0, motor_time_constant_s: 0.0 };
 
-    /// From a thrust's sending to its use, the rotors' lag taken for a delay, s.
+    /// Delay from sending a thrust to its effect, with the rotors' lag counted as a delay, s.
     pub fn thrust_delay_s(&self) -> f64 {
         self.command_delay_s + self.motor_time_constant_s
     }
 
-    /// The same of an attitude's, beside `attitude_loop`'s own answer.
+    /// The same for an attitude, without `attitude_loop`'s own response.
     pub fn attitude_delay_s(&self, attitude_loop: &AttitudeLoop) -> f64 {
         let is_before = attitude_loop.is_before_the_rotors();
         if is_before { self.thrust_delay_s() } else { self.command_delay_s }
     }
 }
 
-/// Thrust and the three angular accelerations, as the rotors give them.
+/// Thrust and the three angular accelerations, as the rotors produce them.
 const LAGGING: usize = 4;
-/// Size of the state with the delayed inputs and what the rotors give.
+/// Size of the state with the delayed inputs and the rotors' outputs.
 pub(super) const DELAYED_STATES: usize = STATES + INPUTS + LAGGING;
 const VARIABLES: usize = DELAYED_STATES + INPUTS;
-/// State of the first delayed input, and of the rotors' thrust.
+/// Index of the first delayed input, and of the rotors' thrust.
 const DELAYED: usize = STATES;
 const THRUST: usize = STATES + INPUTS;
 const TURN: usize = THRUST + 1;
-/// Rows of the body rate.
+/// First row of the body rate.
 const BODY_RATE: usize = 9;
 
-/// Times below this are taken for this, so that one model serves all, s. Over a control period
-/// nothing is left of it.
+/// Shorter times are raised to this, so that one model covers all cases, s. A lag this short has
+/// decayed within one control period.
 const SHORTEST_S: f64 = 1e-3;
 
-/// A linear model `x+ = A x + B u_hat` over one control period; `x` begins with the 12 states of
-/// [`HoverModel`], which are measured, and goes on with those that are not.
+/// A linear model `x+ = A x + B u_hat` over one control period. `x` begins with the 12 measured
+/// states of [`HoverModel`]; the rest are not measured.
 pub(super) struct DelayedModel {
     pub state: SMatrix<f64, DELAYED_STATES, DELAYED_STATES>,
     pub input: SMatrix<f64, DELAYED_STATES, INPUTS>,
 }
 
 impl DelayedModel {
-    /// The hover model with `actuation` around the attitude loop. The delay is a lag of the same
-    /// mean: it turns the phase as a delay does where the loop's gain is near 1. The rotors' lag is
-    /// between the loop and its moments, unless the loop was measured with its rotors.
+    /// The hover model with `actuation` around the attitude loop. The delay is modelled as a lag of
+    /// the same mean: both turn the phase alike where the loop's gain is near 1. The rotors' lag
+    /// acts between the loop and its moments, unless the loop was measured with its rotors.
     pub fn new(
         hover: &HoverModel,
         attitude_loop: &AttitudeLoop,
@@ -84,7 +84,7 @@ impl DelayedModel {
             let (row, turn) = (BODY_RATE + axis, TURN + axis);
             slope[(turn, turn)] = -lag;
             if attitude_loop.is_before_the_rotors() {
-                // At hover the body turns by the loop's moments alone.
+                // At hover only the loop's moments turn the body.
                 for column in 0..THRUST {
                     slope[(turn, column)] = lag * slope[(row, column)];
                     slope[(row, column)] = 0.0;
@@ -111,7 +111,7 @@ mod tests {
     const PD: AttitudeLoop =
         AttitudeLoop::Pd { kp: [4.8e-3, 4.8e-3, 1.9e-3], kd: [5.1e-4, 5.1e-4, 4.2e-4] };
 
-    /// Body rate 0.5 s after the setpoint asked for a roll of 0.1 rad, and the largest on the way.
+    /// Body rate 0.5 s after a setpoint with a roll of 0.1 rad, and the largest on the way.
     fn roll_step(attitude_loop: &AttitudeLoop, actuation: &Actuation) -> (f64, f64) {
         let hover = HoverModel::continuous(&NANO, attitude_loop);
         let model = DelayedModel::new(&hover, attitude_loop, actuation, 0.01);

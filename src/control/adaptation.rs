@@ -1,28 +1,29 @@
-//! The physics' few parameters, adapted in flight.
+//! In-flight adaptation of the physics' few parameters.
 //!
 //! # Design
 //!
-//! There is one estimator, [`DisturbanceObserver`](super::DisturbanceObserver): it predicts how the
-//! setpoints that were sent move the vehicle, compares, and moves the reference to the equilibrium
-//! that is left. What it compares with has two forms. By itself the observer learns disturbances that
-//! are constant, each with a fixed time constant. With an [`Adaptation`] the same prediction is a
-//! regression on the parameters of the physics, of which the constant disturbances are a part:
+//! There is one estimator, [`DisturbanceObserver`](super::DisturbanceObserver). It predicts how the
+//! sent setpoints move the vehicle, compares the prediction with the motion, and moves the
+//! reference to the resulting equilibrium. The comparison has two forms. On its own, the observer
+//! learns constant disturbances, each with a fixed time constant. With an [`Adaptation`], the same
+//! prediction is a regression on the parameters of the physics, which include the constant
+//! disturbances:
 //!
 //! ```text
 //! dv/dt = g e3 - (1 + s + k (T/T_h - 1)) (T/m) R e3 - c v + w + R(psi) b + expected
 //! zeta  = loop(sent) + a + expected
 //! ```
 //!
-//! s: share of thrust over mass beyond the believed one (a payload, a sagging pack, a weak rotor:
-//! no flight tells them apart by it alone); k: bend of the thrust map; c: drag; w: a push fixed in
-//! the world; b: one that turns with the vehicle; a: by how much the attitude that a moment
-//! holds the loop at differs from the one sent. `T` is the thrust that was sent, within limits, behind delay and lag.
+//! s: relative excess of thrust over mass (a payload, a sagging pack, a weak rotor: from `s` alone
+//! no flight distinguishes them); k: bend of the thrust map; c: drag; w: a push fixed in the world;
+//! b: a push that turns with the vehicle; a: the offset of the attitude from the one sent, which a
+//! moment holds against the loop. `T` is the thrust sent, within limits, after delay and lag.
 //!
-//! Data flow of a tick: state and sent setpoint -> prediction (observer) -> [`Watch`] (is this to be
-//! believed?) -> [`Recursion`] and the attitude's trims -> [`Parameters`] -> the observer's shift of
-//! the reference, and thrust through the inverse of its map, around whichever law flies -> limits,
-//! guard and supervisor as ever. Once distrusted, adaptation is off until the next flight; what it
-//! had learned fades, and the feedback is what it is without it.
+//! Data flow of a tick: state and sent setpoint -> prediction (observer) -> [`Watch`] (is the data
+//! sound?) -> [`Recursion`] and the attitude's trims -> [`Parameters`] -> the observer's shift of
+//! the reference, and thrust through the inverse of its map, around any law -> limits, guard and
+//! supervisor, unchanged. Once distrusted, adaptation stays off until the next flight: the learned
+//! values fade, and the feedback becomes what it is without adaptation.
 
 mod recursion;
 mod watch;
@@ -40,14 +41,13 @@ use self::watch::Watch;
 use crate::clock::VehicleTime;
 use crate::setpoint::State;
 
-/// How fast and how far parameters are adapted.
+/// Speed and bounds of the adaptation.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AdaptationSettings {
-    /// Time over which what was learned is forgotten, where nothing changes, s. When something does,
-    /// it is forgotten at once.
+    /// Memory of the estimate while nothing changes, s. A detected change clears it at once.
     pub forgetting_s: f64,
-    /// Largest share of thrust over mass that is believed to be missing or to be too much.
+    /// Largest relative deviation of thrust over mass.
     pub thrust_share_max: f64,
     /// Largest bend of the thrust map.
     pub thrust_bend_max: f64,
@@ -55,9 +55,9 @@ pub struct AdaptationSettings {
     pub drag_max_per_s: f64,
     /// Largest push in one direction, m/s^2.
     pub acceleration_max_m_s2: f64,
-    /// Largest attitude beside the one sent, rad.
+    /// Largest offset of the attitude from the one sent, rad.
     pub attitude_max_rad: f64,
-    /// Trust region: by how many of its usual deviations a parameter moves in a second.
+    /// Trust region: how many of its prior standard deviations a parameter may move in a second.
     pub trust_per_s: f64,
 }
 
@@ -75,36 +75,38 @@ impl Default for AdaptationSettings {
     }
 }
 
-/// What a vehicle's parameters usually are off by: s, k, c [1/s], w and b [m/s^2].
+/// Prior standard deviations: s, k, c [1/s], w and b [m/s^2].
 const PRIOR: [f64; PARAMETERS] = [0.3, 0.1, 0.3, 1.5, 1.5, 0.5, 0.5];
-/// The same of the attitude, rad.
+/// Prior standard deviation of an attitude offset, rad.
 const TRIM_PRIOR_RAD: f64 = 0.1;
-/// What of the attitude the loop's model does not say, rad.
+/// Error of the loop's model of the attitude, rad.
 const TRIM_NOISE_RAD: f64 = 0.01;
-/// Time over which what is unexplained of an attitude must agree for a change, s, and by how much.
+/// Time over which unexplained attitude must agree to count as a change, s, and the threshold in
+/// standard deviations.
 const TRIM_SURPRISE_S: f64 = 0.1;
 const TRIM_SURPRISE_MIN: f64 = 5.0;
-/// An innovation of the velocity beyond this is no motion, m/s.
+/// An innovation of the velocity beyond this is a jump, not motion, m/s.
 const JUMP_M_S: f64 = 1.0;
-/// What was learned fades with this time constant once it is distrusted, s.
+/// Time constant with which distrusted estimates fade, s.
 const FADE_S: f64 = 0.5;
-/// The size of a change is known well enough to be acted upon after this time, s.
+/// Time after a change until its size is known well enough to act on it, s.
 const SIZED_AFTER_S: f64 = 0.2;
-/// The adaptation reports a change after this time, when its size is known, s.
+/// Delay of the report of a change, until its size is known, s.
 const TOLD_AFTER_S: f64 = 0.8;
-/// What is worth telling: of thrust over mass, of a push in m/s^2, of an attitude in rad.
+/// Smallest changes that are reported: of thrust over mass, of a push in m/s^2, of an attitude in
+/// rad.
 const TOLD_SHARE: f64 = 0.05;
 const TOLD_PUSH_M_S2: f64 = 0.4;
 const TOLD_ATTITUDE_RAD: f64 = 0.03;
-/// A tilt beside the one sent, from which thrust is missing at one rotor, rad.
+/// Tilt offset from which the report names one weak rotor, rad.
 const ROTOR_TILT_RAD: f64 = 0.04;
 
-/// What is believed of the vehicle beside its file.
+/// Estimated deviations of the vehicle from its file.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Parameters {
-    /// s: share of thrust over mass beyond the believed one.
+    /// s: relative excess of thrust over mass.
     pub thrust_share: f64,
-    /// k: the same for each hover thrust beyond the first.
+    /// k: further excess per hover thrust beyond the first.
     pub thrust_bend: f64,
     /// c: horizontal drag over speed and mass, 1/s.
     pub drag_per_s: f64,
@@ -112,53 +114,53 @@ pub struct Parameters {
     pub world: [f64; 2],
     /// b: push front and right in axes that turn with yaw, m/s^2.
     pub body: [f64; 2],
-    /// a: roll, pitch and yaw beside the ones sent, rad.
+    /// a: offset of roll, pitch and yaw from the ones sent, rad.
     pub attitude: [f64; 3],
 }
 
-/// How the vehicle moved from one sample to the next, and what the model makes of it.
+/// How the vehicle moved from one sample to the next, and the model's prediction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moved {
     pub at: VehicleTime,
     pub dt: f64,
-    /// Half way.
+    /// Attitude half way between the samples.
     pub attitude: Attitude,
-    /// Horizontal velocity through the air, m/s.
+    /// Horizontal velocity, taken as the flow of air past the vehicle, m/s.
     pub flow: Ned,
-    /// Thrust over the believed mass, m/s^2, and over hover thrust.
+    /// Thrust over the file's mass, m/s^2, and over hover thrust.
     pub thrust_m_s2: f64,
     pub thrust_over_hover: f64,
-    /// Acceleration that no parameter changes, m/s^2.
+    /// Acceleration that no parameter affects, m/s^2.
     pub known: Ned,
-    /// At the end.
+    /// Velocity at the end.
     pub velocity: Ned,
-    /// Attitude beside that of the loop's model, rad.
+    /// Attitude less that of the loop's model, rad.
     pub unexplained: [f64; 3],
 }
 
-/// Something to tell.
+/// An event of adaptation to report.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AdaptationNotice {
-    /// Parameters are others now.
+    /// Parameters have changed.
     Changed(ParameterChange),
     /// Adaptation is off until the next flight.
     SwitchedOff(Distrust),
 }
 
-/// Which parameters changed, and to what.
+/// The parameters that changed, and their new values.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ParameterChange {
-    /// How long ago that began, s.
+    /// Time since the change began, s.
     pub began_s_ago: f64,
-    /// Thrust over mass, as a share of the believed one.
+    /// Thrust over mass, relative to the file's.
     pub thrust_over_mass: Option<f64>,
     /// Push north and east, m/s^2.
     pub push: Option<[f64; 2]>,
-    /// Roll, pitch and yaw beside the ones sent, rad.
+    /// Offset of roll, pitch and yaw from the ones sent, rad.
     pub attitude: Option<[f64; 3]>,
 }
 
-/// Adapts the physics' parameters to how the vehicle moves.
+/// Adapts the physics' parameters to the vehicle's motion.
 #[derive(Clone, Debug)]
 pub struct Adaptation {
     settings: AdaptationSettings,
@@ -166,21 +168,21 @@ pub struct Adaptation {
     trims: [Trim; 3],
     watch: Watch,
     is_limited: bool,
-    /// Whether the next sample begins anew.
+    /// Whether the next sample restarts the comparison.
     is_cut: bool,
     distrust: Option<Distrust>,
     changed: Option<VehicleTime>,
     /// The last change, until its size is known.
     sized: Option<VehicleTime>,
     is_sized: bool,
-    /// When it first learned.
+    /// Time of the first sample learned from.
     began: Option<VehicleTime>,
     told: (f64, [f64; 2], [f64; 3]),
     notice: Option<AdaptationNotice>,
 }
 
 impl Adaptation {
-    /// Adaptation that has learned nothing.
+    /// An adaptation with no learned values.
     pub fn new(settings: AdaptationSettings) -> Self {
         let push = settings.acceleration_max_m_s2;
         let bound = [
@@ -209,24 +211,24 @@ impl Adaptation {
         }
     }
 
-    /// Forgets everything, and is trusted again.
+    /// Discards everything learned and restores trust; keeps a pending notice.
     pub(super) fn reset(&mut self) {
         let notice = self.notice;
         *self = Self::new(self.settings);
         self.notice = notice;
     }
 
-    /// Whether it is trusted.
+    /// Whether adaptation is still trusted.
     pub fn is_on(&self) -> bool {
         self.distrust.is_none()
     }
 
-    /// What is to be told, once.
+    /// Takes the pending notice.
     pub(super) fn take_notice(&mut self) -> Option<AdaptationNotice> {
         self.notice.take()
     }
 
-    /// What is believed.
+    /// The present estimates; drag is at least 0.
     pub fn parameters(&self) -> Parameters {
         let [thrust_share, thrust_bend, drag, north, east, front, right] = self.recursion.theta();
         Parameters {
@@ -239,47 +241,48 @@ impl Adaptation {
         }
     }
 
-    /// The velocity by which the parameters were learned, m/s: less noisy than the measured one, and
-    /// later than it only by what the model does not know.
+    /// The filtered velocity, m/s: less noisy than the measured one, and delayed only by what the
+    /// model does not know.
     pub(super) fn velocity(&self) -> Ned {
         self.recursion.velocity()
     }
 
-    /// Share of what was learned that is left after `dt` seconds of distrust.
+    /// Share of the learned values that is left after `dt` seconds of distrust.
     pub(super) fn fading(dt: f64) -> f64 {
         (-dt / FADE_S).exp()
     }
 
-    /// The last setpoint met a limit of thrust or tilt, or did not.
+    /// Records whether the last setpoint met a limit of thrust or tilt.
     pub(super) fn limited(&mut self, is_limited: bool) {
         self.is_limited = is_limited;
     }
 
-    /// Whether a change was found whose size is known now, once.
+    /// Whether the size of a change has become known; true once for each change.
     pub(super) fn take_change(&mut self) -> bool {
         std::mem::take(&mut self.is_sized)
     }
 
-    /// Compares nothing with what was before.
+    /// Restarts the comparison at the next sample.
     pub(super) fn pause(&mut self) {
         self.is_cut = true;
     }
 
-    /// The estimate jumped.
+    /// Records a jump of the estimate.
     pub(super) fn jumped(&mut self) {
         self.is_cut = true;
         let distrust = self.watch.jumped();
         self.suspect(distrust);
     }
 
-    /// Looks at a state before anything is made of it; whether it may be learned from.
+    /// Checks a state before use; returns whether it may be learned from.
     pub(super) fn sees(&mut self, state: &State, dt: f64) -> bool {
         let distrust = self.watch.sees(state, self.is_limited, dt);
         self.suspect(distrust);
         self.is_on()
     }
 
-    /// Another model leads, which expects more by this acceleration (m/s^2) and attitude (rad).
+    /// Corrects the estimates for a new leading model, which expects this much more acceleration
+    /// (m/s^2) and attitude (rad).
     pub(super) fn expect_anew(&mut self, acceleration: Ned, attitude: [f64; 3], gravity: f64) {
         self.recursion.shift(0, acceleration.down() / gravity);
         self.recursion.shift(3, -acceleration.north());
@@ -289,7 +292,7 @@ impl Adaptation {
         }
     }
 
-    /// Learns from a motion.
+    /// Updates the estimates with a motion.
     pub(super) fn learn(&mut self, moved: &Moved) {
         if std::mem::take(&mut self.is_cut) {
             self.recursion.restart(moved.velocity);
@@ -331,7 +334,7 @@ impl Adaptation {
         }
     }
 
-    /// Tells what changed, once its size is known.
+    /// Reports what changed, once its size is known.
     fn explain(&mut self, moved: &Moved) {
         let began = *self.began.get_or_insert(moved.at);
         if moved.at.seconds_since(began) < TOLD_AFTER_S {
@@ -383,7 +386,7 @@ fn regressor(moved: &Moved) -> Regressor {
     slopes
 }
 
-/// An attitude beside the one sent, by scalar least squares with forgetting.
+/// An attitude offset, by scalar least squares with forgetting.
 #[derive(Clone, Copy, Debug)]
 struct Trim {
     value: f64,
@@ -398,7 +401,7 @@ impl Default for Trim {
 }
 
 impl Trim {
-    /// Takes what is unexplained; whether that changed.
+    /// Updates with the unexplained attitude; returns whether it changed.
     fn learn(&mut self, unexplained: f64, bound: f64, forgetting_s: f64, dt: f64) -> bool {
         let prior = TRIM_PRIOR_RAD.powi(2);
         let grown = (self.variance * (dt / forgetting_s).exp()).min(prior);
@@ -417,7 +420,7 @@ impl Trim {
 }
 
 impl ParameterChange {
-    /// The rotor at which thrust is missing, by the tilt that its moment leaves; X layout.
+    /// The rotor that lacks thrust, from the tilt that its moment causes; X layout.
     fn weak_rotor(&self) -> Option<&'static str> {
         let [roll, pitch, _] = self.attitude?;
         if roll.abs().min(pitch.abs()) < ROTOR_TILT_RAD {

@@ -8,8 +8,8 @@ use vehicle::scalar::Scalar;
 
 use crate::setpoint::Setpoint;
 
-/// Which loop tracks the attitude, and what of the setpoint it listens to. The LQR's model has the
-/// loop that is really there; each triple is roll, pitch, yaw.
+/// The loop that tracks the attitude, and the parts of the setpoint that it uses. The LQR's model
+/// contains the loop that the vehicle has; each triple is roll, pitch, yaw.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum AttitudeLoop {
@@ -21,7 +21,7 @@ pub enum AttitudeLoop {
         /// N m s/rad.
         kd: [f64; 3],
     },
-    /// The same on board of a vehicle that is sent attitude and thrust: its rate reference is zero,
+    /// The same on board a vehicle that takes attitude and thrust: its rate reference is zero,
     /// `M = kp (zeta_des - zeta) - kd omega`.
     AttitudePd {
         /// N m/rad.
@@ -29,7 +29,7 @@ pub enum AttitudeLoop {
         /// N m s/rad.
         kd: [f64; 3],
     },
-    /// The rate part of the same, on board of a vehicle that is sent rates and thrust, under the
+    /// The rate part of the same, on board a vehicle that takes rates and thrust, under the
     /// daemon's attitude loop (the link's encoder closes it, with the same gain):
     /// `M = kd (omega_des + gain (zeta_des - zeta) - omega)`.
     RatePd {
@@ -38,9 +38,8 @@ pub enum AttitudeLoop {
         /// N m s/rad.
         kd: [f64; 3],
     },
-    /// An autopilot's own, honouring attitude and thrust only; its response, as measured, is second
-    /// order:
-    /// `d omega/dt = wn^2 (zeta_des - zeta) - 2 damping wn omega`.
+    /// An autopilot's own loop, which takes attitude and thrust only; its measured response is
+    /// second order: `d omega/dt = wn^2 (zeta_des - zeta) - 2 damping wn omega`.
     Attitude {
         /// `wn`, rad/s.
         natural_frequency: [f64; 3],
@@ -57,21 +56,21 @@ pub enum AttitudeLoop {
     },
 }
 
-/// Largest roll and pitch that are taken for a direction, rad; what is sent is limited beyond.
+/// Largest roll and pitch that are converted to a direction, rad; limits apply afterwards.
 const ANGLE_MAX_RAD: f64 = 1.2;
 
-/// Which attitude error an on-board loop acts on.
+/// The attitude error that an on-board loop acts on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttitudeError {
-    /// The differences of roll, pitch and yaw, as the paper's loop.
+    /// The differences of roll, pitch and yaw, as in the paper's loop.
     Angles,
-    /// The rotation from the vehicle's to the desired attitude, in body axes, as PX4 and
-    /// ArduCopter: roll and pitch of a setpoint then count about its own heading.
+    /// The rotation from the vehicle's to the desired attitude, in body axes, as in PX4 and
+    /// ArduCopter: a setpoint's roll and pitch are then about its own heading.
     Rotation,
 }
 
 impl AttitudeError {
-    /// The error of `actual` from `desired` about roll, pitch and yaw, rad.
+    /// The error `desired - actual` about roll, pitch and yaw, rad.
     pub(super) fn between(self, desired: Euler, actual: Euler) -> [f64; 3] {
         match self {
             Self::Angles => angle_error(desired, actual),
@@ -81,14 +80,14 @@ impl AttitudeError {
         }
     }
 
-    /// `setpoint`, whose roll and pitch are about the vehicle's heading `yaw`, as this loop must
-    /// be sent it: with the same direction of thrust in the world, whatever yaw it asks for.
+    /// `setpoint`, whose roll and pitch are about the vehicle's heading `yaw`, in this loop's
+    /// convention: the thrust keeps its direction in the world, whatever yaw the setpoint has.
     pub(super) fn addressed(self, setpoint: Setpoint, yaw: f64) -> Setpoint {
         let Euler { roll, pitch, yaw: heading } = setpoint.attitude;
         let attitude = match self {
             Self::Angles => return setpoint,
             Self::Rotation => {
-                // Beyond a quarter turn the angles of a far error point nowhere.
+                // Beyond a quarter turn, the angles of a large error are no direction.
                 let most = roll.abs().max(pitch.abs());
                 let cut = (ANGLE_MAX_RAD / most).min(1.0);
                 let (roll, pitch) = (cut * roll, cut * pitch);
@@ -108,12 +107,12 @@ impl From<AttitudePd> for AttitudeLoop {
 }
 
 impl AttitudeLoop {
-    /// Natural frequencies of PX4's own attitude loop, rad/s. An 8 degree step reached 63 % after
-    /// 281 ms, as a critically damped response of wn = 2.146 / 0.281 s does. Yaw is slower: PX4
-    /// weighs it by MC_YAW_WEIGHT 0.4.
+    /// Measured natural frequencies of PX4's own attitude loop, rad/s. An 8 degree step reached 63
+    /// % after 281 ms, like a critically damped response of wn = 2.146 / 0.281 s. Yaw is slower:
+    /// PX4 weights it by MC_YAW_WEIGHT 0.4.
     pub const PX4_RAD_S: [f64; 3] = [7.6, 7.6, 3.1];
 
-    /// The same of ArduCopter's: 63 % after 209 ms.
+    /// The same for ArduCopter: 63 % after 209 ms.
     pub const ARDUCOPTER_RAD_S: [f64; 3] = [10.3, 10.3, 4.1];
 
     /// PX4's own attitude loop, as measured.
@@ -122,13 +121,13 @@ impl AttitudeLoop {
     /// ArduCopter's own attitude loop, as measured.
     pub const ARDUCOPTER: Self = Self::responding_at(Self::ARDUCOPTER_RAD_S);
 
-    /// A critically damped attitude loop of these natural frequencies, rad/s.
+    /// A critically damped attitude loop with these natural frequencies, rad/s.
     pub const fn responding_at(natural_frequency: [f64; 3]) -> Self {
         Self::Attitude { natural_frequency, damping: [1.0; 3] }
     }
 
-    /// By how much a desired attitude must lead for the attitude to turn at a desired body rate that
-    /// the loop is not sent: `Kp^-1 Kd`, s. `None` for a loop that takes rates.
+    /// The lead of the attitude that replaces a desired body rate which the loop does not take:
+    /// `Kp^-1 Kd`, s. `None` for a loop that takes rates.
     pub fn rate_lead_s(&self) -> Option<[f64; 3]> {
         match self {
             Self::AttitudePd { kp, kd } => Some(std::array::from_fn(|i| kd[i] / kp[i])),
@@ -139,9 +138,9 @@ impl AttitudeLoop {
         }
     }
 
-    /// `setpoint` with the rates that this loop is not sent folded into the attitude by its own law:
-    /// `kp (zeta_des + Kp^-1 Kd omega_des - zeta) - kd omega` is the moment of the loop that takes
-    /// both.
+    /// `setpoint` with the rates that this loop does not take folded into the attitude by its own
+    /// law: `kp (zeta_des + Kp^-1 Kd omega_des - zeta) - kd omega` is the moment of the loop that
+    /// takes both.
     pub fn folded(&self, setpoint: Setpoint) -> Setpoint {
         let Some(lead) = self.rate_lead_s() else { return setpoint };
         let ahead = setpoint.body_rate.scale_by(lead).to_array();
@@ -150,8 +149,8 @@ impl AttitudeLoop {
         Setpoint { attitude, body_rate: Frd::zero(), ..setpoint }
     }
 
-    /// Whether its gains make moments that the rotors then follow with their lag. The others were
-    /// measured from the setpoint to the vehicle's answer, rotors included.
+    /// Whether the loop's gains produce moments that the rotors then follow with their lag. The
+    /// other loops were measured from the setpoint to the vehicle's response, rotors included.
     pub(super) fn is_before_the_rotors(&self) -> bool {
         match self {
             Self::Pd { .. } | Self::AttitudePd { .. } | Self::RatePd { .. } => true,
@@ -160,8 +159,7 @@ impl AttitudeLoop {
     }
 
     /// Angular acceleration in body axes near hover, rad/s^2, of a body with principal moments
-    /// `inertia` [kg m^2], from attitude error `zeta_des - zeta`, the desired body rate and the
-    /// body rate.
+    /// `inertia` [kg m^2], from attitude error `zeta_des - zeta`, desired body rate and body rate.
     pub(super) fn angular_acceleration<T: Scalar>(
         &self,
         inertia: [f64; 3],
@@ -191,16 +189,16 @@ impl AttitudeLoop {
     }
 }
 
-/// Roll and pitch at which a body of heading `yaw` has its down axis along `down`, of any length
-/// but 0.
+/// Roll and pitch at which the down axis of a body with heading `yaw` points along `down`, a vector
+/// of any length except 0.
 pub(super) fn tilt_towards(down: Ned, yaw: f64) -> [f64; 2] {
     let (sin, cos) = yaw.sin_cos();
     let [north, east, down] = (down * (1.0 / down.norm())).to_array();
     tilted([cos * north + sin * east, cos * east - sin * north, down])
 }
 
-/// The same for a unit vector in axes turned by yaw, where the body's down axis is
-/// (sin pitch cos roll, -sin roll, cos pitch cos roll).
+/// The same for a unit vector in axes turned by yaw, where the body's down axis is (sin pitch cos
+/// roll, -sin roll, cos pitch cos roll).
 fn tilted([x, y, z]: [f64; 3]) -> [f64; 2] {
     [(-y).clamp(-1.0, 1.0).asin(), x.atan2(z)]
 }

@@ -1,5 +1,5 @@
-//! From state and reference to the setpoint that a vehicle's attitude loop is sent: a law, with what
-//! every law needs around it.
+//! From state and reference to the setpoint for a vehicle's attitude loop: a law, with what every
+//! law needs around it.
 
 use super::adaptation::{AdaptationNotice, Parameters};
 use super::attitude_loop::{AttitudeError, AttitudeLoop};
@@ -9,11 +9,11 @@ use super::way_back::WayBack;
 use crate::clock::VehicleTime;
 use crate::setpoint::{Expected, Reference, Setpoint, State};
 
-/// A control law, an observer of disturbances around it, and the form in which the vehicle's attitude
-/// loop takes its setpoints.
+/// A control law, a disturbance observer around it, and the convention in which the vehicle's
+/// attitude loop takes its setpoints.
 ///
-/// The observer works for any law: it moves the reference to the equilibrium that the disturbances
-/// leave, and the law tracks that.
+/// The observer works with any law: it moves the reference to the equilibrium under the estimated
+/// disturbances, and the law tracks that.
 #[derive(Clone, Debug)]
 pub struct Controller {
     law: Box<dyn ControlLaw>,
@@ -21,12 +21,12 @@ pub struct Controller {
     error: AttitudeError,
     folds_rates: bool,
     observer: Option<DisturbanceObserver>,
-    /// When the law was last asked, s.
+    /// Time of the last call of the law, s.
     asked_s: Option<f64>,
     sent: Option<Setpoint>,
-    /// Back to the reference after a change.
+    /// The path back to the reference after a change.
     way_back: Option<WayBack>,
-    /// Whether a model leads, and what was expected last.
+    /// Whether a model leads, and the expectation passed last.
     expected: (bool, Expected),
 }
 
@@ -47,7 +47,7 @@ impl Controller {
         }
     }
 
-    /// The law that the problem's settings name, designed for its vehicle.
+    /// Designs the law that the problem's settings name, for the problem's vehicle.
     ///
     /// # Errors
     /// [`DesignError`].
@@ -55,18 +55,18 @@ impl Controller {
         Ok(Self::new(problem.settings.law.design(problem)?, *problem.attitude_loop))
     }
 
-    /// Over a loop that acts on `error`. Rates that the loop is not sent are folded into the attitude
-    /// if `folds_rates`, which takes a loop that is known.
+    /// Sets the error that the attitude loop acts on. With `folds_rates`, rates that the loop does
+    /// not take are folded into the attitude; this requires a known loop.
     pub fn addressing(self, error: AttitudeError, folds_rates: bool) -> Self {
         Self { error, folds_rates, ..self }
     }
 
-    /// With an observer of disturbances, or without: then it is the law's feedback alone.
+    /// Sets the disturbance observer. Without one, the controller is the law's feedback alone.
     pub fn observing(self, observer: Option<DisturbanceObserver>) -> Self {
         Self { observer, ..self }
     }
 
-    /// Nothing that was estimated holds any more.
+    /// Discards every estimate.
     pub fn reset(&mut self) {
         self.law.reset();
         (self.sent, self.asked_s, self.way_back) = (None, None, None);
@@ -76,40 +76,42 @@ impl Controller {
         }
     }
 
-    /// The state is not where the last ones lead: the estimate jumped, or the ground holds it.
+    /// Tells the observer that this state does not continue the last ones: the estimate jumped, or
+    /// the ground holds the vehicle.
     pub fn pause(&mut self) {
         if let Some(observer) = &mut self.observer {
             observer.pause();
         }
     }
 
-    /// The estimate jumped, once more.
+    /// Counts a jump of the estimate.
     pub fn jumped(&mut self) {
         if let Some(observer) = &mut self.observer {
             observer.jumped();
         }
     }
 
-    /// Whether the setpoint that left last met a limit of thrust or tilt.
+    /// Records whether the last setpoint met a limit of thrust or tilt.
     pub fn limited(&mut self, is_limited: bool) {
         if let Some(observer) = &mut self.observer {
             observer.limited(is_limited);
         }
     }
 
-    /// What is believed of the vehicle, while parameters are adapted.
+    /// The adapted parameters, while adaptation is on.
     pub fn parameters(&self) -> Option<Parameters> {
         self.observer.as_ref()?.parameters()
     }
 
-    /// What adaptation has to tell, once.
+    /// Takes the pending notice of adaptation; returns each notice once.
     pub fn take_notice(&mut self) -> Option<AdaptationNotice> {
         self.observer.as_mut()?.take_notice()
     }
 
-    /// Takes the state that the last setpoint led to. `expected` is what the reference's model has
-    /// beside thrust, weight and loop, or what the thrust at rest says where none `is_led` by.
-    /// `thrust_gain` is by how much more than what acts that setpoint's thrust was.
+    /// Updates the observer with the state that the last setpoint led to. `expected` is what the
+    /// reference's model has beyond thrust, weight and loop, or the expectation from the thrust at
+    /// rest where no model leads (`is_led`). `thrust_gain` is that setpoint's thrust over the
+    /// thrust that acts.
     pub fn observe(
         &mut self,
         at: VehicleTime,
@@ -132,18 +134,19 @@ impl Controller {
         }
     }
 
-    /// `state` as it is to be planned from: its velocity is the position's slope, as far as that is
-    /// known. By the velocity that an estimator reports a plan would lead away from the position.
+    /// `state` as a planner should start from it: its velocity is the slope of the position, as far
+    /// as that is known. A plan that starts from the estimator's velocity would lead away from the
+    /// position.
     pub fn moving(&self, state: &State) -> State {
         self.observer.as_ref().map_or(*state, |observer| observer.moving(state))
     }
 
-    /// The thrust that was sent last, N; `None` where no disturbance is looked for.
+    /// The thrust sent last, N; `None` without an observer.
     pub fn lifting_n(&self) -> Option<f64> {
         self.observer.as_ref().and(self.sent).map(|sent| sent.thrust_n)
     }
 
-    /// What the vehicle's loop is to be sent at `time_s` of the vehicle's clock, before any limit.
+    /// The setpoint for the vehicle's loop at `time_s` of the vehicle's clock, before any limit.
     pub fn command(&mut self, time_s: f64, state: &State, reference: &Reference) -> Command {
         let dt_s = self.asked_s.replace(time_s).map_or(0.0, |before| (time_s - before).max(0.0));
         let yaw = state.attitude.yaw();
@@ -170,8 +173,8 @@ impl Controller {
         Command { setpoint: self.addressed(command.setpoint, yaw), ..command }
     }
 
-    /// `reference`, or the way back to it: where a change was found and its size is known, the vehicle
-    /// is led from where that left it.
+    /// `reference`, or the path back to it: once a change is found and its size known, the path
+    /// leads the vehicle back from where the change left it.
     fn led_back(
         &mut self,
         time_s: f64,
@@ -193,8 +196,8 @@ impl Controller {
         }
     }
 
-    /// The reference's input alone, as the vehicle's loop is to be sent it at the heading `yaw`:
-    /// on the ground feedback would only tip it over.
+    /// The reference's input alone, in the loop's convention at the heading `yaw`: on the ground,
+    /// feedback would only tip the vehicle over.
     pub fn open_loop(&self, reference: &Reference, yaw: f64) -> Command {
         let command = Command::correcting(reference, Setpoint::default(), false);
         Command { setpoint: self.addressed(command.setpoint, yaw), ..command }
@@ -205,14 +208,14 @@ impl Controller {
         self.error.addressed(folded, yaw)
     }
 
-    /// What left after the last state, within limits.
+    /// Records the setpoint sent after the last state, within limits.
     pub fn sent(&mut self, setpoint: Option<Setpoint>) {
         self.sent = setpoint;
     }
 }
 
 impl From<Lqr> for Controller {
-    /// The paper's.
+    /// The paper's controller: the LQR without an observer.
     fn from(lqr: Lqr) -> Self {
         let attitude_loop = *lqr.attitude_loop();
         Self::new(Box::new(lqr), attitude_loop)

@@ -1,5 +1,5 @@
-//! What pushes and turns the vehicle beside thrust, weight and the attitude loop, estimated, and
-//! the equilibrium that it moves.
+//! Estimation of the forces and moments on the vehicle beyond thrust, weight and the attitude loop,
+//! and the equilibrium under them.
 
 mod adapting;
 mod equilibrium;
@@ -19,17 +19,17 @@ use super::hover_model::HoverVehicle;
 use crate::clock::VehicleTime;
 use crate::setpoint::{Expected, Reference, Setpoint, State};
 
-/// Largest rate at which drag is taken to slow a vehicle, 1/s.
+/// Largest drag over mass, 1/s.
 const DRAG_MAX_PER_S: f64 = 2.0;
-/// Speed from which most of an unexplained acceleration along it is taken for drag, m/s.
+/// Speed from which drag takes most of an unexplained acceleration along it, m/s.
 const DRAG_SPEED_M_S: f64 = 1.0;
-/// Share of an unexplained horizontal acceleration that is first taken to turn with the vehicle.
+/// Share of an unexplained horizontal acceleration that is first attributed to body axes.
 const BODY_SHARE: f64 = 0.5;
-/// A longer time between samples leaves nothing to compare, s.
+/// Samples farther apart than this are not compared, s.
 const GAP_MAX_S: f64 = 0.2;
 
-/// Estimates the disturbances that explain how the vehicle moves: a Luenberger observer of the
-/// near-hover model with disturbances as further states.
+/// Estimates the disturbances that explain the vehicle's motion: a Luenberger observer of the
+/// near-hover model with disturbances as additional states.
 ///
 /// ```text
 /// dp/dt = v + d_v
@@ -37,10 +37,10 @@ const GAP_MAX_S: f64 = 0.2;
 /// zeta  = loop(sent) + d_a + expected
 /// ```
 ///
-/// Position, velocity and attitude are measured, and the setpoint is the one that was sent, limits included,
-/// so that nothing winds up. What the reference's model expects is not estimated again. The
-/// attitude in the first line is the measured one: the estimate does not depend on how well the
-/// attitude loop is known, and feeding it back closes no loop through it.
+/// Position, velocity and attitude are measured. The setpoint is the one that was sent, limits
+/// included, so nothing winds up. What the reference's model expects is not estimated again. The
+/// attitude in the second line is the measured one: the estimate does not depend on how well the
+/// attitude loop is known, and its feedback closes no loop through it.
 #[derive(Clone, Debug)]
 pub struct DisturbanceObserver {
     settings: OffsetFreeSettings,
@@ -51,7 +51,7 @@ pub struct DisturbanceObserver {
 }
 
 impl DisturbanceObserver {
-    /// An observer that knows of no disturbance yet.
+    /// An observer with zero disturbances.
     pub fn new(
         settings: OffsetFreeSettings,
         vehicle: HoverVehicle,
@@ -64,7 +64,8 @@ impl DisturbanceObserver {
         Self { settings, chain, motion, disturbance, adapting }
     }
 
-    /// Forgets everything: nothing is known on the ground, or of a vehicle that others flew.
+    /// Discards everything: nothing is known on the ground, or after something else flew the
+    /// vehicle.
     pub fn reset(&mut self) {
         (self.motion, self.disturbance) = (None, Disturbance::default());
         if let Some(adapting) = &mut self.adapting {
@@ -74,8 +75,8 @@ impl DisturbanceObserver {
         }
     }
 
-    /// Keeps the disturbances, and compares nothing with what was before: the estimate jumped, or
-    /// no setpoint left.
+    /// Keeps the disturbances and restarts the comparison: the estimate jumped, or no setpoint was
+    /// sent.
     pub fn pause(&mut self) {
         self.motion = None;
         if let Some(adapting) = &mut self.adapting {
@@ -83,8 +84,8 @@ impl DisturbanceObserver {
         }
     }
 
-    /// Another model leads from here on, which expects more by `change`: as much less is left to be
-    /// a disturbance.
+    /// Corrects the estimates for a new leading model, which expects `change` more than the last:
+    /// the disturbances shrink by as much.
     pub fn expect_anew(&mut self, change: &Expected) {
         if let Some(adapting) = &mut self.adapting
             && adapting.adaptation.is_on()
@@ -102,8 +103,8 @@ impl DisturbanceObserver {
         }
     }
 
-    /// Takes the state at `at`, and the setpoint that was sent since the last one, its thrust as it
-    /// is believed to act.
+    /// Updates the estimates with the state at `at` and the setpoint sent since the last one, its
+    /// thrust as it is estimated to act.
     pub fn observe(
         &mut self,
         at: VehicleTime,
@@ -136,7 +137,7 @@ impl DisturbanceObserver {
         self.motion = Some(motion).filter(Motion::is_finite);
     }
 
-    /// Learns disturbances that are constant.
+    /// Learns constant disturbances.
     fn learn_constants(
         &mut self,
         motion: &mut Motion,
@@ -156,7 +157,8 @@ impl DisturbanceObserver {
         }
     }
 
-    /// Both poles of position and velocity error at the same decay per step.
+    /// Learns the velocity offset: both poles of position and velocity error at the same decay per
+    /// step.
     fn learn_velocity(&mut self, motion: &mut Motion, before: &Motion, state: &State, dt: f64) {
         let time_constant_s = match self.parameters() {
             Some(_) => self.settings.velocity_time_constant_s.max(ADAPTING_VELOCITY_S),
@@ -172,7 +174,7 @@ impl DisturbanceObserver {
         *d = *d * (largest / d.norm()).min(1.0);
     }
 
-    /// Both poles of velocity and acceleration error at `decay` per step.
+    /// Learns the accelerations: both poles of velocity and acceleration error at `decay` per step.
     fn learn_acceleration(
         &mut self,
         motion: &mut Motion,
@@ -214,12 +216,14 @@ impl DisturbanceObserver {
         d.along_thrust = (d.along_thrust + down).clamp(-largest, largest);
     }
 
-    /// `state` with the velocity at which its position moves, which the reported one may not be.
+    /// `state` with the velocity at which its position moves, which the reported one may differ
+    /// from.
     pub fn moving(&self, state: &State) -> State {
         State { velocity: state.velocity + self.disturbance.velocity, ..*state }
     }
 
-    /// How the disturbances move what leads a vehicle at the heading `yaw` along `reference`.
+    /// How the disturbances shift the reference and input for a vehicle at the heading `yaw` along
+    /// `reference`.
     pub fn shift(&self, reference: &Reference, yaw: f64) -> Shift {
         let shift = self.disturbance.shift(&self.chain.vehicle, reference, yaw);
         if self.adapting.is_none() {
@@ -258,7 +262,8 @@ mod tests {
         VehicleTime::from_ms(1000 + tick * 10)
     }
 
-    /// A vehicle that stays at `state`, moving and turning as that says, though it is sent `sent`.
+    /// An observer of a vehicle that stays at `state`, moving and turning as that states, under the
+    /// setpoint `sent`.
     fn watched(
         state: State,
         sent: &Setpoint,

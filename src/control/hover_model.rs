@@ -1,5 +1,5 @@
-//! The near-hover model that the LQR is designed on: the vehicle's equations of motion with the
-//! attitude loop inside, linearised at hover and zero yaw.
+//! The near-hover model for the LQR's design: the vehicle's equations of motion with the attitude
+//! loop inside, linearised at hover and zero yaw.
 
 use nalgebra::SMatrix;
 use vehicle::frame::{Euler, Frd, Ned};
@@ -14,8 +14,8 @@ pub(super) const STATES: usize = 12;
 pub(super) const INPUTS: usize = 7;
 const VARIABLES: usize = STATES + INPUTS;
 
-/// What the near-hover model needs of the vehicle, as it truly is believed to be: a vehicle file's
-/// numbers with its modelled effects applied.
+/// The vehicle parameters of the near-hover model, best estimates: a vehicle file's numbers with
+/// its modelled effects applied.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HoverVehicle {
     /// kg
@@ -34,8 +34,8 @@ impl HoverVehicle {
 }
 
 /// A linear model `s+ = A s + B u_hat` of the errors from hover at zero yaw, over one control
-/// period. States: position and velocity in NED, (roll, pitch, yaw), body rate. A loop that does
-/// not listen to rates has zero columns for them.
+/// period. States: position and velocity in NED, (roll, pitch, yaw), body rate. A loop that takes
+/// no rates has zero columns for them.
 #[derive(Clone, Copy, Debug)]
 pub struct HoverModel {
     /// `A`.

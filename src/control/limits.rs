@@ -6,27 +6,27 @@ use vehicle::frame::{Euler, Frd, wrap_angle};
 
 use crate::setpoint::Setpoint;
 
-/// What the vehicle may be asked at most.
+/// The bounds of a setpoint and of its rate of change.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
-    /// Least collective thrust, as a fraction of the rotors' maximum. Above 0, because a rotor that
-    /// stands still steers nothing.
+    /// Least collective thrust, as a fraction of the rotors' maximum. Above 0, because a stopped
+    /// rotor has no control authority.
     pub thrust_min: f64,
     /// Largest collective thrust, as a fraction of the rotors' maximum. Below 1, so that the mixer
-    /// keeps room to steer.
+    /// keeps authority for moments.
     pub thrust_max: f64,
     /// Largest desired tilt, rad.
     pub tilt_max_rad: f64,
     /// Largest desired body rate about each axis, rad/s.
     pub body_rate_max_rad_s: f64,
-    /// Largest distance of the desired from the present yaw, rad.
+    /// Largest difference between desired and present yaw, rad.
     pub yaw_error_max_rad: f64,
-    /// Largest change of the collective thrust in a second, as a fraction of the rotors' maximum.
+    /// Largest change of the collective thrust per second, as a fraction of the rotors' maximum.
     pub thrust_change_max_per_s: f64,
-    /// Largest change of each desired angle in a second, rad/s.
+    /// Largest change of each desired angle per second, rad/s.
     pub attitude_change_max_rad_s: f64,
-    /// Largest change of each desired body rate in a second, rad/s^2.
+    /// Largest change of each desired body rate per second, rad/s^2.
     pub body_rate_change_max_rad_s2: f64,
 }
 
@@ -38,7 +38,7 @@ impl Default for Limits {
             tilt_max_rad: 0.61,
             body_rate_max_rad_s: 6.0,
             yaw_error_max_rad: 0.8,
-            // What feedback at 100 Hz may ask from one answer to the next, and no more in less time.
+            // The most that feedback at 100 Hz may change from one setpoint to the next.
             thrust_change_max_per_s: 50.0,
             attitude_change_max_rad_s: 100.0,
             body_rate_change_max_rad_s2: 1200.0,
@@ -46,10 +46,10 @@ impl Default for Limits {
     }
 }
 
-/// Which limits a setpoint ran into.
+/// The limits that a setpoint met.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Saturation {
-    /// The position error that the feedback sees was cut.
+    /// The position error that the feedback sees was bounded.
     pub position_error: bool,
     /// Collective thrust.
     pub thrust: bool,
@@ -57,7 +57,7 @@ pub struct Saturation {
     pub tilt: bool,
     /// Body rate.
     pub body_rate: bool,
-    /// Yaw's distance from the present one.
+    /// Difference between desired and present yaw.
     pub yaw_error: bool,
 }
 
@@ -73,7 +73,7 @@ impl Saturation {
             | bit(self.position_error, 0x80)
     }
 
-    /// What [`bits`](Self::bits) say.
+    /// The inverse of [`bits`](Self::bits).
     pub fn from_bits(bits: u32) -> Self {
         Self {
             position_error: bits & 0x80 != 0,
@@ -84,7 +84,7 @@ impl Saturation {
         }
     }
 
-    /// What this or `other` met.
+    /// The union of both.
     pub fn and(self, other: Self) -> Self {
         Self {
             position_error: self.position_error || other.position_error,
@@ -102,10 +102,11 @@ impl Saturation {
 }
 
 impl Limits {
-    /// `setpoint` within the limits, for a vehicle whose rotors give `thrust_full_n` together and
-    /// whose yaw is `yaw` rad; `None` if a component of the setpoint, or the yaw, is not finite.
+    /// `setpoint` within the limits, for a vehicle whose rotors together produce at most
+    /// `thrust_full_n` and whose yaw is `yaw` rad; `None` if a component of the setpoint, or the
+    /// yaw, is not finite.
     ///
-    /// Tilt is cut towards level in the direction it has, and yaw is kept by that.
+    /// Tilt is reduced towards level in its own direction, which keeps the yaw.
     pub fn apply(
         &self,
         setpoint: Setpoint,
@@ -137,7 +138,7 @@ impl Limits {
         Some((Setpoint { thrust_n, attitude, body_rate }, met))
     }
 
-    /// Roll and pitch with the body's down axis at most the tilt limit off the world's.
+    /// Roll and pitch with the body's down axis at most the tilt limit from the world's.
     ///
     /// Down in axes turned by yaw is (sin pitch cos roll, -sin roll, cos pitch cos roll).
     fn within_tilt(&self, Euler { roll, pitch, .. }: Euler, met: &mut bool) -> (f64, f64) {

@@ -1,5 +1,5 @@
-//! Control: laws from state and reference to a setpoint, what is common to them, and the limits of
-//! setpoints.
+//! Control: laws that map state and reference to a setpoint, the parts that they share, and the
+//! limits on setpoints.
 
 mod actuation;
 mod adaptation;

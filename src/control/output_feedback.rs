@@ -1,9 +1,9 @@
-//! The best gain on the states that are measured, where the model has others beside them.
+//! The optimal gain on the measured states of a model that has further states.
 
 use nalgebra::{Complex, ComplexField, DMatrix, DVector, SMatrix};
 
-/// A linear model, a quadratic cost, and the errors that feedback is for. The first states are the
-/// measured ones.
+/// A linear model, a quadratic cost, and the covariance of the initial errors. The measured states
+/// come first.
 pub(super) struct OutputFeedback<const X: usize, const M: usize> {
     /// `A`.
     pub state: SMatrix<f64, X, X>,
@@ -13,23 +13,23 @@ pub(super) struct OutputFeedback<const X: usize, const M: usize> {
     pub state_weight: SMatrix<f64, X, X>,
     /// `R`.
     pub input_weight: SMatrix<f64, M, M>,
-    /// Covariance of the state at the start: which errors the cost is summed for. With every state
-    /// measured the best gain does not depend on it.
+    /// Covariance of the initial state: the errors over which the cost is averaged. With every
+    /// state measured, the optimal gain does not depend on it.
     pub errors: SMatrix<f64, X, X>,
 }
 
 /// Each doubling squares the closed loop's decay.
 const DOUBLINGS_MAX: usize = 32;
-/// What is left of the start when a sum is taken for complete, and what means that it diverges.
+/// Norm of the power at which a sum counts as complete, and at which it counts as divergent.
 const DECAYED: f64 = 1e-9;
 const DIVERGED: f64 = 1e12;
 const STEPS_MAX: usize = 60;
 /// Relative gain in cost below which a step is the last.
 const GAIN_MIN: f64 = 1e-6;
-/// Shortest part of a step that is tried.
+/// Smallest fraction of a step that is tried.
 const PART_MIN: f64 = 1e-3;
-/// Frequencies at which the margin is computed, rad a step: what a vehicle moves at, up to half of
-/// the sampling rate.
+/// Lowest frequency at which the margin is computed, rad per sample, and the number of steps from
+/// it to half the sampling rate: the range in which a vehicle moves.
 const MARGIN_FROM: f64 = 2e-3;
 const MARGIN_STEPS: usize = 60;
 
@@ -72,9 +72,9 @@ impl<const X: usize, const M: usize> OutputFeedback<X, M> {
         Some(gain)
     }
 
-    /// How far the loop under `gain`, opened at input `at`, stays from -1 at any frequency: the
-    /// reciprocal of the largest sensitivity. It bears its gain to be off by `1 / (1 + margin)` to
-    /// `1 / (1 - margin)`.
+    /// The least distance of the loop under `gain`, opened at input `at`, from -1 over all
+    /// frequencies: the reciprocal of the largest sensitivity. The loop tolerates gain factors from
+    /// `1 / (1 + margin)` to `1 / (1 - margin)`.
     pub fn margin<const N: usize>(&self, gain: &SMatrix<f64, M, N>, at: usize) -> f64 {
         let mut rest = *gain;
         rest.row_mut(at).fill(0.0);
@@ -99,7 +99,7 @@ impl<const X: usize, const M: usize> OutputFeedback<X, M> {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// Towards the gain that would be best if cost to go and covariance stayed as they are.
+    /// The step to the gain that would be optimal if cost to go and covariance stayed fixed.
     fn step<const N: usize>(
         &self,
         gain: &SMatrix<f64, M, N>,

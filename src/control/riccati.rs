@@ -11,9 +11,9 @@ pub struct RiccatiSolution<const N: usize, const M: usize> {
     pub gain: SMatrix<f64, M, N>,
     /// Largest modulus of the eigenvalues of `A - B K`, below 1.
     pub spectral_radius: f64,
-    /// Frobenius norm of what `cost` leaves of the equation, relative to `cost`.
+    /// Frobenius norm of the equation's residual at `cost`, relative to `cost`.
     pub residual: f64,
-    /// Doublings that were needed.
+    /// Number of doublings.
     pub iterations: usize,
 }
 
@@ -36,10 +36,10 @@ pub enum RiccatiError {
          stabilisable through its inputs, or Q leaves an unstable mode without weight"
     )]
     NotStabilisable {
-        /// Of the best closed loop found; infinite where none was.
+        /// Of the best closed loop found; infinite if none was found.
         spectral_radius: f64,
     },
-    /// The doubling did not settle.
+    /// The doubling did not converge.
     #[error("the Riccati equation did not converge: relative residual {residual:.1e}")]
     NotConverged {
         /// Relative residual at the end.
@@ -47,7 +47,7 @@ pub enum RiccatiError {
     },
 }
 
-/// Each doubling squares the convergence, so that a mode of modulus 1 - 1e-12 needs about 45.
+/// Each doubling squares the convergence, so a mode of modulus 1 - 1e-12 needs about 45.
 const DOUBLINGS_MAX: usize = 60;
 /// Largest relative residual that counts as solved.
 const RESIDUAL_MAX: f64 = 1e-8;
@@ -58,9 +58,9 @@ const SQUARINGS: i32 = 48;
 ///
 /// Structure-preserving doubling (Chu, Fan, Lin and Wang, "Structure-preserving algorithms for
 /// periodic discrete-time algebraic Riccati equations", Int. J. Control 77, 2004): with
-/// `W = I + G H`, from `A, G = B R^-1 B', H = Q`,
-/// `A <- A W^-1 A`, `G <- G + A W^-1 G A'`, `H <- H + A' H W^-1 A`; `H` converges to `P`
-/// quadratically, each step being worth twice as many of the Riccati recursion as the one before.
+/// `W = I + G H`, from `A, G = B R^-1 B', H = Q`, `A <- A W^-1 A`, `G <- G + A W^-1 G A'`,
+/// `H <- H + A' H W^-1 A`. `H` converges to `P` quadratically: each step equals twice as many steps
+/// of the Riccati recursion as the one before.
 ///
 /// # Errors
 /// [`RiccatiError`]; a solution is returned only if its closed loop is stable.
@@ -117,9 +117,9 @@ fn symmetric<const N: usize>(m: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
     (m + m.transpose()) * 0.5
 }
 
-/// Largest modulus of the eigenvalues of `m`, by Gelfand's formula: the limit of
-/// `norm(m^k)^(1/k)`, with k = 2^48 by repeated squaring. Unlike an eigenvalue iteration this
-/// cannot fail to converge.
+/// Largest modulus of the eigenvalues of `m`, by Gelfand's formula: the limit of `norm(m^k)^(1/k)`,
+/// with k = 2^48 by repeated squaring. Unlike an eigenvalue iteration, this cannot fail to
+/// converge.
 pub(super) fn spectral_radius<const N: usize>(m: &SMatrix<f64, N, N>) -> f64 {
     let (mut power, mut logarithm) = (*m, 0.0);
     for k in 0..SQUARINGS {
@@ -149,7 +149,7 @@ mod tests {
         assert_eq!(spectral_radius(&Matrix2::new(0.0, 1.0, 0.0, 0.0)), 0.0);
     }
 
-    /// The recursion that doubling runs 2^k steps of at a time, run one step at a time.
+    /// The Riccati recursion in single steps; doubling runs 2^k of them at a time.
     #[test]
     fn double_integrator_agrees_with_value_iteration() {
         let (a, b) = (Matrix2::new(1.0, 0.1, 0.0, 1.0), Vector2::new(0.005, 0.1));

@@ -1,19 +1,20 @@
-//! The way back to the reference after a change: what the vehicle lost until the change was known.
+//! The path back to the reference after a change: it recovers the offset that built up until the
+//! change was known.
 
 use vehicle::frame::{Euler, Frd, Ned};
 
 use super::hover_model::HoverVehicle;
 use crate::setpoint::{Reference, Setpoint, State};
 
-/// How long the way takes, s: the acceleration of the losses that a gust leaves is then a tenth of
-/// the weight.
+/// Duration of the path, s: the acceleration that recovers the offset after a gust is then a tenth
+/// of the weight.
 const DURATION_S: f64 = 1.0;
-/// A vehicle that is farther off than this is left to feedback, m.
+/// Beyond this offset, feedback alone returns the vehicle, m.
 const OFFSET_MAX_M: f64 = 0.5;
 
-/// A polynomial of the fifth degree from an offset of position and velocity to none: the way of least
-/// jerk between them. The reference moves along it, with the tilt and the thrust that it takes, so that
-/// feedback sees only what the way is not followed by.
+/// A polynomial of the fifth degree from an offset of position and velocity to zero: the
+/// minimum-jerk path between them. The reference follows it, with the matching tilt and thrust, so
+/// feedback sees only the deviation from the path.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct WayBack {
     from_s: f64,
@@ -22,7 +23,7 @@ pub(super) struct WayBack {
 }
 
 impl WayBack {
-    /// From where `state` is beside `reference` at `from_s`; `None` where that is far.
+    /// From the offset of `state` from `reference` at `from_s`; `None` if that is large.
     pub fn from(from_s: f64, state: &State, reference: &Reference) -> Option<Self> {
         let position = state.position - reference.position;
         let velocity = state.velocity - reference.velocity;
@@ -44,13 +45,13 @@ impl WayBack {
         ]
     }
 
-    /// Whether nothing of it is left.
+    /// Whether the path has ended.
     pub fn is_over(&self, time_s: f64) -> bool {
         time_s >= self.from_s + DURATION_S
     }
 
-    /// `reference` along the way at `time_s`, for a vehicle at the heading `yaw`; its input leads by
-    /// `lead_s`, as attitude and thrust answer late.
+    /// `reference` along the path at `time_s`, for a vehicle at the heading `yaw`. Its input leads
+    /// by `lead_s`, because attitude and thrust respond late.
     pub fn along(
         &self,
         time_s: f64,
@@ -103,7 +104,7 @@ mod tests {
         let end = way.at(4.0);
         assert!(end[..3].iter().all(|left| left.norm() < 1e-12), "{end:?}");
         assert!(way.is_over(4.0) && !way.is_over(3.9));
-        // Each is the slope of the one before.
+        // Each is the derivative of the one before.
         let h = 1e-5;
         for t in [3.1, 3.5, 3.9] {
             let (now, before, after) = (way.at(t), way.at(t - h), way.at(t + h));

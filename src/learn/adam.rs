@@ -1,16 +1,16 @@
-//! Adam (Kingma and Ba 2015) over batches, its step falling to zero along a half cosine.
+//! Adam (Kingma and Ba 2015) on batches; its step size falls to zero along a half cosine.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Decay of the mean of the gradients.
+/// Decay of the mean gradient.
 const MEAN_DECAY: f32 = 0.9;
-/// Decay of the mean of their squares.
+/// Decay of the mean squared gradient.
 const SQUARE_DECAY: f32 = 0.999;
 /// Added to the root of the mean square.
 const EPSILON: f32 = 1e-8;
 
-/// The optimiser's memory.
+/// The optimiser's state.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub(super) struct Adam {
     means: Vec<f32>,
@@ -48,7 +48,7 @@ impl Adam {
     }
 }
 
-/// The rate after a share `progress` (0 to 1) of the training.
+/// The step size after a fraction `progress` (0 to 1) of the training.
 pub(super) fn rate(first: f64, progress: f64) -> f64 {
     0.5 * first * (1.0 + (std::f64::consts::PI * progress).cos())
 }

@@ -1,7 +1,7 @@
-//! How late each stream is against the gyro, from kinematics alone.
+//! Latency of each stream relative to the gyro, from kinematics alone.
 //!
-//! Attitude turns by the integral of the body rate, velocity changes by the integral of the
-//! rotated specific force. No vehicle model enters.
+//! The attitude changes by the integral of the body rate, the velocity by the integral of the
+//! rotated specific force. No vehicle model is involved.
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -9,33 +9,33 @@ use vehicle::frame::{Attitude, Frd, Ned};
 
 use crate::log::import::{Flight, Stream};
 
-/// Latencies that are tried, s.
+/// Range of latencies that are tried, s.
 const LATENCY_RANGE: (f64, f64) = (-0.06, 0.12);
-/// Step of the search before a parabola refines it, s.
+/// Step of the search before the parabolic refinement, s.
 const LATENCY_STEP: f64 = 0.0025;
-/// Span over which changes are compared, s.
+/// Interval over which changes are compared, s.
 const SPAN: f64 = 0.06;
-/// Least share of the change that the integral must explain for a latency to be believed.
+/// Least fraction of the change that the integral must explain for a latency to be accepted.
 const EXPLAINED_MIN: f64 = 0.5;
 
-/// Lateness of a flight's streams against its gyro, s: a sample stamped t shows the state at
+/// Latency of a flight's streams relative to its gyro, s: a sample stamped t shows the state at
 /// `t - latency`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct Alignment {
-    /// Of the attitude; `None` where the motion does not show it, and 0 is taken.
+    /// Of the attitude; `None` if the motion does not reveal it, and 0 is used.
     pub attitude_s: Option<f64>,
-    /// Of position and velocity; `None` where the motion or a missing accelerometer does not
-    /// show it, and 0 is taken.
+    /// Of position and velocity; `None` if the motion does not reveal it or the accelerometer is
+    /// missing, and 0 is used.
     pub velocity_s: Option<f64>,
 }
 
 impl Alignment {
-    /// The flight's latencies.
+    /// Estimates the flight's latencies.
     pub fn of(flight: &Flight) -> Self {
         let turned = Integral::of(&flight.body_rate, |_, rate| Some(rate.to_array()));
         let turns = changes(&flight.attitude, |from: &Attitude, to: &Attitude| {
             let d = from.inverse().compose(*to).canonical();
-            // The rotation vector of a small turn.
+            // The rotation vector of a small rotation.
             [2.0 * d.x, 2.0 * d.y, 2.0 * d.z]
         });
         let attitude_s = latency(&turns, &turned, false);
@@ -48,7 +48,7 @@ impl Alignment {
     }
 }
 
-/// The attitude at `time`, between its neighbours; `None` outside of the stream.
+/// The attitude at `time`, interpolated; `None` outside the stream.
 pub fn interpolated(stream: &Stream<Attitude>, time: f64) -> Option<Attitude> {
     let index = stream.index_at(time)?;
     let (times, values) = (stream.times(), stream.values());
@@ -88,7 +88,7 @@ impl Integral {
     }
 }
 
-/// A change of a stream: from when, to when, by how much.
+/// A change of a stream: start time, end time, change.
 type Change = (f64, f64, [f64; 3]);
 
 fn changes<V>(stream: &Stream<V>, change: impl Fn(&V, &V) -> [f64; 3]) -> Vec<Change> {
@@ -109,7 +109,7 @@ fn changes<V>(stream: &Stream<V>, change: impl Fn(&V, &V) -> [f64; 3]) -> Vec<Ch
 
 /// The latency at which the integral explains the changes best.
 fn latency(changes: &[Change], integral: &Integral, with_offset: bool) -> Option<f64> {
-    // A few thousand changes settle a delay; more only take time.
+    // A few thousand changes determine a delay; more only take time.
     let stride = (changes.len() / 4000).max(1);
     let unexplained = |latency: f64| -> Option<f64> {
         let (mut count, mut total, mut error) = (0.0, [[0.0; 2]; 3], [[0.0; 2]; 3]);
@@ -120,7 +120,8 @@ fn latency(changes: &[Change], integral: &Integral, with_offset: bool) -> Option
             };
             count += 1.0;
             for i in 0..3 {
-                // An offset of the rate, as gravity or a bias, adds in proportion to the span.
+                // An offset of the rate, such as gravity or a bias, adds in proportion to the
+                // interval.
                 let miss = by[i] - (b[i] - a[i]);
                 let scale = if with_offset { to - from } else { 1.0 };
                 error[i][0] += miss / scale;

@@ -1,5 +1,5 @@
-//! What the rotors were told: motor outputs on an even grid, from setpoints through the on-board
-//! law or as logged.
+//! The rotors' commands: motor outputs on a regular grid, from setpoints through the on-board law
+//! or as logged.
 
 use std::ops::Range;
 
@@ -17,20 +17,21 @@ use super::gaps::{intersection, unbroken, unbroken_over};
 use crate::log::import::{self, Flight, MotorSource, MotorUnit, Stream, UnitUnknown};
 use crate::model::actuation::{Actuation, RotorState, RotorStep};
 
-/// Rate of the grid where the on-board law is not known, Hz.
+/// Rate of the grid if the on-board law is not known, Hz.
 const OUTPUT_RATE_HZ: f64 = 250.0;
-/// A setpoint older than this no longer rules, s.
+/// A setpoint older than this is no longer in force, s.
 pub const SETPOINT_AGE_MAX: f64 = 0.1;
-/// The law's outputs may differ from the logged ones by this much, root mean square: sampling at
-/// another instant costs a few hundredths.
+/// Largest difference between the law's outputs and the logged ones, root mean square: sampling at
+/// a different instant causes a few hundredths.
 const LAW_ERROR_MAX: f64 = 0.08;
-/// Logged over stated roll and pitch moments, by least squares: other gains show here first.
+/// Accepted slopes of logged over computed roll and pitch moments, by least squares: different
+/// gains show here first.
 const LAW_SLOPES: Range<f64> = 0.7..1.4;
 
-/// All of a flight.
+/// A range over the whole flight.
 pub(super) const EVERYTHING: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
 
-/// Where u comes from.
+/// The source of u.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
 )]
@@ -40,7 +41,7 @@ pub enum CommandSource {
     OnboardLaw,
     /// Logged motor outputs.
     MotorOutputs,
-    /// Logged rotor speeds, which need no lag: the rotors' states themselves.
+    /// Logged rotor speeds, which need no lag: they are the rotors' states.
     RotorSpeeds,
 }
 
@@ -54,7 +55,7 @@ impl CommandSource {
         }
     }
 
-    /// The stream of a log that says it.
+    /// The stream of a log that holds it.
     pub(super) fn stream(self) -> &'static str {
         match self {
             CommandSource::OnboardLaw => "setpoints",
@@ -63,7 +64,8 @@ impl CommandSource {
         }
     }
 
-    /// The parts of a flight in which this stream goes on. A setpoint rules until it is too old.
+    /// The parts of a flight in which this stream has no gap. A setpoint stays in force until it is
+    /// too old.
     pub fn unbroken(self, flight: &Flight) -> Vec<Range<f64>> {
         match self {
             CommandSource::OnboardLaw => unbroken_over(&flight.setpoint, SETPOINT_AGE_MAX),
@@ -72,8 +74,8 @@ impl CommandSource {
         }
     }
 
-    /// The parts of a flight in which outputs can be told, were commands not delayed: the law asks
-    /// for attitudes, the others for themselves.
+    /// The parts of a flight in which the outputs can be reconstructed, without regard to command
+    /// delay: the law needs the attitude, the other sources only themselves.
     pub(super) fn traced(self, flight: &Flight) -> Vec<Range<f64>> {
         match self {
             CommandSource::OnboardLaw => unbroken(&flight.attitude),
@@ -81,8 +83,8 @@ impl CommandSource {
         }
     }
 
-    /// Of the parts that are [`traced`](Self::traced) those within `span`, when commands take
-    /// `delay` seconds.
+    /// The [`traced`](Self::traced) parts within `span`, for commands with a delay of `delay`
+    /// seconds.
     pub(super) fn within(
         self,
         traced: &[Range<f64>],
@@ -96,17 +98,17 @@ impl CommandSource {
         parts.filter(|part| part.start < part.end).collect()
     }
 
-    /// The rotors' lag behind this source: none behind their own speeds.
+    /// The rotors' lag relative to this source: zero for rotor speeds.
     pub(super) fn lag_s(self, actuation: &Actuation) -> f64 {
         if self == CommandSource::RotorSpeeds { 0.0 } else { actuation.lag_s }
     }
 }
 
-/// How the on-board law's outputs compare with the logged ones.
+/// Comparison of the on-board law's outputs with the logged ones.
 struct LawFit {
     /// Root mean square difference of the outputs.
     error: f64,
-    /// Logged moments over the law's.
+    /// Slope of the logged moments over the law's.
     slope: f64,
 }
 
@@ -122,10 +124,10 @@ pub struct Onboard {
 }
 
 impl Onboard {
-    /// The loop and mixer of a vehicle.
+    /// Builds the loop and mixer of a vehicle.
     ///
     /// # Errors
-    /// A mixer that cannot be inverted.
+    /// The mixer cannot be inverted.
     pub fn new(vehicle: &VehicleParams) -> Result<Self, VehicleError> {
         let allocation = vehicle.allocation()?;
         let gain = vehicle.modelled_effects.get::<PdGain>();
@@ -139,11 +141,10 @@ impl Onboard {
         })
     }
 
-    /// Makes a flight's outputs thrust fractions. Where their unit is not known, and something
-    /// else says what the rotors were told, they are dropped and counted.
+    /// Converts a flight's outputs to thrust fractions. If their unit is unknown and another stream
+    /// holds the commands, the outputs are dropped and counted.
     ///
-    /// # Errors
-    /// [`UnitUnknown`] where there is nothing else.
+    /// [`UnitUnknown`] if there is no other stream.
     pub(super) fn normalise_outputs(
         &self,
         flight: &mut Flight,
@@ -160,13 +161,13 @@ impl Onboard {
         Ok(())
     }
 
-    /// Whether the law makes outputs of this flight's setpoints.
+    /// Whether the law can compute outputs from this flight's setpoints.
     fn is_commanded(&self, flight: &Flight) -> bool {
         self.law.is_some() && flight.setpoint.values().iter().any(|s| s.thrust.is_some())
     }
 
-    /// Gives a flight that logs neither motor outputs nor rotor speeds the outputs that the on-board
-    /// law makes of its setpoints, at the attitude and rate that it reports. Whether it did.
+    /// For a flight that logs neither motor outputs nor rotor speeds, computes outputs from its
+    /// setpoints with the on-board law, at the reported attitude and rate. Returns whether it did.
     pub fn complete_outputs(&self, flight: &mut Flight) -> bool {
         let is_told = !(flight.outputs.is_empty() && flight.rotor_speed.is_empty());
         if is_told || !self.is_commanded(flight) {
@@ -180,8 +181,8 @@ impl Onboard {
         !flight.outputs.is_empty()
     }
 
-    /// Which source this flight's u comes from, and how well the law explains the logged outputs:
-    /// the root mean square difference, where both are logged.
+    /// The source of this flight's u, and the root mean square difference between the law's outputs
+    /// and the logged ones if both exist.
     pub fn source(&self, flight: &Flight, attitude_latency: f64) -> (CommandSource, Option<f64>) {
         if !self.is_commanded(flight) {
             let speeds = flight.outputs.is_empty() && !flight.rotor_speed.is_empty();
@@ -200,7 +201,7 @@ impl Onboard {
         }
     }
 
-    /// The law's outputs against the logged ones at the delay that fits best.
+    /// The law's outputs against the logged ones, at the best-fitting delay.
     fn law_fit(&self, flight: &Flight, attitude_latency: f64) -> Option<LawFit> {
         let source = CommandSource::OnboardLaw;
         let traced = source.traced(flight);
@@ -223,7 +224,8 @@ impl Onboard {
         fits.min_by(|a, b| a.error.total_cmp(&b.error))
     }
 
-    /// Outputs for a setpoint at a reported attitude and rate; `None` without a law.
+    /// Outputs for a setpoint at a reported attitude and rate; `None` without a law or a thrust
+    /// setpoint.
     pub(super) fn law_outputs(
         &self,
         setpoint: &import::AttitudeSetpoint,
@@ -239,7 +241,7 @@ impl Onboard {
         Some(self.law.as_ref()?.outputs(&asked, attitude.euler(), body_rate))
     }
 
-    /// Rotor state at a speed: the nominal thrust's fraction.
+    /// Rotor state at a speed, as a fraction of the nominal thrust.
     fn state_at_speed(&self, speed: f64) -> f64 {
         self.rotor_speed_max.map_or(0.0, |most| (speed / most).powi(2))
     }
@@ -250,23 +252,23 @@ impl Onboard {
     }
 }
 
-/// Motor outputs on even grids; `None` where nothing ruled.
+/// Motor outputs on regular grids; `None` where no command was in force.
 pub(super) struct OutputTrace {
     step: f64,
-    /// In the order of their times.
+    /// In time order.
     pieces: Vec<Piece>,
 }
 
-/// Outputs a step apart.
+/// Outputs at regular intervals.
 struct Piece {
     start: f64,
     outputs: Vec<Option<[f64; ROTORS]>>,
 }
 
 impl OutputTrace {
-    /// The outputs of a flight within `spans` when commands take `delay` seconds and attitudes
-    /// are logged `attitude_latency` seconds late. Pauses of the log lie between spans: a grid
-    /// over them could be of any size.
+    /// The outputs of a flight within `spans`, for commands with a delay of `delay` seconds and
+    /// attitudes logged `attitude_latency` seconds late. Pauses of the log must be between spans: a
+    /// grid over a pause could have any size.
     pub fn new(
         onboard: &Onboard,
         flight: &Flight,
@@ -279,7 +281,7 @@ impl OutputTrace {
         let by_law = |t: f64| {
             let sent = t - delay;
             let setpoint = fresh_setpoint(flight, sent)?;
-            // On board the estimate is not late.
+            // On board, the estimate has no latency.
             let attitude = interpolated(&flight.attitude, t + attitude_latency)?;
             let rate = lerp(&flight.body_rate, t)?;
             onboard.law_outputs(setpoint, attitude, Frd::from(rate))
@@ -301,7 +303,7 @@ impl OutputTrace {
         Self { step, pieces: spans.iter().map(piece).collect() }
     }
 
-    /// Those that are known.
+    /// The known outputs.
     fn outputs(&self) -> Stream<[f64; ROTORS]> {
         let mut stream = Stream::default();
         for piece in &self.pieces {
@@ -321,12 +323,13 @@ impl OutputTrace {
         piece.outputs.get(index as usize).copied().flatten()
     }
 
-    /// The rotors' states that follow these outputs: of each instant its now and its average.
+    /// The rotors' states that follow from these outputs: at each instant the state and its
+    /// average.
     pub fn states(&self, actuation: &Actuation, lag_s: f64) -> Stream<[f64; 2 * ROTORS]> {
         let rotors = RotorStep::new(actuation, lag_s, self.step);
         let balanced = actuation.balance_s.is_some();
         let mut states = Stream::default();
-        // What came before the first output is not known; it fades within a few lags.
+        // The outputs before the first one are unknown; their effect fades within a few lags.
         let settling = 3.0 * lag_s;
         for piece in &self.pieces {
             let mut current: Option<(f64, RotorState)> = None;
@@ -349,14 +352,14 @@ impl OutputTrace {
     }
 }
 
-/// The setpoint that ruled what was sent at `sent`; `None` where the newest is too old to rule.
+/// The setpoint in force at `sent`; `None` if the newest is too old.
 pub(super) fn fresh_setpoint(flight: &Flight, sent: f64) -> Option<&import::AttitudeSetpoint> {
     let index = flight.setpoint.index_at(sent)?;
     let age = sent - flight.setpoint.times().get(index)?;
     flight.setpoint.values().get(index).filter(|_| age < SETPOINT_AGE_MAX)
 }
 
-/// A vector stream between its neighbours; `None` outside of it.
+/// A vector stream, interpolated; `None` outside it.
 pub(super) fn lerp<V: Copy + Into<[f64; N]>, const N: usize>(
     stream: &Stream<V>,
     time: f64,

@@ -1,4 +1,4 @@
-//! Flights into rows: what the vehicle did at 100 Hz, and with what input.
+//! Rows from flights: the vehicle's motion at 100 Hz, and its input.
 
 use std::ops::Range;
 
@@ -19,12 +19,12 @@ use crate::model::actuation::{Actuation, RotorState};
 use crate::model::file::AccelerationSource;
 use crate::model::{ACCELERATIONS, Point};
 
-/// How labels are made.
+/// Windows of the labels.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct WindowSettings {
-    /// Half width of the window of rates, specific force and input, s.
+    /// Half width of the window for rates, specific force and input, s.
     pub half_s: f64,
-    /// Half width of the window of velocity where its slope is the acceleration, s.
+    /// Half width of the window for velocity, if its slope is the acceleration, s.
     pub velocity_half_s: f64,
 }
 
@@ -41,20 +41,20 @@ impl Default for WindowSettings {
     }
 }
 
-/// What was seen at one instant, before anything is known of the input.
+/// The measurements at one instant, without the input.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation {
-    /// On the gyro's clock, s.
+    /// Time on the gyro's clock, s.
     pub time: f64,
-    /// World axes, m/s.
+    /// Velocity in world axes, m/s.
     pub velocity: Ned,
-    /// Body to world.
+    /// Rotation from body to world.
     pub attitude: Attitude,
-    /// Rad/s.
+    /// Body rate, rad/s.
     pub body_rate: Frd,
-    /// By the accelerometer, m/s^2.
+    /// Linear acceleration from the accelerometer, m/s^2.
     pub by_force: Option<Ned>,
-    /// By the velocity's slope, m/s^2.
+    /// Linear acceleration from the velocity's slope, m/s^2.
     pub by_slope: Option<Ned>,
     /// Slope of the body rate, rad/s^2.
     pub angular: Frd,
@@ -64,24 +64,24 @@ pub struct Observation {
     pub voltage: Option<f64>,
 }
 
-/// A flight with what was observed on it.
+/// A flight with its observations.
 pub struct ObservedFlight {
     /// The flight.
     pub flight: Flight,
     /// Its usable parts.
     pub segments: Segments,
-    /// How late its streams are.
+    /// The latencies of its streams.
     pub alignment: Alignment,
-    /// Where its u comes from.
+    /// The source of its u.
     pub source: CommandSource,
-    /// How far the on-board law's outputs are from the logged ones, root mean square.
+    /// Root mean square difference between the on-board law's outputs and the logged ones.
     pub law_error: Option<f64>,
-    /// How much later than those of the training flights its commands act, s: streams of one
-    /// log may be offset, and differently in each.
+    /// Additional delay of its commands relative to the training flights, s: the streams of one log
+    /// may be offset, differently in each log.
     pub command_shift_s: f64,
-    /// What was seen, in order.
+    /// The observations, in time order.
     pub observations: Vec<Observation>,
-    /// Parts in which it can be told what the rotors were told.
+    /// Parts in which the rotors' commands can be reconstructed.
     traced: Vec<Range<f64>>,
     /// Half width of the windows, s.
     half_s: f64,
@@ -90,20 +90,20 @@ pub struct ObservedFlight {
 /// A row of the dataset.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
-    /// On the gyro's clock, s.
+    /// Time on the gyro's clock, s.
     pub time: f64,
-    /// Where.
+    /// State and input.
     pub point: Point,
-    /// The accelerations seen there: linear in world axes, angular in body axes.
+    /// The measured accelerations: linear in world axes, angular in body axes.
     pub label: [f64; ACCELERATIONS],
-    /// The simulator's true ones.
+    /// The simulator's true accelerations.
     pub truth: Option<[f64; ACCELERATIONS]>,
 }
 
 /// The log cannot be of this vehicle, or does not show that it is.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Implausible {
-    /// Its commands do not lift the vehicle.
+    /// Its commands do not carry the vehicle's weight.
     #[error(
         "its commands lift {found:.2} of the vehicle's weight on average, not about 1: it is of \
          another vehicle, or the motors' unit is wrong"
@@ -112,14 +112,14 @@ pub enum Implausible {
         /// Mean commanded thrust over the weight.
         found: f64,
     },
-    /// At no usable time it is known what the rotors were told.
+    /// The rotors' commands are unknown at all usable times.
     #[error(
         "at none of its usable times it says what the rotors were told, by {}: log setpoints \
          with thrust or motor outputs at 10 Hz or more",
         by.name()
     )]
     NoInput {
-        /// What should have said it.
+        /// The source that lacks them.
         by: CommandSource,
     },
 }
@@ -128,7 +128,7 @@ impl ObservedFlight {
     /// Observes a flight of a vehicle, without the times in `cuts`.
     ///
     /// # Errors
-    /// [`Unusable`] if nothing can be learned from it.
+    /// [`Unusable`] if the flight has no usable data.
     pub fn new(
         mut flight: Flight,
         vehicle: &VehicleParams,
@@ -160,8 +160,7 @@ impl ObservedFlight {
         Ok(observed)
     }
 
-    /// Observes the flight, by other windows than before if it was. What was learned of its
-    /// commands is forgotten.
+    /// Observes the flight with the given windows, and resets the command shift.
     pub fn observe(&mut self, vehicle: &VehicleParams, settings: &WindowSettings) {
         let Self { flight, segments, alignment, .. } = &*self;
         let attitude = flight.attitude.clone().shifted(-alignment.attitude_s.unwrap_or(0.0));
@@ -174,7 +173,7 @@ impl ObservedFlight {
                 accelerations.push(time, [n, e, d + vehicle.gravity]);
             }
         }
-        // The windows reach as far as three samples need, at any rate.
+        // The windows contain at least three samples at any rate.
         let half = |period: Option<f64>, wanted: f64| wanted.max(1.6 * period.unwrap_or(0.0));
         let half_s = half(flight.body_rate.period(), settings.half_s);
         let force_half = half(flight.specific_force.period(), settings.half_s);
@@ -221,11 +220,10 @@ impl ObservedFlight {
         unbroken(&self.flight.attitude)
     }
 
-    /// Whether commands and motion fit the vehicle at all: what the commands lift on average is
+    /// Checks that commands and motion are plausible for the vehicle: the mean commanded thrust is
     /// within a factor of two of its weight.
     ///
-    /// # Errors
-    /// [`Implausible`] with what was found.
+    /// [`Implausible`] with the value found.
     pub fn check_vehicle(
         &self,
         vehicle: &VehicleParams,
@@ -245,8 +243,7 @@ impl ObservedFlight {
         (0.5..2.0).contains(&found).then_some(()).ok_or(Implausible::OtherVehicle { found })
     }
 
-    /// Takes out of the accelerometer what on average it has over the velocity's slope, in body
-    /// axes.
+    /// Removes the accelerometer's mean deviation from the velocity's slope, in body axes.
     fn remove_accelerometer_bias(&mut self) {
         let (mut sum, mut count) = (Frd::zero(), 0.0);
         for o in &self.observations {
@@ -264,7 +261,7 @@ impl ObservedFlight {
         }
     }
 
-    /// How it was flown.
+    /// Summary of how the flight was flown, for the split.
     pub(super) fn traits(&self) -> Traits {
         let count = self.observations.len().max(1) as f64;
         let rms = |square: &dyn Fn(&Observation) -> f64| {
@@ -285,12 +282,12 @@ impl ObservedFlight {
         }
     }
 
-    /// From this flight's commands to their effect, without the lag, s.
+    /// Delay from this flight's commands to their effect, without the lag, s.
     pub fn delay_s(&self, actuation: &Actuation) -> f64 {
         actuation.delay_s + self.command_shift_s
     }
 
-    /// The rotors' states within a span under an actuation: of each instant its now and its
+    /// The rotors' states within a span under an actuation: at each instant the state and its
     /// average.
     pub(super) fn rotor_states(
         &self,
@@ -306,7 +303,7 @@ impl ObservedFlight {
             .states(actuation, lag_s)
     }
 
-    /// The actuated input at each observation in `range`; `None` where commands are missing.
+    /// The acting input at each observation in `range`; `None` if commands are missing.
     pub fn inputs(
         &self,
         onboard: &Onboard,
@@ -317,7 +314,7 @@ impl ObservedFlight {
         let (Some(first), Some(last)) = (observations.first(), observations.last()) else {
             return Vec::new();
         };
-        // Lag and balance need a past to settle in.
+        // Lag and balance need a past to settle.
         let past = 4.0 * (actuation.lag_s + actuation.balance_s.unwrap_or(0.0)) + 0.5;
         let span = first.time - past..last.time + 0.5;
         let states = self.rotor_states(onboard, actuation, &span);
@@ -332,7 +329,7 @@ impl ObservedFlight {
             .collect()
     }
 
-    /// The rows under an actuation, labels from `acceleration`.
+    /// The rows under an actuation, with labels from `acceleration`.
     pub fn rows(
         &self,
         onboard: &Onboard,
@@ -370,7 +367,7 @@ impl Observation {
     }
 }
 
-/// Instants of the rows within a span.
+/// Times of the rows within a span.
 fn grid(span: &Range<f64>) -> impl Iterator<Item = f64> {
     let first = (span.start * ROW_RATE_HZ).ceil() as i64;
     let last = (span.end * ROW_RATE_HZ).floor() as i64;
@@ -385,7 +382,7 @@ fn scalar(stream: &Stream<f64>) -> Stream<[f64; 1]> {
     out
 }
 
-/// The simulator's accelerations at `time`, between its samples.
+/// The simulator's accelerations at `time`, interpolated.
 fn truth_at(flight: &Flight, time: f64) -> Option<[f64; ACCELERATIONS]> {
     let index = flight.truth.index_at(time)?;
     let times = flight.truth.times();

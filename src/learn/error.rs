@@ -1,8 +1,8 @@
-//! Why there is no model.
+//! Errors of a training.
 
 use vehicle::VehicleError;
 
-/// Why there is no model.
+/// Why a training gives no model.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     /// Too little data.
@@ -13,7 +13,7 @@ pub enum TrainError {
         /// Rows that a training needs.
         least: usize,
     },
-    /// Nothing to choose or to judge by.
+    /// No rows to select or evaluate on.
     #[error(
         "the {part} part has no rows: each part of a flight must be longer than {border_s} s, which \
          are left out at its borders; give more or longer flights"
@@ -21,19 +21,19 @@ pub enum TrainError {
     EmptyPart {
         /// `validation` or `test`.
         part: &'static str,
-        /// What is left out between two parts, s.
+        /// Time left out between two parts, s.
         border_s: f64,
     },
-    /// Every model's open loop leads to what is no number.
+    /// Every model's open loop leads to values that are not finite.
     #[error(
         "{reason}; look at the logs with `downwash log audit`, or change --regularization, --features or \
          --method"
     )]
     NotFinite {
-        /// What is not finite.
+        /// The values that are not finite.
         reason: &'static str,
     },
-    /// The vehicle's physics does not work.
+    /// The vehicle's physics is invalid.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
     /// A network could not be trained.
@@ -43,13 +43,13 @@ pub enum TrainError {
         model: &'static str,
         /// `nn1` or `nn2`.
         network: &'static str,
-        /// Why.
+        /// The cause.
         reason: String,
     },
-    /// Nothing to try.
+    /// No regularisation to try.
     #[error("no regularisation is given to try")]
     NoRegularization,
-    /// The checkpoint is of another training.
+    /// The checkpoint belongs to another training.
     #[error("the checkpoint is of other data or settings; train without --resume")]
     Checkpoint,
 }

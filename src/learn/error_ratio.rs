@@ -1,11 +1,12 @@
-//! Errors of predictions over those of holding the state.
+//! Prediction errors relative to those of holding the state.
 
 use std::ops::Range;
 
 use super::evaluation::{MultiStep, Predictor, StateError, multi_step};
 use super::prediction::{Baseline, RecordedInputs};
 
-/// Errors at the middle horizons over those of holding the state, summed: lower is better.
+/// Sum of the errors at the middle horizons, relative to those of holding the state; lower is
+/// better.
 pub(super) fn score(windows: &[(RecordedInputs<'_>, Vec<f64>)], predictor: &Predictor<'_>) -> f64 {
     let hold = multi_step(windows, &Predictor::Baseline(Baseline::Hold));
     match (multi_step(windows, predictor), hold) {
@@ -14,21 +15,21 @@ pub(super) fn score(windows: &[(RecordedInputs<'_>, Vec<f64>)], predictor: &Pred
     }
 }
 
-/// Sum of errors at the middle horizons, over those of `hold`; infinite where an error at any
-/// horizon is no number.
+/// Sum of the error ratios at the middle horizons; infinite if an error at any horizon is not
+/// finite.
 pub(super) fn relative(errors: &MultiStep, hold: &MultiStep) -> f64 {
     let sum: f64 = ratios(errors, hold).sum();
     if sum.is_finite() && errors.iter().all(StateError::is_finite) { sum } else { f64::INFINITY }
 }
 
-/// The middle ones of the horizons.
+/// Indices of the middle horizons.
 const MIDDLE: Range<usize> = 1..3;
-/// Errors at one horizon.
+/// Number of errors at one horizon.
 const ERRORS: usize = 4;
-/// Sum of the [`ratios`] of what errs as much as holding the state.
+/// Sum of the [`ratios`] of a prediction as good as holding the state.
 pub(super) const AS_HOLDING: f64 = ((MIDDLE.end - MIDDLE.start) * ERRORS) as f64;
 
-/// Each error at the middle horizons over that of `hold`.
+/// Each error at the middle horizons, relative to that of `hold`.
 pub(super) fn ratios<'a>(
     errors: &'a MultiStep,
     hold: &'a MultiStep,

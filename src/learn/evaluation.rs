@@ -1,4 +1,4 @@
-//! How good a model is: its accelerations, and where its open loop leads.
+//! Quality of a model: errors of its accelerations, and of its open-loop predictions.
 
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -19,7 +19,7 @@ pub const WINDOW_STRIDE_S: f64 = 0.25;
 pub const ACCELERATION_NAMES: [&str; ACCELERATIONS] =
     ["a_n", "a_e", "a_d", "alpha_x", "alpha_y", "alpha_z"];
 
-/// Normalised mean squared errors: over the variance of the training rows' labels.
+/// Normalised mean squared errors: relative to the variance of the training rows' labels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct OneStep {
     /// Of each acceleration.
@@ -31,13 +31,13 @@ pub struct OneStep {
     /// Mean of the angular ones.
     #[serde(deserialize_with = "not_finite::number")]
     pub angular: f64,
-    /// Rows.
+    /// Number of rows.
     pub rows: usize,
 }
 
 impl OneStep {
-    /// The error of `model` against what `observed` picks from each row; `None` where it picks
-    /// nothing.
+    /// The error of `model` against the value that `observed` returns for each row; `None` if it
+    /// returns none.
     pub fn of(
         model: &dyn Model,
         rows: &[&Row],
@@ -48,13 +48,14 @@ impl OneStep {
         Self::of_values(rows, deviation, pair)
     }
 
-    /// The difference between the two that `pair` makes of each row; `None` where it makes none.
+    /// The difference between the two values that `pair` returns for each row; `None` if it returns
+    /// none.
     pub fn of_values(
         rows: &[&Row],
         deviation: &[f64; ACCELERATIONS],
         pair: impl Fn(&Row) -> Option<([f64; ACCELERATIONS], [f64; ACCELERATIONS])> + Sync,
     ) -> Option<Self> {
-        // Fixed pieces, summed in order: the same number whatever the number of threads.
+        // Fixed pieces, summed in order: the result does not depend on the number of threads.
         let pieces: Vec<([f64; ACCELERATIONS], usize)> = rows
             .par_chunks(4096)
             .map(|piece| {
@@ -81,7 +82,7 @@ impl OneStep {
     }
 }
 
-/// Root mean square of the norm of reported minus predicted, at one horizon.
+/// Root mean square norm of reported minus predicted state, at one horizon.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct StateError {
     /// Of position, m.
@@ -90,7 +91,7 @@ pub struct StateError {
     /// Of velocity, m/s.
     #[serde(deserialize_with = "not_finite::number")]
     pub velocity_m_s: f64,
-    /// Of attitude: the angle of rotation, rad.
+    /// Of attitude: the rotation angle, rad.
     #[serde(deserialize_with = "not_finite::number")]
     pub attitude_rad: f64,
     /// Of body rate, rad/s.
@@ -99,7 +100,7 @@ pub struct StateError {
 }
 
 impl StateError {
-    /// Whether all of it is a number.
+    /// Whether all errors are finite.
     pub fn is_finite(&self) -> bool {
         let Self { position_m, velocity_m_s, attitude_rad, rate_rad_s } = self;
         [position_m, velocity_m_s, attitude_rad, rate_rad_s].iter().all(|error| error.is_finite())
@@ -109,23 +110,23 @@ impl StateError {
 /// Errors at each of [`HORIZONS_S`].
 pub type MultiStep = [StateError; HORIZONS_S.len()];
 
-/// Who predicts.
+/// A source of predictions.
 pub enum Predictor<'a> {
     /// A model.
     Model(&'a dyn Model),
-    /// None.
+    /// A baseline without a model.
     Baseline(Baseline),
 }
 
-/// Sums of squares at each horizon, and windows.
+/// Sums of squares at each horizon, and number of windows.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     squares: [[f64; 4]; HORIZONS_S.len()],
     windows: usize,
 }
 
-/// Open-loop errors over windows of the given flights; each flight comes with the starts of its
-/// windows. Returns the errors and the number of windows, `None` if there is none.
+/// Open-loop errors over windows of the given flights; each flight comes with the start times of
+/// its windows. Returns the errors and the number of windows, `None` if there is none.
 pub fn multi_step(
     flights: &[(RecordedInputs<'_>, Vec<f64>)],
     predictor: &Predictor<'_>,
@@ -187,7 +188,8 @@ impl Sums {
     }
 }
 
-/// Starts of windows within spans: every [`WINDOW_STRIDE_S`] as long as the longest horizon fits.
+/// Start times of windows within spans: every [`WINDOW_STRIDE_S`] as long as the longest horizon
+/// fits.
 pub fn window_starts(spans: &[std::ops::Range<f64>]) -> Vec<f64> {
     let longest = HORIZONS_S[HORIZONS_S.len() - 1];
     let mut starts = Vec::new();

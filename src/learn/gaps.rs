@@ -1,5 +1,5 @@
-//! Gaps of one stream: where it goes on, and where a value can be told from its samples. Spans are
-//! in seconds.
+//! Gaps of one stream: its unbroken parts, and the times at which its samples determine a value.
+//! Spans are in seconds.
 
 use std::ops::Range;
 
@@ -7,21 +7,22 @@ use crate::log::import::Stream;
 
 /// A gap of this many periods ends a segment.
 const GAP_PERIODS: f64 = 4.0;
-/// And so does one of this many seconds, whatever the rate.
+/// A gap of this many seconds does too, at any rate.
 const GAP_MAX_S: f64 = 0.2;
-/// But not one of fewer periods than this.
+/// A gap of fewer periods than this does not.
 const GAP_PERIODS_MIN: f64 = 1.5;
-/// Streams of longer periods show nothing of how a quadrotor moves, s.
+/// Streams with longer periods do not resolve a quadrotor's motion, s.
 pub(super) const PERIOD_MAX_S: f64 = 0.2;
-/// The longest time between two samples that may be told from them, s.
+/// Longest time between two samples that interpolation may bridge, s.
 const BRIDGE_MAX_S: f64 = GAP_PERIODS_MIN * PERIOD_MAX_S;
 
-/// Parts of a stream between its gaps. No part has samples further apart than can be bridged.
+/// Parts of a stream between its gaps. Within a part, consecutive samples are close enough to
+/// bridge.
 pub(super) fn unbroken<T>(stream: &Stream<T>) -> Vec<Range<f64>> {
     unbroken_over(stream, 0.0)
 }
 
-/// The same where a gap of up to `least` seconds is none.
+/// The same, where a gap of up to `least` seconds does not count.
 pub(super) fn unbroken_over<T>(stream: &Stream<T>, least: f64) -> Vec<Range<f64>> {
     let Some((&first, &last)) = stream.times().first().zip(stream.times().last()) else {
         return Vec::new();
@@ -44,21 +45,20 @@ pub(super) fn unbroken_over<T>(stream: &Stream<T>, least: f64) -> Vec<Range<f64>
     spans
 }
 
-/// What lies in both, each in order of time.
+/// The intersection of two lists of spans, each in time order.
 pub fn intersection(ones: &[Range<f64>], others: &[Range<f64>]) -> Vec<Range<f64>> {
     let both = |a: &Range<f64>, b: &Range<f64>| a.start.max(b.start)..a.end.min(b.end);
     let pairs = ones.iter().flat_map(|a| others.iter().map(move |b| both(a, b)));
     pairs.filter(|both| both.start < both.end).collect()
 }
 
-/// Their length, s.
+/// Total length of spans, s.
 pub fn length(spans: &[Range<f64>]) -> f64 {
     spans.iter().fold(0.0, |sum, span| sum + span.end - span.start)
 }
 
-/// Time between samples: half of the time lies between samples that are at least so far apart. Of
-/// stamps in bursts that is the time between the bursts, of others the period. Pauses do not
-/// count.
+/// Spacing of samples: half of the total time is in gaps at least this long. For stamps in bursts,
+/// this is the time between bursts, otherwise the period. Pauses do not count.
 fn spacing(times: &[f64]) -> Option<f64> {
     let mut gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     gaps.sort_by(f64::total_cmp);
@@ -73,7 +73,7 @@ fn spacing(times: &[f64]) -> Option<f64> {
     beyond.next()
 }
 
-/// Whether a value at `time` can be told from the samples around it.
+/// Whether the samples around `time` determine a value.
 pub(super) fn is_bridged<T>(stream: &Stream<T>, time: f64) -> bool {
     let times = stream.times();
     stream.index_at(time).is_some_and(|index| {
@@ -102,7 +102,7 @@ mod tests {
 
     #[test]
     fn what_goes_on_without_a_gap_can_be_told_throughout() {
-        // From 100 Hz down to a period that is as long as may be, with one pause.
+        // From 100 Hz down to the longest admissible period, with one pause.
         for period in [0.01, 0.05, 0.2] {
             let times = (0..100).map(|k| f64::from(k) * period);
             let stream = stream(times.map(|time| if time < 2.0 { time } else { time + 1.0 }));

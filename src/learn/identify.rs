@@ -1,4 +1,4 @@
-//! How the vehicle's rotors answer their commands, by what the logs leave unexplained.
+//! Identification of the rotors' response, by minimising the unexplained part of the logs.
 
 use std::ops::Range;
 
@@ -12,23 +12,23 @@ use super::dataset::{Observation, ObservedFlight};
 use crate::model::actuation::Actuation;
 use crate::model::file::AccelerationSource;
 
-/// Delays and lags that are tried first, s.
+/// Delays and lags of the initial grid, s.
 const DELAYS: [f64; 9] = [0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08];
 const LAGS: [f64; 9] = [0.0, 0.015, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.16];
-/// Times of balance that are tried, s.
+/// Balance times that are tried, s.
 const BALANCES: [f64; 6] = [2.0, 1.0, 0.6, 0.4, 0.25, 0.15];
-/// The share of what is unexplained that a balance must explain to be believed.
+/// Fraction of the unexplained variance that a balance must explain to be accepted.
 const BALANCE_GAIN_MIN: f64 = 0.05;
 /// The search ends when its steps are this small, s.
 const RESOLUTION: f64 = 0.0005;
-/// Observations for the search; more do not move it.
+/// Most observations in the search; more do not change the result.
 const SEARCH_ROWS: usize = 12_000;
-/// The pack must have gone through this share of its voltage before its exponent is fitted.
+/// Least relative span of the pack's voltage for a fit of its exponent.
 const VOLTAGE_SPAN_MIN: f64 = 0.01;
-/// Accepted exponents.
+/// Range of exponents.
 const EXPONENTS: (f64, f64) = (0.0, 3.0);
 
-/// Sum of squares that a linear regression with `K` regressors leaves.
+/// Linear regression with `K` regressors, accumulated from samples.
 struct Regression<const K: usize> {
     gram: SMatrix<f64, K, K>,
     cross: SVector<f64, K>,
@@ -51,7 +51,7 @@ impl<const K: usize> Regression<K> {
         self.count += 1.0;
     }
 
-    /// Unexplained share of y's variance.
+    /// Unexplained fraction of y's variance.
     fn unexplained(&self) -> Option<f64> {
         let scale = self.gram.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
         let scaled = SMatrix::from_diagonal(&scale) * self.gram * SMatrix::from_diagonal(&scale);
@@ -66,10 +66,10 @@ impl<const K: usize> Regression<K> {
     }
 }
 
-/// Finds how the rotors answer: delay, lag and the voltage's exponent together leave least of the
-/// accelerations unexplained by a regression on input, rates and velocity.
+/// Identifies the rotors' response: the delay, lag and voltage exponent that together minimise the
+/// variance of the accelerations left unexplained by a regression on input, rates and velocity.
 ///
-/// Starts from the vehicle file's numbers where the logs do not move enough to say.
+/// Starts from the vehicle file's values, which remain if the logs do not determine better ones.
 pub fn actuation(
     flights: &[(&ObservedFlight, Range<usize>)],
     onboard: &Onboard,
@@ -86,7 +86,7 @@ pub fn actuation(
         return found;
     }
     found.voltage_exponent = voltage_exponent(flights, onboard, &found, acceleration, vehicle);
-    // The same share from the middle of each flight.
+    // The same fraction from the middle of each flight.
     let share = (SEARCH_ROWS as f64 / total as f64).min(1.0);
     let cost = |candidate: &Actuation| {
         unexplained(flights, onboard, candidate, acceleration, vehicle.gravity, share)
@@ -110,9 +110,9 @@ pub fn actuation(
     found
 }
 
-/// Finds how much later than `actuation` says this flight's motor outputs act: the shift that
-/// leaves least of the flight's accelerations unexplained, if that is clearly less. Setpoints come
-/// over the link, whose delay is the actuation's own.
+/// Estimates the additional delay of this flight's motor outputs relative to `actuation`: the shift
+/// that minimises the unexplained variance of the flight's accelerations, if the improvement is
+/// clear. Setpoints arrive over the link, whose delay is already in the actuation.
 pub fn align_commands(
     flight: &mut ObservedFlight,
     onboard: &Onboard,
@@ -146,13 +146,13 @@ pub fn align_commands(
     flight.command_shift_s = if clear { best.1 } else { 0.0 };
 }
 
-/// Shifts of a flight's commands that are tried, and the share of what is unexplained that one
-/// must explain.
+/// Step and range of the command shifts that are tried, and the fraction of the unexplained
+/// variance that a shift must explain.
 const SHIFT_STEP_S: f64 = 0.002;
 const SHIFT_STEPS: i32 = 20;
 const SHIFT_GAIN_MIN: f64 = 0.01;
 
-/// Takes the candidate if it costs less than the best so far by the share `gain`.
+/// Accepts the candidate if it reduces the least cost by at least the fraction `gain`.
 fn consider(
     cost: &impl Fn(&Actuation) -> f64,
     candidate: Actuation,
@@ -166,8 +166,8 @@ fn consider(
     }
 }
 
-/// Steps of delay and lag that halve until they are small. The two trade against each other, so
-/// the search also moves along their sum.
+/// Pattern search in delay and lag with steps that halve until they are small. The two trade off
+/// against each other, so the search also moves along their sum.
 fn refine(cost: &impl Fn(&Actuation) -> f64, best: &mut Actuation, least: &mut f64) {
     let mut step = 0.006;
     while step > RESOLUTION {
@@ -184,7 +184,8 @@ fn refine(cost: &impl Fn(&Actuation) -> f64, best: &mut Actuation, least: &mut f
     }
 }
 
-/// Unexplained shares of the three angular accelerations and of the specific force along z.
+/// Sum of the unexplained fractions of the three angular accelerations and of the specific force
+/// along z.
 fn unexplained(
     flights: &[(&ObservedFlight, Range<usize>)],
     onboard: &Onboard,
@@ -228,8 +229,8 @@ fn specific_force_z(o: &Observation, acceleration: Ned, gravity: f64) -> f64 {
     o.attitude.to_body(acceleration - Ned::new(0.0, 0.0, gravity)).down()
 }
 
-/// The exponent of the pack's voltage in the thrust, by golden section on what thrust leaves of
-/// the specific force along z.
+/// The exponent of the pack's voltage in the thrust, by golden-section search on the unexplained
+/// specific force along z.
 fn voltage_exponent(
     flights: &[(&ObservedFlight, Range<usize>)],
     onboard: &Onboard,
@@ -237,7 +238,7 @@ fn voltage_exponent(
     acceleration: AccelerationSource,
     vehicle: &VehicleParams,
 ) -> f64 {
-    // (u1 without voltage, voltage, v_z, force) a tenth of a second apart.
+    // (u1 without voltage, voltage, v_z, force) at intervals of a tenth of a second.
     let mut rows: Vec<[f64; 4]> = Vec::new();
     for (flight, range) in flights {
         let plain = Actuation { voltage_exponent: 0.0, ..*actuation };
@@ -255,14 +256,14 @@ fn voltage_exponent(
     let voltages = rows.iter().map(|row| row[1]);
     let (low, high) = voltages.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
     if rows.len() < 100 || !(low > 0.0 && (high - low) / high > VOLTAGE_SPAN_MIN) {
-        // Too little to tell by: what the vehicle file says.
+        // Too little variation: use the vehicle file's value.
         return vehicle.modelled_effects.get::<BatterySag>().map_or(0.0, |sag| sag.exponent);
     }
     let cost = |exponent: f64| {
         let mut regression = Regression::<3>::new();
         for [u1, voltage, v_z, force] in &rows {
             let factor = (voltage / high).powf(exponent);
-            // Without a constant: thrust vanishes with u1, whatever the voltage.
+            // Without a constant: thrust vanishes with u1 at any voltage.
             regression.add([u1 * factor, *v_z, v_z * v_z.abs()], *force);
         }
         regression.unexplained().unwrap_or(f64::INFINITY)
@@ -270,7 +271,7 @@ fn voltage_exponent(
     golden_section(EXPONENTS, cost)
 }
 
-/// Where a unimodal function is least.
+/// Minimum of a unimodal function.
 fn golden_section((mut low, mut high): (f64, f64), cost: impl Fn(f64) -> f64) -> f64 {
     let ratio = 0.5 * (5.0_f64.sqrt() - 1.0);
     let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));

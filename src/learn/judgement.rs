@@ -1,4 +1,4 @@
-//! What trained models are worth: on the parts of a training, and on any other flights.
+//! Evaluation of trained models, on the parts of a training and on any other flights.
 
 use std::ops::Range;
 
@@ -20,20 +20,19 @@ use super::training_set::TrainingSet;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::{ACCELERATIONS, Model};
 
-/// Name of the predictor that the others are measured by.
+/// Name of the predictor that the others are compared with.
 const HOLD: &str = "hold";
-/// Length of the pieces over which observed and predicted are drawn, s.
+/// Length of the plotted series of observed and predicted values, s.
 const SERIES_S: f64 = 10.0;
-/// Accelerations that are drawn: the paper's, east and roll.
+/// Accelerations that are plotted: the paper's, east and roll.
 const SERIES: [usize; 2] = [1, 3];
 
-/// Errors of a model file on logs that it may never have seen.
+/// Errors of a model file on logs, which it may never have seen.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Evaluation {
-    /// Rows.
+    /// Number of rows.
     pub rows: usize,
-    /// Errors of each model's accelerations, over the variance of the labels that it was trained
-    /// on.
+    /// Errors of each model's accelerations, relative to the variance of its training labels.
     pub one_step: Vec<EvaluatedModel>,
     /// Open-loop errors: models, then baselines.
     pub multi_step: Vec<MultiStepSummary>,
@@ -50,10 +49,10 @@ pub struct EvaluatedModel {
     pub truth: Option<OneStep>,
 }
 
-/// Judges a model file on flights.
+/// Evaluates a model file on flights.
 ///
 /// # Errors
-/// Physics that the file's vehicle does not allow.
+/// The file's vehicle does not allow the physics.
 pub fn evaluate(
     file: &ModelFile,
     onboard: &Onboard,
@@ -95,13 +94,13 @@ pub fn evaluate(
     Ok(Evaluation { rows: rows.len(), one_step, multi_step: compare(&windows, &models, watch) })
 }
 
-/// Ties a flight's motor outputs to its other streams as the training's were.
+/// Aligns a flight's motor outputs with its other streams, as in the training.
 pub fn align(file: &ModelFile, onboard: &Onboard, flight: &mut ObservedFlight) {
     let (actuation, source) = (&file.actuation, file.acceleration);
     identify::align_commands(flight, onboard, actuation, source, file.vehicle.gravity);
 }
 
-/// What the parts of a training say of its models.
+/// The results of a training's models on its parts.
 pub(super) struct Judgement {
     pub preferred: ModelKind,
     pub one_step: Vec<OneStepSummary>,
@@ -110,7 +109,7 @@ pub(super) struct Judgement {
     pub series: Vec<Series>,
 }
 
-/// Judges the models of `file` on the parts of `dataset`.
+/// Evaluates the models of `file` on the parts of `dataset`.
 pub(super) fn judge(
     dataset: &TrainingSet<'_>,
     file: &ModelFile,
@@ -143,7 +142,7 @@ pub(super) fn judge(
     Ok(Judgement { preferred, one_step, validation, multi_step, series })
 }
 
-/// Errors of a model, and those of holding the state.
+/// The errors of a model, and those of holding the state.
 fn against_hold(
     summaries: &[MultiStepSummary],
     kind: ModelKind,
@@ -155,7 +154,8 @@ fn against_hold(
     errors(kind.name()).zip(errors(HOLD))
 }
 
-/// The model whose open loop is best; what the file says by default where none can be told.
+/// The model with the best open-loop predictions; the default of the file if none can be
+/// determined.
 fn preferred(validation: &[MultiStepSummary]) -> ModelKind {
     let score = |kind: ModelKind| {
         let pair = against_hold(validation, kind);
@@ -166,34 +166,34 @@ fn preferred(validation: &[MultiStepSummary]) -> ModelKind {
     best.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(ModelKind::Hybrid, |(kind, _)| kind)
 }
 
-/// How the open loop of all models fares on the validation part.
+/// Open-loop results of all models on the validation part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Standing {
-    /// Whether every model errs less than holding the state, in everything, at the middle
-    /// horizons.
+    /// Whether every model has smaller errors than holding the state, in every quantity, at the
+    /// middle horizons.
     pub settled: bool,
-    /// Sum of the models' errors over those of holding the state; lower is better, and infinite
-    /// where they cannot be told or are no numbers.
+    /// Sum of the models' errors relative to those of holding the state; lower is better, infinite
+    /// if they are unknown or not finite.
     pub score: f64,
-    /// What was seen of the best model.
+    /// The result of the best model.
     pub best: Best,
 }
 
-/// How the best of several models stands.
+/// The result of the best of several models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Best {
-    /// There is no window to judge by.
+    /// There is no window to evaluate on.
     NotJudged,
-    /// Not one has errors that are numbers.
+    /// No model has finite errors.
     NotFinite,
-    /// It errs as much as holding the state, or more.
+    /// Its errors are at least those of holding the state.
     NoBetterThanHolding,
-    /// It errs less than holding the state.
+    /// Its errors are smaller than those of holding the state.
     Better,
 }
 
 impl Best {
-    /// Why no model can be called the best, where none can.
+    /// Why no model is usable, if none is.
     pub fn reason(self) -> Option<&'static str> {
         match self {
             Self::NotJudged => Some("no second of the validation part goes on without a gap"),
@@ -207,8 +207,8 @@ impl Best {
 }
 
 impl Standing {
-    /// Whether to take these models rather than those of `other`, which were found before: one
-    /// model without numbers among good ones spoils a score, but is not the one that is taken.
+    /// Whether to prefer these models to those of `other`, which were found before: one model with
+    /// non-finite errors among good ones spoils the score, but is not the one that is used.
     pub fn beats(&self, other: &Self) -> bool {
         let can_be_used = |standing: &Self| standing.best != Best::NotFinite;
         match (can_be_used(self), can_be_used(other)) {
@@ -235,7 +235,7 @@ fn standing_of(validation: &[MultiStepSummary]) -> Standing {
                 standing.score += score;
                 least = Some(least.map_or(score, |least| least.min(score)));
             }
-            // Nothing to tell by: nothing to improve by.
+            // Without an evaluation, no improvement can be detected.
             None => standing.score = f64::INFINITY,
         }
     }
@@ -272,11 +272,12 @@ fn compare(
         .collect()
 }
 
-/// Observed and predicted over time, from the longest block of the test part.
+/// Observed and predicted values over time, from the block of the test part with the most varied
+/// roll acceleration.
 fn series(dataset: &TrainingSet<'_>, models: &[(ModelKind, Box<dyn Model>)]) -> Vec<Series> {
     let blocks = (0..dataset.flights.len())
         .flat_map(|index| dataset.spans(index, Part::Test).into_iter().map(move |s| (index, s)));
-    // The flight in which the angular acceleration moves most shows most.
+    // The block in which the angular acceleration varies most shows most.
     let lively = |(index, span): &(usize, Range<f64>)| {
         let rows = dataset.rows[*index].iter().filter(|row| span.contains(&row.time));
         moments(rows.map(|row| row.label[3])).1
@@ -307,7 +308,7 @@ fn series(dataset: &TrainingSet<'_>, models: &[(ModelKind, Box<dyn Model>)]) -> 
         .collect()
 }
 
-/// Deviation of each label.
+/// Standard deviation of each label.
 pub(super) fn deviation(rows: &[&Row]) -> [f64; ACCELERATIONS] {
     std::array::from_fn(|i| {
         let (_, deviation) = moments(rows.iter().map(|row| row.label[i]));
@@ -323,7 +324,7 @@ fn moments(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     (mean, variance.sqrt())
 }
 
-/// Labels against the simulator's truth.
+/// Errors of the labels against the simulator's truth.
 pub(super) fn label_error(rows: &[&Row], deviation: &[f64; ACCELERATIONS]) -> Option<OneStep> {
     OneStep::of_values(rows, deviation, |row| row.truth.map(|truth| (row.label, truth)))
 }
@@ -333,7 +334,7 @@ mod tests {
     use super::*;
     use crate::learn::evaluation::StateError;
 
-    /// Errors of everything, at every horizon.
+    /// The same error in every quantity, at every horizon.
     fn summary(predictor: &str, error: f64) -> MultiStepSummary {
         let state = StateError {
             position_m: error,
@@ -359,7 +360,7 @@ mod tests {
         assert_eq!(seen(-f64::NAN, 2.0, f64::INFINITY), ModelKind::Physics);
         assert_eq!(seen(0.5, 2.0, 1.0), ModelKind::Net);
         assert_eq!(preferred(&[]), ModelKind::Hybrid);
-        // One that breaks down only later is no better.
+        // A model that diverges only later is no better.
         let mut late = [summary("net", 0.1), summary("physics", 0.2), summary(HOLD, 1.0)];
         late[0].errors[3].rate_rad_s = f64::NAN;
         assert_eq!(preferred(&late), ModelKind::Physics);
@@ -376,7 +377,7 @@ mod tests {
         assert_eq!((none.best, two.best), (Best::NotFinite, Best::Better));
         assert_eq!((none.score, two.score), (f64::INFINITY, f64::INFINITY));
         assert!(two.beats(&none) && !none.beats(&two));
-        // Else what came first stays, and the lower score wins.
+        // Otherwise the earlier one stays, unless its score is higher.
         assert!(!none.beats(&none) && !two.beats(&two));
         let all = seen(0.9, 0.5, 0.6);
         assert!(all.beats(&two) && !two.beats(&all) && all.beats(&none) && !none.beats(&all));

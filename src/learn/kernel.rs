@@ -1,11 +1,11 @@
 //! Loss and gradient of a network with one hidden ReLU layer over many rows, fused: the hidden
 //! layer of a block of rows never leaves the cache.
 //!
-//! Sixteen rows lie side by side in the lanes, so that no sum runs across lanes until a chunk of
-//! rows is done. The forward pass holds a tile of hidden units in registers while it runs over
-//! the inputs; the backward pass holds a tile of the hidden weights' gradient in registers while
-//! it runs over the rows of the block. A lane adds at most [`CHUNK`]` / 16` products in f32; all
-//! sums beyond are f64 and run in the order of the rows, whoever computed the parts.
+//! Sixteen rows occupy the lanes side by side, so no sum crosses lanes until a chunk of rows is
+//! done. The forward pass keeps a tile of hidden units in registers while it runs over the inputs;
+//! the backward pass keeps a tile of the hidden weights' gradient in registers while it runs over
+//! the rows of the block. A lane adds at most [`CHUNK`]` / 16` products in f32; all further sums
+//! are f64 and run in the order of the rows, whichever thread computed the parts.
 
 #![allow(
     clippy::needless_range_loop,
@@ -21,17 +21,17 @@ use super::packed::{Instructions, MOST_OUTPUTS, Packed, Shape};
 pub(super) const BLOCK: usize = BLOCK_GROUPS * WIDTH;
 const BLOCK_GROUPS: usize = 40;
 
-/// Rows whose sums one thread makes: some ten milliseconds' work divided by a hundred.
+/// Rows whose sums one thread computes: about a hundredth of ten milliseconds' work.
 pub(super) const CHUNK: usize = 4 * BLOCK;
 
-/// What a thread computes with, allocated once.
+/// A thread's workspace, allocated once.
 pub(super) struct Scratch {
-    /// The hidden layer of a block, tile after tile, in a tile sixteen rows after sixteen rows;
-    /// in the backward pass the loss' derivative by it takes its place.
+    /// The hidden layer of a block, tile after tile, with the groups of sixteen rows in order
+    /// within a tile; the backward pass overwrites it with the derivative of the loss.
     hidden: Vec<Packet>,
     /// The errors of a block.
     errors: Vec<Packet>,
-    /// Sums over rows, laid out as [`Packed::tiles`].
+    /// Sums over rows, in the layout of [`Packed::tiles`].
     sums: Vec<Packet>,
     /// Sums of the errors.
     error_sums: [Packet; MOST_OUTPUTS],
@@ -53,8 +53,9 @@ impl Scratch {
     }
 }
 
-/// Sum over the rows of half the squared errors' derivative by each parameter, into `gradient`;
-/// returns the sum of the squared errors. `packets`: at most [`CHUNK`] rows of a set.
+/// Writes the sum over the rows of half the squared errors' derivative with respect to each
+/// parameter to `gradient`; returns the sum of the squared errors. `packets` holds at most
+/// [`CHUNK`] rows of a set.
 pub(super) fn gradient(
     net: &Packed,
     packets: &[Packet],
@@ -97,7 +98,7 @@ pub(super) fn squared_errors(net: &Packed, packets: &[Packet], scratch: &mut Scr
 
 fn run<const BACKWARD: bool>(net: &Packed, packets: &[Packet], scratch: &mut Scratch) {
     match (net.instructions, net.shape.outputs) {
-        // SAFETY: `Instructions::detect` found them in this machine.
+        // SAFETY: `Instructions::detect` found these instructions on this machine.
         #[cfg(target_arch = "x86_64")]
         (Instructions::Avx512, ..=3) => unsafe { avx512::<BACKWARD, 3>(net, packets, scratch) },
         #[cfg(target_arch = "x86_64")]
@@ -106,7 +107,7 @@ fn run<const BACKWARD: bool>(net: &Packed, packets: &[Packet], scratch: &mut Scr
         (Instructions::Avx2, ..=3) => unsafe { avx2::<BACKWARD, 3>(net, packets, scratch) },
         #[cfg(target_arch = "x86_64")]
         (Instructions::Avx2, _) => unsafe { avx2::<BACKWARD, 8>(net, packets, scratch) },
-        // SAFETY: needs nothing of the machine.
+        // SAFETY: needs no special instructions.
         (Instructions::Portable, _) => unsafe {
             blocks::<Portable, BACKWARD, 4, 1, 2, 2, 8>(net, packets, scratch)
         },
@@ -135,8 +136,8 @@ unsafe fn avx2<const BACKWARD: bool, const O: usize>(
     unsafe { blocks::<Avx2, BACKWARD, 6, 1, 3, 2, O>(net, packets, scratch) }
 }
 
-/// Forward over tiles of `J` units by `G` groups of sixteen rows, backward over tiles of `JB`
-/// units by `KB` inputs; the outputs are filled up to `O`.
+/// Forward over tiles of `J` units by `G` groups of sixteen rows, backward over tiles of `JB` units
+/// by `KB` inputs; the outputs are padded to `O`.
 ///
 /// # Safety
 /// The machine must have the instructions of `V`.
@@ -279,7 +280,7 @@ unsafe fn forward<V: Lanes, const STORE: bool, const J: usize, const G: usize, c
             let errors = &mut errors[group + g];
             let weight = V::load(&rows[inputs]);
             for o in 0..O {
-                // Outputs beyond the network's are 0 as they are, and have no target.
+                // Outputs beyond the network's are 0 and have no target.
                 let mut error = y[o][g];
                 if o < outputs {
                     error = error.minus(V::load(&rows[inputs + 1 + o])).times(weight);
@@ -292,7 +293,8 @@ unsafe fn forward<V: Lanes, const STORE: bool, const J: usize, const G: usize, c
     }
 }
 
-/// The derivatives by the output weights of a tile, and by its hidden units, which replace them.
+/// The derivatives with respect to the output weights of a tile, and to its hidden units, which
+/// they overwrite.
 #[inline(always)]
 unsafe fn backward_output<V: Lanes, const J: usize, const O: usize>(
     net: &Packed,
@@ -328,7 +330,7 @@ unsafe fn backward_output<V: Lanes, const J: usize, const O: usize>(
     }
 }
 
-/// The derivatives by the hidden weights and biases of a tile.
+/// The derivatives with respect to the hidden weights and biases of a tile.
 #[inline(always)]
 unsafe fn backward_hidden<V: Lanes, const J: usize, const JB: usize, const KB: usize>(
     net: &Packed,

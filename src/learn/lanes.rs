@@ -1,12 +1,12 @@
-//! Sixteen `f32` side by side, in the registers of whatever instruction set the machine has.
+//! Sixteen `f32` side by side, in the registers of the machine's instruction set.
 //!
-//! The width is the same everywhere, so that the order in which numbers are added is, too: AVX2
-//! and AVX-512 give the same bits. The portable form rounds products before it adds them.
+//! The width is the same everywhere, and with it the order of additions: AVX2 and AVX-512 give
+//! identical bits. The portable form rounds products before it adds them.
 
 /// Rows that are computed side by side.
 pub(super) const WIDTH: usize = 16;
 
-/// Sixteen values in memory, on a cache line of their own.
+/// Sixteen values in memory, aligned to a cache line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Packet(pub [f32; WIDTH]);
@@ -14,7 +14,7 @@ pub(super) struct Packet(pub [f32; WIDTH]);
 impl Packet {
     pub(super) const ZERO: Self = Self([0.0; WIDTH]);
 
-    /// The sum, halves added to halves.
+    /// The sum, by pairwise halves.
     #[inline(always)]
     pub(super) fn sum(&self) -> f64 {
         let eight: [f32; 8] = std::array::from_fn(|i| self.0[i] + self.0[i + 8]);
@@ -26,7 +26,8 @@ impl Packet {
 /// Sixteen values in registers.
 ///
 /// # Safety
-/// Every method may use the instructions of its type, which the caller has found in the machine.
+/// Every method may use the instructions of its type; the caller must have detected them on this
+/// machine.
 pub(super) trait Lanes: Copy {
     unsafe fn splat(value: f32) -> Self;
     unsafe fn load(packet: &Packet) -> Self;
@@ -34,7 +35,7 @@ pub(super) trait Lanes: Copy {
     unsafe fn plus(self, other: Self) -> Self;
     unsafe fn minus(self, other: Self) -> Self;
     unsafe fn times(self, other: Self) -> Self;
-    /// `self + a b`, rounded once where the machine can.
+    /// `self + a b`, rounded once if the machine supports it.
     unsafe fn plus_product(self, a: Self, b: Self) -> Self;
     /// `max(self, 0)`; a NaN of either sign may stay or become 0.
     unsafe fn rectified(self) -> Self;
@@ -42,7 +43,7 @@ pub(super) trait Lanes: Copy {
     unsafe fn where_active(self, rectified: Self) -> Self;
 }
 
-/// Without any vector instructions but those that the compiler finds.
+/// Without explicit vector instructions; the compiler may still vectorise it.
 #[derive(Clone, Copy)]
 pub(super) struct Portable([f32; WIDTH]);
 
@@ -141,8 +142,8 @@ mod x86 {
         unsafe fn plus_product(self, a: Self, b: Self) -> Self {
             unsafe { Self(_mm256_fmadd_ps(a.0, b.0, self.0), _mm256_fmadd_ps(a.1, b.1, self.1)) }
         }
-        // Numbers above 0 are above 0 as integers too, and all others are not; integer
-        // instructions leave the ports free on which products wait.
+        // Positive floats are positive as integers too, and all others are not; integer
+        // instructions leave the ports free that the products need.
         #[inline(always)]
         unsafe fn rectified(self) -> Self {
             unsafe {

@@ -1,10 +1,10 @@
-//! Nonlinear least squares with bounds: Levenberg-Marquardt, and Huber's loss.
+//! Nonlinear least squares with bounds: Levenberg-Marquardt, and the Huber loss.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 /// Levenberg-Marquardt from `start`, with numeric derivatives over ten-thousandths of `scale`.
-/// `residuals` puts the numbers within their bounds and gives the residuals there, `None` where
+/// `residuals` clamps the parameters to their bounds and returns the residuals there, or `None` if
 /// there are none.
 pub(super) fn least_squares<const N: usize>(
     start: [f64; N],
@@ -33,7 +33,7 @@ pub(super) fn least_squares<const N: usize>(
         for _ in 0..8 {
             let mut damped = gram.clone();
             for i in 0..N {
-                // Without effect here, as at a bound, a number stays.
+                // A parameter without effect, for example at a bound, stays unchanged.
                 damped[(i, i)] = (damped[(i, i)] * (1.0 + damping)).max(f64::MIN_POSITIVE);
             }
             let Some(step) = damped.cholesky().map(|c| c.solve(&gradient)) else { break };
@@ -55,15 +55,15 @@ pub(super) fn least_squares<const N: usize>(
     best
 }
 
-/// Iterations of Levenberg-Marquardt.
+/// Most iterations of Levenberg-Marquardt.
 const ITERATIONS_MAX: usize = 25;
-/// It ends when a step lowers the sum of squares by a smaller share.
+/// The iteration ends when a step lowers the sum of squares by a smaller fraction.
 const IMPROVEMENT_MIN: f64 = 1e-4;
 
-/// Residuals beyond this many deviations count linearly: a crash or a bump does not decide.
+/// Residuals beyond this many deviations count linearly: a crash or a bump must not dominate.
 const HUBER: f64 = 3.0;
 
-/// The number whose square is Huber's loss of a residual.
+/// The value whose square is the Huber loss of a residual.
 pub(super) fn huber(residual: f64) -> f64 {
     let size = residual.abs();
     let root = if size > HUBER { (2.0 * HUBER * size - HUBER * HUBER).sqrt() } else { size };

@@ -31,5 +31,5 @@ mod packed;
 mod rprop;
 mod window;
 
-/// Rows a second of a dataset.
+/// Rows per second of a dataset.
 pub const ROW_RATE_HZ: f64 = 100.0;

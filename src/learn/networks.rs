@@ -1,4 +1,4 @@
-//! The networks of a model: their data, and their trainings side by side.
+//! The networks of a model: their data, and their parallel training.
 
 use std::sync::Mutex;
 
@@ -17,13 +17,13 @@ use crate::model::file::ModelKind;
 use crate::model::learned::{Network, NetworkModel};
 use crate::model::net::{Mlp, Normalization};
 
-/// Networks of a model file: two models of two each.
+/// Number of networks in a model file: two models with two each.
 pub(super) const NETWORKS: usize = 4;
 
-/// What a network learns of a row: accelerations in the frames of its label.
+/// The training target of a row: accelerations in the frames of its label.
 pub type Target<'a> = dyn Fn(&Row) -> [f64; ACCELERATIONS] + 'a;
 
-/// One network's rows, normalised.
+/// The normalised rows of one network.
 pub struct Lesson {
     model: ModelKind,
     head: Head,
@@ -37,7 +37,7 @@ impl Lesson {
     /// The rows of both networks of a model.
     ///
     /// # Errors
-    /// [`TrainError::Network`] for a row that is not finite.
+    /// [`TrainError::Network`] if a row is not finite.
     pub fn both(
         model: ModelKind,
         features: Features,
@@ -84,7 +84,8 @@ impl Lesson {
                 .iter()
                 .zip(&mean)
                 .map(|([_, square], mean)| (square / count - mean * mean).max(0.0).sqrt())
-                // What does not vary tells nothing, and must not be blown up where it does.
+                // A constant column carries no information, and must not be amplified where it does
+                // vary.
                 .map(|deviation| if deviation > 1e-9 { deviation } else { 1.0 })
                 .collect();
             Normalization { mean, deviation }
@@ -110,7 +111,7 @@ impl Lesson {
     }
 }
 
-/// How far a training is.
+/// Progress of one training.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum State {
@@ -119,22 +120,22 @@ enum State {
     Done { network: Mlp, curve: Vec<training::Pass> },
 }
 
-/// Watches a training, and may end it.
+/// Observes a training, and may end it.
 pub trait Watch: Send {
     /// A stage of `steps` steps begins.
     fn stage(&mut self, name: &str, steps: u64);
     /// One step of the stage is done.
     fn step(&mut self, note: &str);
-    /// Whether to stop as soon as nothing is lost.
+    /// Whether to stop at the next point where no work is lost.
     fn interrupted(&self) -> bool;
-    /// Every network is trained: what `progress` holds is worth keeping before they are judged.
+    /// All networks are trained: `progress` is worth saving before the evaluation.
     fn trained(&mut self, _progress: &Progress) {}
 }
 
-/// How far the trainings of all networks are: what an interrupted `train` goes on from.
+/// Progress of all networks' trainings, from which an interrupted `train` resumes.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Progress {
-    /// What it belongs to: settings, vehicle and the logs' hashes.
+    /// Identifies the training: settings, vehicle and the logs' hashes.
     fingerprint: String,
     /// Half width of the window of its labels, s: a training may try several.
     window_half_s: f64,
@@ -142,7 +143,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Nothing is done yet of `count` trainings of what `fingerprint` says.
+    /// No progress yet, for `count` trainings identified by `fingerprint`.
     pub(super) fn new(fingerprint: String, window_half_s: f64, count: usize) -> Self {
         Self { fingerprint, window_half_s, states: vec![State::Waiting; count] }
     }
@@ -152,13 +153,13 @@ impl Progress {
         self.window_half_s
     }
 
-    /// Whether this is of `count` trainings of what `fingerprint` says.
+    /// Whether this belongs to `count` trainings identified by `fingerprint`.
     pub(super) fn is_of(&self, fingerprint: &str, count: usize) -> bool {
         self.fingerprint == fingerprint && self.states.len() == count
     }
 
-    /// Trains every lesson with every regularisation, side by side. Returns whether all are done;
-    /// else the watch interrupted.
+    /// Trains every lesson with every regularisation, in parallel. Returns whether all are done;
+    /// otherwise the watch interrupted.
     ///
     /// # Errors
     /// [`TrainError::Network`].
@@ -172,7 +173,7 @@ impl Progress {
         let watch = Mutex::new(watch);
         let tried = settings.regularization.len();
         self.states.par_iter_mut().enumerate().try_for_each(|(index, state)| {
-            // There is one: a progress of another count is refused by `is_of`.
+            // The lesson exists: `is_of` rejects progress with another count.
             let Some(lesson) = lessons.get(index / tried) else { return Ok(()) };
             let resume = match std::mem::replace(state, State::Waiting) {
                 State::Waiting => None,
@@ -197,7 +198,7 @@ impl Progress {
             let mut trainer = Trainer::new(&lesson.training, &lesson.validation, &settings, resume)
                 .map_err(error)?;
             let stop = loop {
-                // A poisoned lock is a panic elsewhere, which ends the program anyway.
+                // A poisoned lock means a panic elsewhere, which ends the program anyway.
                 let interrupted = watch.lock().map_or(true, |watch| watch.interrupted());
                 if interrupted {
                     break Stop::Interrupted;
@@ -218,7 +219,7 @@ impl Progress {
         Ok(self.states.iter().all(|state| matches!(state, State::Done { .. })))
     }
 
-    /// The best network of each lesson by validation, and every learning curve.
+    /// The best network of each lesson on validation, and every learning curve.
     pub(super) fn networks(
         self,
         lessons: Vec<Lesson>,
@@ -232,7 +233,7 @@ impl Progress {
             for weight in regularization {
                 let Some(State::Done { network, curve }) = states.next() else { continue };
                 let looks = curve.iter().filter_map(|pass| Some((pass.number, pass.validation?)));
-                // What is no number is no loss to choose by.
+                // A non-finite loss cannot be compared.
                 let looks = looks.filter(|(_, loss)| loss.is_finite());
                 let (best_pass, loss) =
                     looks.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY));
@@ -259,14 +260,14 @@ impl Progress {
     }
 }
 
-/// Two models of two networks each, in the order of the lessons.
+/// Two models with two networks each, in the order of the lessons.
 pub(super) fn models(networks: Vec<Network>, features: Features) -> Option<[NetworkModel; 2]> {
     let [a, b, c, d] = <[Network; NETWORKS]>::try_from(networks).ok()?;
     let model = |linear, angular| NetworkModel { features, linear, angular };
     Some([model(a, b), model(c, d)])
 }
 
-/// A training that nobody watches.
+/// A watch that does nothing.
 struct Unwatched;
 
 impl Watch for Unwatched {
@@ -277,10 +278,10 @@ impl Watch for Unwatched {
     }
 }
 
-/// Trains one model's two networks to the end; validation decides between the regularisations.
+/// Trains one model's two networks to the end; validation selects the regularisation.
 ///
 /// # Errors
-/// [`TrainError::Network`], and [`TrainError::NoRegularization`] where none is given to try.
+/// [`TrainError::Network`], and [`TrainError::NoRegularization`] if the list to try is empty.
 pub fn train_both(
     [training, validation]: [&[&Row]; 2],
     settings: &TrainSettings,

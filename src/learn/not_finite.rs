@@ -1,24 +1,24 @@
-//! Errors that are no finite numbers, in JSON: it has no word for them and writes `null`, which
-//! reads as an error beyond all bounds.
+//! Non-finite errors in JSON, which cannot represent them: they are written as `null`, and `null`
+//! is read as an infinite error.
 
 use serde::{Deserialize, Deserializer};
 
-/// A number; one that was not finite is infinite.
+/// Reads a number; `null` becomes infinity.
 pub fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     Ok(Option::deserialize(from)?.unwrap_or(f64::INFINITY))
 }
 
-/// As [`number`], of a list.
+/// As [`number`], for a list.
 pub fn numbers<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<f64>, D::Error> {
     Ok(finite_or_infinite(Vec::deserialize(from)?))
 }
 
-/// As [`number`], of lists.
+/// As [`number`], for a list of lists.
 pub fn lists<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Vec<f64>>, D::Error> {
     Ok(Vec::deserialize(from)?.into_iter().map(finite_or_infinite).collect())
 }
 
-/// As [`number`], of a list of one length.
+/// As [`number`], for a list of fixed length.
 pub fn array<'de, D: Deserializer<'de>, const N: usize>(from: D) -> Result<[f64; N], D::Error>
 where
     [Option<f64>; N]: Deserialize<'de>,

@@ -12,14 +12,14 @@ use super::samples::Samples;
 
 /// The mean of the squared errors over rows and outputs, as a function of the parameters.
 ///
-/// Rows are cut into chunks of a fixed size. Whichever threads compute the chunks, their sums are
-/// added in the order of the rows, in f64: the number of threads does not change a bit.
+/// Rows are divided into chunks of a fixed size. Whichever threads compute the chunks, their sums
+/// are added in the order of the rows, in f64: the result does not depend on the number of threads.
 pub(super) struct Objective<'a> {
     samples: Cow<'a, Samples>,
     shape: Shape,
     instructions: Instructions,
     scratches: Mutex<Vec<Scratch>>,
-    /// The gradient of each chunk, chunk after chunk.
+    /// The gradients of the chunks, one after the other.
     partial: Vec<f64>,
 }
 
@@ -37,7 +37,7 @@ impl<'a> Objective<'a> {
         Self { samples, shape, instructions, scratches, partial: Vec::new() }
     }
 
-    /// The loss.
+    /// The loss over all samples.
     pub fn loss(&self, parameters: &[f32]) -> f64 {
         let net = Packed::new(self.shape, self.instructions, parameters);
         let squares: Vec<f64> = self
@@ -50,7 +50,7 @@ impl<'a> Objective<'a> {
         squares.iter().sum::<f64>() * self.scale()
     }
 
-    /// The loss, and its gradient into `gradient`.
+    /// Computes the loss, and writes its gradient to `gradient`.
     pub fn gradient(&mut self, parameters: &[f32], gradient: &mut [f64]) -> f64 {
         let net = Packed::new(self.shape, self.instructions, parameters);
         let size = self.shape.parameters();
@@ -84,7 +84,7 @@ impl<'a> Objective<'a> {
         self.samples.len().div_ceil(BLOCK)
     }
 
-    /// The loss of one batch of rows and its gradient, on the caller's thread.
+    /// The loss of one batch of rows and its gradient, computed on the calling thread.
     pub fn batch_gradient(&self, batch: usize, parameters: &[f32], gradient: &mut [f64]) -> f64 {
         let net = Packed::new(self.shape, self.instructions, parameters);
         let first = batch * BLOCK;
@@ -100,7 +100,7 @@ impl<'a> Objective<'a> {
         squares * scale
     }
 
-    /// Packets of a chunk.
+    /// Number of packets in a chunk.
     fn chunk(&self) -> usize {
         CHUNK / WIDTH * self.samples.stride()
     }
@@ -140,8 +140,8 @@ mod tests {
         (samples, values(shape.parameters()))
     }
 
-    /// The loss and its gradient, a row at a time in f64, and the least distance of a hidden unit
-    /// from its kink.
+    /// The loss and its gradient, row by row in f64, and the least distance of a hidden unit from
+    /// its kink.
     fn naive(samples: &Samples, shape: Shape, parameters: &[f64]) -> (f64, Vec<f64>, f64) {
         let Shape { inputs, hidden, outputs } = shape;
         let bias = hidden * inputs;
@@ -186,7 +186,7 @@ mod tests {
             .prop_map(|(inputs, hidden, outputs)| Shape { inputs, hidden, outputs })
     }
 
-    /// Every instruction set that this machine has.
+    /// Every instruction set of this machine.
     fn instructions() -> Vec<Instructions> {
         let mut all = vec![Instructions::Portable];
         #[cfg(target_arch = "x86_64")]

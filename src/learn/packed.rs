@@ -1,13 +1,13 @@
-//! A network's parameters as the kernel reads them.
+//! A network's parameters in the kernel's layout.
 
 use crate::model::net::Mlp;
 
-/// Outputs that a network can have.
+/// Largest number of outputs of a network.
 pub(super) const MOST_OUTPUTS: usize = 8;
 
 /// Sizes of a network.
 ///
-/// Its parameters in a row are W (`hidden` rows of `inputs`), b, V (`outputs` rows of `hidden`)
+/// The parameters as one list are W (`hidden` rows of `inputs`), b, V (`outputs` rows of `hidden`)
 /// and c.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Shape {
@@ -22,7 +22,7 @@ impl Shape {
         self.hidden * (self.inputs + 1 + self.outputs) + self.outputs
     }
 
-    /// The network that has these parameters.
+    /// The network with these parameters.
     pub fn network(&self, parameters: &[f32]) -> Mlp {
         let Self { inputs, hidden, outputs } = *self;
         let (hidden_weights, rest) = parameters.split_at(hidden * inputs);
@@ -39,13 +39,13 @@ impl Shape {
         }
     }
 
-    /// Packets of sixteen rows in a set of samples.
+    /// Packets per group of sixteen rows in a set of samples.
     pub fn stride(&self) -> usize {
         self.inputs + 1 + self.outputs
     }
 }
 
-/// What the machine's widest usable vector instructions are.
+/// The widest vector instructions that the machine supports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Instructions {
     #[cfg(target_arch = "x86_64")]
@@ -69,7 +69,7 @@ impl Instructions {
         Self::Portable
     }
 
-    /// Hidden units of a tile.
+    /// Number of hidden units in a tile.
     pub fn tile(self) -> usize {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -82,11 +82,12 @@ impl Instructions {
 }
 
 /// A network's parameters in the order in which the kernel reads them: tile after tile of hidden
-/// units, the last one filled up with zeros.
+/// units, the last one padded with zeros.
 pub(super) struct Packed {
     pub shape: Shape,
     pub instructions: Instructions,
-    /// A tile: for each input its weights to the units, the biases, for each output its weights.
+    /// A tile: for each input its weights to the units, then the biases, then for each output its
+    /// weights.
     pub tiles: Vec<f32>,
     /// c.
     pub biases: [f32; MOST_OUTPUTS],

@@ -1,4 +1,4 @@
-//! The physics' parameters from rows: scale of thrust, drag, inertia, centre of mass, trim,
+//! Fit of the physics' parameters to rows: scale of thrust, drag, inertia, centre of mass, trim,
 //! flapping and damping.
 
 use nalgebra::DVector;
@@ -13,17 +13,16 @@ use super::least_squares::{huber, least_squares};
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 use crate::model::{ACCELERATIONS, Model};
 
-/// Rows for the fit of the physics.
+/// Most rows in the fit of the physics.
 const FIT_ROWS: usize = 8_000;
-/// Number of parameters of the physics that are fitted.
+/// Number of fitted parameters.
 pub(super) const PARAMETERS: usize = 14;
 
-/// Fits the physics: scale of thrust, drag, inertia, centre of mass, trim and damping, each held
-/// near the vehicle file's value by a weak prior, by Levenberg-Marquardt on the rows' labels, each
-/// acceleration weighted by its deviation.
+/// Fits the physics: scale of thrust, drag, inertia, centre of mass, trim, damping and flapping,
+/// each with a weak prior at the vehicle file's value, by Levenberg-Marquardt on the rows' labels,
+/// with each acceleration weighted by its standard deviation.
 ///
-/// # Errors
-/// A vehicle that the physics refuses.
+/// The vehicle does not allow the physics.
 pub fn fit(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, VehicleError> {
     let stride = rows.len().div_ceil(FIT_ROWS).max(1);
     let rows: Vec<&Row> = rows.iter().step_by(stride).copied().collect();
@@ -33,7 +32,8 @@ pub fn fit(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, 
     }
     let weights = weights(&rows);
     let prior = Parameters::prior(vehicle);
-    // A prior of one deviation counts as much as this many rows' residuals of one deviation.
+    // Weight of the prior: a deviation of one counts as much as this many rows' residuals of one
+    // standard deviation.
     let trust = rows.len() as f64 * 1e-4;
 
     let residuals = |parameters: &Parameters| -> Result<DVector<f64>, VehicleError> {
@@ -58,7 +58,7 @@ pub fn fit(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, 
     Ok(Parameters(fitted).physics(vehicle))
 }
 
-/// One over the deviation of each acceleration.
+/// The reciprocal standard deviation of each acceleration.
 fn weights(rows: &[&Row]) -> [f64; ACCELERATIONS] {
     let count = rows.len() as f64;
     std::array::from_fn(|i| {
@@ -68,14 +68,14 @@ fn weights(rows: &[&Row]) -> [f64; ACCELERATIONS] {
     })
 }
 
-/// The fitted numbers: scale of thrust; d_xy, d_z; scales of inertia; offset of the centre of
-/// mass; roll and pitch of the trim; damping per axis; nothing of yaw torque, which inertia about
-/// z holds.
+/// The fitted parameters: scale of thrust; d_xy, d_z; scales of inertia; offset of the centre of
+/// mass; roll and pitch of the trim; damping per axis; flapping moment. Yaw torque is not separate:
+/// the inertia about z accounts for it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Parameters(pub [f64; PARAMETERS]);
 
 impl Parameters {
-    /// What the vehicle file says.
+    /// The vehicle file's values.
     pub(super) fn shipped(vehicle: &VehicleParams) -> Self {
         let effects = &vehicle.modelled_effects;
         let mut p = [0.0; PARAMETERS];
@@ -94,7 +94,7 @@ impl Parameters {
         Self(p)
     }
 
-    /// The numbers of fitted physics.
+    /// The parameters of fitted physics.
     pub(super) fn fitted(physics: &PhysicsParameters, vehicle: &VehicleParams) -> Self {
         let mut with = vehicle.clone();
         with.linear_drag_n_per_m_s = None;
@@ -104,18 +104,19 @@ impl Parameters {
         numbers
     }
 
-    /// How far from that a vehicle may be: one deviation.
+    /// The prior's standard deviations.
     pub(super) fn prior(vehicle: &VehicleParams) -> [f64; PARAMETERS] {
         let arm = vehicle.arm_m();
         let drag = vehicle.mass;
         let [x, y, z] = vehicle.inertia.map(|i| 5.0 * i);
         let offset = 0.2 * arm;
-        // One deviation turns the vehicle as a drag of one mass per second at a fifth of an arm.
+        // One standard deviation has the moment of a drag of one mass per second at a fifth of an
+        // arm.
         let flapping = offset * drag;
         [0.3, drag, drag, 0.5, 0.5, 0.5, offset, offset, 0.05, 0.05, x, y, z, flapping]
     }
 
-    /// Keeps the numbers physical.
+    /// Clamps the parameters to physical values.
     pub(super) fn bound(&mut self, vehicle: &VehicleParams) {
         let p = &mut self.0;
         p[0] = p[0].clamp(0.3, 3.0);
@@ -152,7 +153,7 @@ impl Parameters {
         ] {
             let mut slots = Slots::default();
             slots[..3].copy_from_slice(&numbers);
-            // A number outside of the catalogue's range leaves the vehicle file's in force.
+            // A value outside the catalogue's range leaves the vehicle file's effect in force.
             let _ = effects.insert(id, slots);
         }
         PhysicsParameters { effects, angular_damping_nms: [kx, ky, kz] }

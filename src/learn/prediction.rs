@@ -1,5 +1,4 @@
-//! Open loop: what a model says will happen, from the state at one instant and the recorded
-//! inputs.
+//! Open-loop prediction: a model's states from one instant on, under the recorded inputs.
 
 use vehicle::ROTORS;
 use vehicle::frame::{Attitude, Frd};
@@ -15,14 +14,14 @@ use crate::model::{Model, Point};
 
 /// Longest step of the integration, s.
 const STEP_MAX_S: f64 = 0.005;
-/// Steps of the on-board loop for which a rotor state is taken for the newest.
+/// Largest age of a rotor state, in steps of the on-board loop.
 const STATE_AGE_STEPS: f64 = 2.5;
 
-/// What is recorded of a flight's inputs.
+/// The recorded inputs of a flight.
 ///
-/// Where the on-board law is known, the setpoints are the input and the law closes on the
-/// predicted state; else the motor outputs or rotor speeds are. The rotors' states at the start
-/// follow from the recorded past.
+/// If the on-board law is known, the setpoints are the input and the law closes the loop on the
+/// predicted state; otherwise the motor outputs or rotor speeds are the input. The rotors' states
+/// at the start follow from the recorded past.
 pub struct RecordedInputs<'a> {
     flight: &'a Flight,
     onboard: &'a Onboard,
@@ -35,7 +34,7 @@ pub struct RecordedInputs<'a> {
 }
 
 impl<'a> RecordedInputs<'a> {
-    /// The inputs of a flight whose rotors answer as `actuation` says.
+    /// The inputs of a flight whose rotors respond according to `actuation`.
     pub fn new(
         observed: &'a ObservedFlight,
         onboard: &'a Onboard,
@@ -55,7 +54,7 @@ impl<'a> RecordedInputs<'a> {
         }
     }
 
-    /// The reported state at `time`: each stream between its neighbours, if they are near.
+    /// The reported state at `time`, interpolated in each stream between close samples.
     pub fn reported(&self, time: f64) -> Option<State> {
         let flight = self.flight;
         let is_known = is_bridged(&flight.position, time)
@@ -71,7 +70,7 @@ impl<'a> RecordedInputs<'a> {
         })
     }
 
-    /// The rotors' state at `time`, where the past that it follows from is recorded.
+    /// The rotors' state at `time`, if its past is recorded.
     fn rotors(&self, time: f64) -> Option<RotorState> {
         let index = self.rotor_states.index_at(time)?;
         let age = time - self.rotor_states.times().get(index)?;
@@ -79,7 +78,7 @@ impl<'a> RecordedInputs<'a> {
         (age <= STATE_AGE_STEPS / self.onboard.rate_hz).then(|| RotorState::from(*states))
     }
 
-    /// The outputs that rule the step from `time`, at a predicted state.
+    /// The outputs in force during the step from `time`, at a predicted state.
     fn outputs(&self, time: f64, state: &State) -> Option<[f64; ROTORS]> {
         let sent = time - self.delay_s;
         match self.source {
@@ -87,7 +86,7 @@ impl<'a> RecordedInputs<'a> {
                 let setpoint = fresh_setpoint(self.flight, sent)?;
                 self.onboard.law_outputs(setpoint, state.attitude, state.body_rate)
             }
-            // Commands change within the step; its middle stands for it.
+            // Commands change within the step; its middle represents it.
             CommandSource::MotorOutputs => {
                 let middle = sent + 0.5 * self.step;
                 is_bridged(&self.flight.outputs, middle).then_some(())?;
@@ -98,8 +97,8 @@ impl<'a> RecordedInputs<'a> {
     }
 
     /// The states that `model` predicts at `start` plus each of `horizons` [s, ascending], from
-    /// `state` at `start`: fewer where the inputs are not recorded that far, `None` where they
-    /// are not at the start.
+    /// `state` at `start`: fewer if the inputs are not recorded that far, `None` if they are
+    /// missing at the start.
     pub fn predict(
         &self,
         model: &dyn Model,
@@ -155,12 +154,12 @@ impl<'a> RecordedInputs<'a> {
     }
 }
 
-/// What is predicted without a model.
+/// Predictions without a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Baseline {
-    /// Everything stays as it was.
+    /// The state stays constant.
     Hold,
-    /// Velocity and body rate stay as they were.
+    /// Velocity and body rate stay constant.
     ConstantVelocity,
 }
 
@@ -178,7 +177,7 @@ impl Baseline {
     }
 }
 
-/// The rotation by a rotation vector, rad.
+/// The rotation of a rotation vector, rad.
 fn turn(by: Frd) -> Attitude {
     let angle = by.norm();
     let scale = if angle > 1e-12 { (0.5 * angle).sin() / angle } else { 0.5 };

@@ -1,5 +1,4 @@
-//! From observed flights to a model file, step by step: split, actuation, physics, networks,
-//! errors.
+//! From a training set to a model file: networks, corrections, evaluation.
 
 use super::dataset::{Row, WindowSettings};
 use super::error::TrainError;
@@ -14,15 +13,15 @@ use crate::model::physics::PhysicsModel;
 
 /// How a training ended.
 pub enum Outcome {
-    /// With a model.
+    /// The training finished.
     Done(Box<(ModelFile, TrainingSummary)>),
-    /// Interrupted; it goes on from here.
+    /// The training was interrupted, and can resume from here.
     Interrupted(Progress),
 }
 
-/// Trains the networks and fits the physics on a dataset.
+/// Trains the networks on a dataset, whose physics is already fitted, and evaluates the models.
 ///
-/// `progress` is that of an interrupted training, to go on from.
+/// `progress` resumes an interrupted training.
 ///
 /// # Errors
 /// [`TrainError`].
@@ -123,17 +122,17 @@ pub fn train(
     Ok(Outcome::Done(Box::new((file, summary))))
 }
 
-/// Whether an interrupted training was this one, whatever the window of its labels.
+/// Whether `progress` belongs to this training, for any window of its labels.
 pub fn belongs(progress: &Progress, dataset: &TrainingSet<'_>, settings: &TrainSettings) -> bool {
     progress.is_of(&fingerprint(dataset, settings), trainings(settings))
 }
 
-/// How many networks are trained: each with every regularisation.
+/// Number of trainings: each network with every regularisation.
 fn trainings(settings: &TrainSettings) -> usize {
     NETWORKS * settings.regularization.len()
 }
 
-/// What a training depends on beside the window of its labels.
+/// Everything that a training depends on except the window of its labels.
 fn fingerprint(dataset: &TrainingSet<'_>, settings: &TrainSettings) -> String {
     let logs: Vec<&str> = dataset.flights.iter().map(|f| f.flight.origin.sha256.as_str()).collect();
     let settings = TrainSettings { window_half_s: 0.0, ..settings.clone() };

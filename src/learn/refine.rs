@@ -1,10 +1,9 @@
-//! Actuation, physics and net by their open loop: what leads to the right state after half a
-//! second.
+//! Refinement of actuation, physics and net on open-loop predictions of half a second.
 //!
-//! One-step errors are dominated by fast noise, and feedback correlates input and noise; on real
-//! flights a model that is best over 10 ms may tumble over 500. Here the errors of whole
-//! predictions are made small (simulation-error identification; Ljung, System Identification,
-//! 1999, section 7.2, with the output-error predictor).
+//! Fast noise dominates one-step errors, and feedback correlates input and noise; on real flights,
+//! a model that is best over 10 ms may diverge over 500. The refinement minimises the errors of
+//! whole predictions (simulation-error identification; Ljung, System Identification, 1999, section
+//! 7.2, with the output-error predictor).
 
 use nalgebra::DVector;
 use rayon::prelude::*;
@@ -24,24 +23,24 @@ use crate::model::physics::{PhysicsModel, PhysicsParameters};
 
 /// Horizons whose errors count, s.
 const HORIZONS_S: [f64; 4] = [0.02, 0.1, 0.25, 0.5];
-/// Flights and windows that are used at most: more cost time and move little.
+/// Most flights and windows: more cost time and change little.
 const FLIGHTS_MAX: usize = 8;
 const WINDOWS_MAX: usize = 200;
-/// Physics, then delay, lag and rate of balance.
+/// The physics' parameters, then delay, lag and rate of balance.
 const NUMBERS: usize = PARAMETERS + 3;
 /// Errors of position, velocity, attitude and rate, three each.
 const ERRORS: usize = 12;
-/// Slowest balance that differs from none, 1/s.
+/// Slowest rate of balance that differs from no balance, 1/s.
 const BALANCE_RATE_MIN: f64 = 0.05;
 
 /// Longest delay and lag, s.
 const DELAY_MAX_S: f64 = 0.1;
 const LAG_MAX_S: f64 = 0.2;
 
-/// Flights with the spans of them that may be used.
+/// Flights with their usable spans.
 type Flights<'a> = [(&'a ObservedFlight, Vec<std::ops::Range<f64>>)];
 
-/// Where predictions start, and what was reported.
+/// The start of a prediction, and the reported states.
 struct Window {
     flight: usize,
     start: f64,
@@ -49,7 +48,7 @@ struct Window {
     reported: Vec<State>,
 }
 
-/// Predictions from a selection of windows, and what their errors are measured in.
+/// Predictions from a selection of windows, and the scales of their errors.
 struct OpenLoops<'a> {
     flights: Vec<&'a ObservedFlight>,
     onboard: &'a Onboard,
@@ -59,7 +58,7 @@ struct OpenLoops<'a> {
 }
 
 impl<'a> OpenLoops<'a> {
-    /// `None` where there are no windows.
+    /// `None` if there are no windows.
     fn of(flights: &Flights<'a>, onboard: &'a Onboard, actuation: &Actuation) -> Option<Self> {
         let stride = flights.len().div_ceil(FLIGHTS_MAX).max(1);
         let flights: Vec<_> = flights.iter().step_by(stride).collect();
@@ -76,7 +75,7 @@ impl<'a> OpenLoops<'a> {
         self.flights.par_iter().map(inputs).collect()
     }
 
-    /// What predictions of a model are off, in units of holding the state.
+    /// Prediction errors of a model, relative to those of holding the state.
     fn errors(&self, model: &dyn Model, inputs: &[RecordedInputs<'_>]) -> Vec<f64> {
         self.windows
             .par_iter()
@@ -96,14 +95,14 @@ impl<'a> OpenLoops<'a> {
             .collect()
     }
 
-    /// Weight of one prior, so that it yields to the errors where these say anything.
+    /// Weight of one prior: small enough to yield to informative errors.
     fn trust(&self) -> f64 {
         (self.windows.len() * HORIZONS_S.len() * ERRORS) as f64 * 1e-5
     }
 }
 
-/// Actuation and physics whose open loop over the given spans is best, from those of one step.
-/// `None` where there are no windows.
+/// The actuation and physics with the best open-loop predictions over the given spans, starting
+/// from the one-step fit. `None` if there are no windows.
 pub fn open_loop(
     flights: &Flights<'_>,
     onboard: &Onboard,
@@ -140,15 +139,16 @@ pub fn open_loop(
     Some((actuation, parameters.physics(vehicle)))
 }
 
-/// A linear correction of a network's accelerations in its own, normalised features: for either
-/// head a constant and the slope along the own velocity or body rate, for the angular one also a
-/// gain and the slope along the own moment, for the linear one that of thrust along z.
+/// A linear correction of a network's accelerations in its own normalised features: for both heads
+/// a constant and the slope along the corresponding velocity or body rate; for the angular head
+/// also a gain and the slope along the corresponding moment; for the linear head the slope of
+/// thrust along z.
 #[derive(Clone, Copy)]
 struct Correction([f64; CORRECTIONS]);
 
-/// Constants, slopes along the motion, gains, slopes along the moments, and that along thrust.
+/// Constants, slopes along the motion, gains, slopes along the moments, and the slope along thrust.
 const CORRECTIONS: usize = 6 + 6 + 3 + 3 + 1;
-/// What a number of a correction is about, in the spread of the labels.
+/// Typical size of a correction, in units of the labels' spread.
 const CORRECTION: f64 = 0.2;
 
 impl Correction {
@@ -174,9 +174,9 @@ impl Correction {
     }
 }
 
-/// The net with the linear correction that makes its open loop over the given spans best: one-step
-/// errors hardly see a gain, a damping or a moment's mean that is a little off, half a second does.
-/// `None` where there are no windows.
+/// The net with the linear correction that gives the best open-loop predictions over the given
+/// spans: one-step errors hardly reveal a small error of a gain, a damping or a moment's mean, half
+/// a second does. `None` if there are no windows.
 pub fn network_open_loop(
     flights: &Flights<'_>,
     onboard: &Onboard,
@@ -232,7 +232,7 @@ fn windows(
     all.into_iter().step_by(stride).collect()
 }
 
-/// What the errors are measured in, at each horizon: those of holding the state.
+/// The scales of the errors at each horizon: those of holding the state.
 fn scales(windows: &[Window]) -> [[f64; ERRORS]; HORIZONS_S.len()] {
     std::array::from_fn(|h| {
         let mut sums = [0.0; 4];

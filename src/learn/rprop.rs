@@ -1,26 +1,25 @@
 //! Resilient backpropagation (Riedmiller and Braun 1993), improved and without weight backtracking:
-//! where a derivative changes its sign the step shrinks, is not taken, and is neither grown nor
-//! shrunk by the next one (iRprop-, Igel and Huesken 2000).
+//! where a derivative changes its sign, the step shrinks and is skipped, and the next step keeps
+//! its size (iRprop-, Igel and Huesken 2000).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// First step of every parameter.
+/// Initial step of every parameter.
 const FIRST_STEP: f32 = 1e-2;
-/// A step grows by this while the derivative keeps its sign.
+/// Growth factor of a step while the derivative keeps its sign.
 const GROWTH: f32 = 1.2;
-/// A step shrinks by this when the derivative changes its sign.
+/// Factor on a step when the derivative changes its sign.
 const SHRINKAGE: f32 = 0.5;
 /// Bounds of a step.
 const STEPS: std::ops::RangeInclusive<f32> = 1e-6..=50.0;
 
-/// The optimiser's memory: the gradient decides the direction only, the step is each parameter's
-/// own.
+/// The optimiser's state: the gradient determines only the direction, each parameter has its own
+/// step size.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub(super) struct Rprop {
     steps: Vec<f32>,
-    /// The last gradient; 0 where its sign changed, so that the next step is neither grown nor
-    /// shrunk.
+    /// The last gradient; 0 where its sign changed, so that the next step keeps its size.
     last: Vec<f32>,
 }
 

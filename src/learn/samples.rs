@@ -1,4 +1,4 @@
-//! Rows of normalised inputs and targets, laid out for the kernel.
+//! Rows of normalised inputs and targets, in the kernel's layout.
 
 use rand::Rng;
 use rand::seq::SliceRandom;
@@ -7,8 +7,8 @@ use super::lanes::{Packet, WIDTH};
 
 /// Rows of inputs and targets, both normalised, as `f32`.
 ///
-/// In memory sixteen rows lie side by side: a packet an input, a packet that holds 1 for a row and
-/// 0 for padding (the input of the biases, and the weight of the row), a packet a target.
+/// In memory, sixteen rows are side by side: one packet per input, one packet with 1 for a row and
+/// 0 for padding (the input of the biases, and the weight of the row), one packet per target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Samples {
     inputs: usize,
@@ -17,10 +17,10 @@ pub struct Samples {
     packets: Vec<Packet>,
 }
 
-/// A row that cannot be learned from.
+/// Why a row is rejected.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RowError {
-    /// The row has another size than the set.
+    /// The row has a different size from the set.
     #[error(
         "row {row}: expected {inputs} inputs and {outputs} targets, \
          found {found_inputs} and {found_outputs}"
@@ -44,20 +44,20 @@ pub enum RowError {
         row: usize,
         /// Index of the column.
         column: usize,
-        /// What was found.
+        /// The value found.
         value: f32,
     },
 }
 
 impl Samples {
-    /// An empty set of rows of `inputs` inputs and `outputs` targets, with room for `rows`.
+    /// An empty set of rows with `inputs` inputs and `outputs` targets, and capacity for `rows`.
     pub fn with_capacity(inputs: usize, outputs: usize, rows: usize) -> Self {
         let stride = inputs + 1 + outputs;
         let packets = Vec::with_capacity(rows.div_ceil(WIDTH) * stride);
         Self { inputs, outputs, rows: 0, packets }
     }
 
-    /// Adds a row, unless it has the wrong size or a value that is no finite number.
+    /// Adds a row, unless it has the wrong size or a non-finite value.
     pub fn push(&mut self, inputs: &[f32], targets: &[f32]) -> Result<(), RowError> {
         if inputs.len() != self.inputs || targets.len() != self.outputs {
             return Err(RowError::Size {
@@ -85,12 +85,12 @@ impl Samples {
         Ok(())
     }
 
-    /// Inputs of a row.
+    /// Number of inputs per row.
     pub fn inputs(&self) -> usize {
         self.inputs
     }
 
-    /// Targets of a row.
+    /// Number of targets per row.
     pub fn outputs(&self) -> usize {
         self.outputs
     }
@@ -100,7 +100,7 @@ impl Samples {
         self.rows
     }
 
-    /// Whether there is no row.
+    /// Whether there are no rows.
     pub fn is_empty(&self) -> bool {
         self.rows == 0
     }
@@ -129,7 +129,7 @@ impl Samples {
         Self { packets, ..*self }
     }
 
-    /// A hash of all values (FNV-1a over words), by which a checkpoint knows its rows.
+    /// A hash of all values (FNV-1a over words), with which a checkpoint identifies its rows.
     pub(super) fn fingerprint(&self) -> u64 {
         let values = self.packets.iter().flat_map(|packet| packet.0);
         let words = [self.inputs, self.outputs, self.rows].map(|size| size as u64);
@@ -139,12 +139,12 @@ impl Samples {
         })
     }
 
-    /// Packets of sixteen rows.
+    /// Packets per group of sixteen rows.
     pub(super) fn stride(&self) -> usize {
         self.inputs + 1 + self.outputs
     }
 
-    /// All packets, sixteen rows after sixteen rows.
+    /// All packets, group after group of sixteen rows.
     pub(super) fn packets(&self) -> &[Packet] {
         &self.packets
     }

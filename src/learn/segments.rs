@@ -1,4 +1,4 @@
-//! Which parts of a flight are worth learning from.
+//! Selection of the usable parts of a flight.
 
 use std::ops::Range;
 
@@ -9,57 +9,58 @@ use super::commands::CommandSource;
 use super::gaps::{PERIOD_MAX_S, intersection, length, unbroken};
 use crate::log::import::{Flight, Stream, UnitUnknown};
 
-/// Shorter pieces do not hold a window and what follows it, s.
+/// Shorter pieces have no room for a window and a prediction, s.
 const SEGMENT_MIN_S: f64 = 1.0;
-/// Left out after take-off and before landing, s: the floor acts, and the stated time is rough.
+/// Time left out after take-off and before landing, s: ground effect acts, and the reported time is
+/// imprecise.
 const EDGE_S: f64 = 0.5;
-/// Without a word from the vehicle, in the air means a mean output above this share of what
-/// hovers.
+/// If the vehicle does not report whether it is in the air, it counts as flying above this fraction
+/// of the mean hover output,
 const HOVER_SHARE_IN_AIR: f64 = 0.25;
-/// And higher than this over the lowest of the log, m.
+/// and above this height over the lowest point of the log, m.
 const HEIGHT_IN_AIR: f64 = 0.1;
-/// Windows reach this far into what lies beside a time, s.
+/// Windows extend this far beyond a time, s.
 const CUT_MARGIN_S: f64 = 0.05;
 
-/// Time left out of a flight and why.
+/// Time left out of a flight, and the reason.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Exclusion {
-    /// Why.
+    /// The reason.
     pub reason: String,
-    /// For how long, s.
+    /// Total time, s.
     pub seconds: f64,
 }
 
-/// A time that must not be used, whatever else is known of the flight.
+/// A time that must not be used, whatever the other streams show.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cut {
-    /// The stream that is wrong in it, as the audit names it.
+    /// The invalid stream, as the audit names it.
     pub stream: &'static str,
-    /// What is wrong.
+    /// The defect.
     pub reason: &'static str,
-    /// When, s.
+    /// The times, s.
     pub times: Range<f64>,
 }
 
 impl Cut {
-    /// Streams that are learned from only where u comes from them, as the audit names them.
+    /// Streams that matter only as the source of u, as the audit names them.
     const COMMANDS: [(&str, CommandSource); 3] = [
         ("setpoint", CommandSource::OnboardLaw),
         ("outputs", CommandSource::MotorOutputs),
         ("rotor_speed", CommandSource::RotorSpeeds),
     ];
 
-    /// Whether a flight whose u comes from `source` is learned from this stream.
+    /// Whether this stream matters for a flight whose u comes from `source`.
     fn concerns(&self, source: CommandSource) -> bool {
         let commands = Self::COMMANDS.iter().find(|(stream, _)| *stream == self.stream);
         commands.is_none_or(|(_, of)| *of == source)
     }
 }
 
-/// Why nothing of a flight can be used.
+/// Why a flight is not usable.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Unusable {
-    /// A stream that is needed is missing.
+    /// A required stream is missing.
     #[error("the log has no {0}")]
     Missing(&'static str),
     /// A stream is too slow.
@@ -73,10 +74,10 @@ pub enum Unusable {
         /// Its median period, s.
         period_s: f64,
     },
-    /// Its motor outputs mean nothing.
+    /// The unit of its motor outputs is unknown.
     #[error(transparent)]
     Unit(#[from] UnitUnknown),
-    /// Nothing is left.
+    /// Too little is left.
     #[error(
         "only {usable_s:.1} s of {total_s:.1} s are usable; at least {needed_s} s are needed{}",
         most.as_ref().map_or(String::new(), |most| {
@@ -84,13 +85,13 @@ pub enum Unusable {
         })
     )]
     TooShort {
-        /// What is left, s.
+        /// Usable time, s.
         usable_s: f64,
-        /// How long the log is, s.
+        /// Length of the log, s.
         total_s: f64,
-        /// What would do, s.
+        /// Time required, s.
         needed_s: f64,
-        /// What was left out for the longest time.
+        /// The exclusion with the longest time.
         most: Option<Exclusion>,
     },
 }
@@ -100,16 +101,16 @@ pub enum Unusable {
 pub struct Segments {
     /// In the air, without gaps: start to end, s.
     pub spans: Vec<Range<f64>>,
-    /// What was left out.
+    /// The excluded times.
     pub excluded: Vec<Exclusion>,
 }
 
 impl Segments {
-    /// Least length of what is used of a flight, s.
+    /// Least usable time of a flight, s.
     pub const USABLE_MIN_S: f64 = 3.0;
 
-    /// The flight's usable parts, by whichever stream of commands goes on. Where the vehicle does
-    /// not say when it flew, `hover` is the mean output that lifts it.
+    /// The flight's usable parts, where setpoints or motor outputs, if logged, have no gap. If the
+    /// vehicle does not report when it flew, `hover` is the mean output that carries it.
     ///
     /// # Errors
     /// [`Unusable`].
@@ -123,8 +124,8 @@ impl Segments {
         segments.checked(flight)
     }
 
-    /// The parts of a flight that can be learned from when its u comes from `source`, without the
-    /// times in `cuts`. Its streams were [checked](Self::check_streams).
+    /// The usable parts of a flight whose u comes from `source`, without the times in `cuts`. The
+    /// caller must have [checked](Self::check_streams) its streams.
     ///
     /// # Errors
     /// [`Unusable`].
@@ -144,7 +145,7 @@ impl Segments {
         segments.checked(flight)
     }
 
-    /// Whether a flight has what is learned from, often enough.
+    /// Checks that a flight has the required streams at sufficient rates.
     ///
     /// # Errors
     /// [`Unusable::Missing`] and [`Unusable::Slow`].
@@ -171,7 +172,7 @@ impl Segments {
         Ok(())
     }
 
-    /// When the vehicle flew and every stream of its motion goes on.
+    /// The times when the vehicle flew and every stream of its motion has no gap.
     fn of_motion(flight: &Flight, hover: f64) -> Result<Self, Unusable> {
         let whole = span(&flight.attitude).ok_or(Unusable::Missing("attitude"))?;
         let mut segments = Self { spans: vec![whole], excluded: Vec::new() };
@@ -187,7 +188,7 @@ impl Segments {
         Ok(segments)
     }
 
-    /// Without pieces that are too short, if enough is left.
+    /// Drops pieces that are too short, and checks that enough is left.
     fn checked(mut self, flight: &Flight) -> Result<Self, Unusable> {
         let (long, short): (Vec<_>, Vec<_>) =
             self.spans.iter().cloned().partition(|span| span.end - span.start >= SEGMENT_MIN_S);
@@ -206,14 +207,14 @@ impl Segments {
         Ok(self)
     }
 
-    /// Keeps what lies in `spans` too.
+    /// Keeps only the intersection with `spans`.
     fn keep(&mut self, spans: &[Range<f64>], reason: &str) {
         let before = length(&self.spans);
         self.spans = intersection(&self.spans, spans);
         self.exclude(reason, before - length(&self.spans));
     }
 
-    /// Notes that `seconds` were left out.
+    /// Records that `seconds` were left out.
     pub fn exclude(&mut self, reason: &str, seconds: f64) {
         if seconds <= 1e-9 {
             return;
@@ -224,7 +225,7 @@ impl Segments {
         }
     }
 
-    /// Length of the usable parts, s.
+    /// Total length of the usable parts, s.
     pub fn seconds(&self) -> f64 {
         length(&self.spans)
     }
@@ -247,17 +248,17 @@ fn merged(mut spans: Vec<Range<f64>>) -> Vec<Range<f64>> {
     union
 }
 
-/// When the vehicle flew, without the edges. What it says itself wins; else a mean output above
-/// `lifts` does, where outputs are logged.
+/// When the vehicle flew, without the edges. The vehicle's own report has priority; otherwise a
+/// mean output above `lifts` counts, if outputs are logged.
 pub(crate) fn in_air(flight: &Flight, lifts: f64) -> Vec<Range<f64>> {
     let mut said: Vec<(f64, bool)> = flight.in_air.iter().map(|(t, air)| (t, *air)).collect();
     let mut edge = EDGE_S;
     if said.is_empty() {
-        // Logs that were cut to their flight have no ground to leave out.
+        // Logs that were cut to their flight contain no time on the ground.
         edge = 0.0;
         let heights = flight.position.values().iter().map(|p| -p.down());
         let lowest = heights.fold(f64::INFINITY, f64::min);
-        // The world's origin need not lie on the floor.
+        // The world's origin need not be on the floor.
         let floor = if lowest > HEIGHT_IN_AIR { f64::NEG_INFINITY } else { lowest };
         let high = |height: f64| height > floor + HEIGHT_IN_AIR;
         said = if flight.outputs.is_empty() {
@@ -307,7 +308,7 @@ mod tests {
         Flight::empty(origin, Clock::Single)
     }
 
-    /// A flight with a sample of everything at each of `times`, at `height` [m].
+    /// A flight with a sample of every stream at each of `times`, at `height` [m].
     fn flight(times: impl Iterator<Item = f64>, height: f64) -> Flight {
         let mut flight = empty();
         let setpoint =

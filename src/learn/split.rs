@@ -1,5 +1,5 @@
-//! Training, validation and test rows: by whole flights, or by blocks where flights are few, never
-//! by shuffled samples.
+//! Training, validation and test rows: by whole flights, or by blocks if flights are few, never by
+//! shuffled samples.
 
 use std::ops::Range;
 
@@ -8,17 +8,17 @@ use serde::{Deserialize, Serialize};
 
 use super::ROW_RATE_HZ;
 
-/// What rows are for.
+/// The purpose of rows.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Part {
-    /// Weights are fitted on them.
+    /// For fitting the weights.
     Training,
-    /// Settings and the pass to stop at are chosen on them.
+    /// For selecting settings and the pass to stop at.
     Validation,
-    /// Only judged on.
+    /// Held out: for evaluation only.
     Test,
 }
 
@@ -35,7 +35,7 @@ impl Part {
         }
     }
 
-    /// Its share of the rows (Bansal et al. 2016, section V-A).
+    /// Its fraction of the rows (Bansal et al. 2016, section V-A).
     fn share(self) -> f64 {
         match self {
             Part::Training => 0.60,
@@ -45,20 +45,20 @@ impl Part {
     }
 }
 
-/// Flights below which each is cut into blocks.
+/// Below this number of flights, each is cut into blocks.
 const WHOLE_FLIGHTS_MIN: usize = 5;
-/// Flights that may change places in a split are at most this far apart: they are of one kind then.
+/// Largest distance of flights that may be swapped: they are then of one kind.
 const NEIGHBOURS: usize = 8;
-/// Sweeps over all pairs of neighbours, at most.
+/// Most sweeps over all pairs of neighbours.
 const SWEEPS_MAX: usize = 20;
-/// What a part's rows may be off is dear: a tenth of the share counts as one trait off by a
-/// deviation.
+/// Penalty on a part's number of rows: an error of a tenth of its share counts as much as one trait
+/// that is off by a standard deviation.
 const SHARE_WEIGHT: f64 = 100.0;
-/// Rows left out between blocks: windows and the vehicle's memory reach across a border.
+/// Rows left out between blocks: windows and the vehicle's dynamics extend across a border.
 const BORDER_ROWS: usize = 100;
 /// The same, s.
 pub(super) const BORDER_S: f64 = BORDER_ROWS as f64 / ROW_RATE_HZ;
-/// A part of whole flights has at least this much of its share of the rows.
+/// With whole flights, a part has at least this fraction of its share of the rows.
 const OF_SHARE_MIN: f64 = 0.5;
 
 /// How rows were split.
@@ -71,19 +71,20 @@ pub enum SplitKind {
     Blocks,
 }
 
-/// Ranges of each flight's rows, with what they are for.
+/// Ranges of each flight's rows, with their purpose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Split {
-    /// How.
+    /// The kind of split.
     pub kind: SplitKind,
-    /// For each flight.
+    /// Ranges for each flight.
     pub flights: Vec<Vec<(Range<usize>, Part)>>,
 }
 
-/// What the parts of a split should have alike: of each flight its rows, and how it was flown.
+/// Traits of a flight that the parts of a split should share: its number of rows, and how it was
+/// flown.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Traits {
-    /// Rows.
+    /// Number of rows.
     pub rows: usize,
     /// Root mean squares of horizontal and vertical speed, m/s.
     pub speeds_m_s: [f64; 2],
@@ -94,11 +95,11 @@ pub struct Traits {
 }
 
 impl Split {
-    /// Splits flights. Those of one kind should follow one another: each goes to the part that
-    /// lacks most, so that every kind comes into every part. Then neighbours change places as long
-    /// as that makes the parts more alike in how they were flown: a part that has all the full
-    /// packs, or all the fast flights, would be another task. Where a part is left with hardly any
-    /// rows, as one flight is far longer than the others, each is cut into blocks after all.
+    /// Splits flights. Flights of one kind should be consecutive: each goes to the part with the
+    /// largest deficit, so that every kind appears in every part. Neighbours are then swapped as
+    /// long as this makes the parts more alike in how they were flown: a part with all the full
+    /// packs, or all the fast flights, would be a different task. If a part gets too few rows,
+    /// because one flight is far longer than the others, each flight is cut into blocks instead.
     pub fn of(flights: &[Traits]) -> Self {
         let by_blocks = || Self {
             kind: SplitKind::Blocks,
@@ -117,7 +118,7 @@ impl Split {
     }
 }
 
-/// Whether every part has its share of the rows, about.
+/// Whether every part has approximately its share of the rows.
 fn is_shared(flights: &[Traits], parts: &[Part]) -> bool {
     let (mut total, mut have) = (0.0, [0.0; 3]);
     for (flight, part) in flights.iter().zip(parts) {
@@ -127,7 +128,7 @@ fn is_shared(flights: &[Traits], parts: &[Part]) -> bool {
     Part::ALL.iter().all(|part| have[*part as usize] >= OF_SHARE_MIN * part.share() * total)
 }
 
-/// Each flight to the part that lacks most.
+/// Assigns each flight to the part with the largest deficit.
 fn in_turn(flights: &[Traits]) -> Vec<Part> {
     let (mut total, mut have) = (0.0, [0.0; 3]);
     flights
@@ -145,7 +146,7 @@ fn in_turn(flights: &[Traits]) -> Vec<Part> {
         .collect()
 }
 
-/// Means and mean squares of the traits.
+/// Number of moments: means and mean squares of the traits.
 const MOMENTS: usize = 10;
 
 /// Swaps neighbours until no swap makes the parts more alike.
@@ -182,7 +183,8 @@ fn balance(flights: &[Traits], parts: &mut [Part]) {
     }
 }
 
-/// Each flight's traits, and their squares, over all flights with mean 0 and deviation 1.
+/// Each flight's traits, and their squares, standardised over all flights to mean 0 and deviation
+/// 1.
 fn moments(flights: &[Traits]) -> Vec<[f64; MOMENTS]> {
     let mut moments: Vec<[f64; MOMENTS]> = flights
         .iter()
@@ -204,7 +206,7 @@ fn moments(flights: &[Traits]) -> Vec<[f64; MOMENTS]> {
     moments
 }
 
-/// Brings a column to mean 0 and deviation 1; one that does not vary to 0.
+/// Scales a column to mean 0 and deviation 1; a constant column becomes 0.
 fn standardise(rows: &mut [[f64; MOMENTS]], column: usize) {
     let count = rows.len() as f64;
     let mean = rows.iter().map(|row| row[column]).sum::<f64>() / count;
@@ -215,7 +217,7 @@ fn standardise(rows: &mut [[f64; MOMENTS]], column: usize) {
     }
 }
 
-/// Sums over the flights of each part, rows as weights.
+/// Sums over the flights of each part, weighted by rows.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     rows: [f64; 3],
@@ -224,7 +226,7 @@ struct Sums {
 }
 
 impl Sums {
-    /// Adds a flight of `rows` rows; takes it away where they are negative.
+    /// Adds a flight with `rows` rows; negative rows remove it.
     fn add(&mut self, part: Part, rows: f64, moments: &[f64; MOMENTS]) {
         let part = part as usize;
         self.rows[part] += rows;
@@ -234,8 +236,8 @@ impl Sums {
         }
     }
 
-    /// How far the parts are from having all alike, and their shares: of parts drawn by chance
-    /// every moment gives about one.
+    /// Distance of the parts from equal moments and from their shares: in randomly drawn parts,
+    /// every moment contributes about one.
     fn imbalance(&self) -> f64 {
         let total: f64 = self.rows.iter().sum();
         Part::ALL
@@ -251,7 +253,7 @@ impl Sums {
     }
 }
 
-/// One flight's blocks, in the order of time.
+/// One flight's blocks, in time order.
 fn blocks(count: usize) -> Vec<(Range<usize>, Part)> {
     let usable = count.saturating_sub(2 * BORDER_ROWS) as f64;
     let mut start = 0;

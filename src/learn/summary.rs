@@ -1,4 +1,4 @@
-//! What a training has to say for itself: the data, the fit, the errors. Its JSON is a contract.
+//! The report of a training: the data, the fit, the errors. Its JSON is a stable format.
 
 use std::path::PathBuf;
 
@@ -15,58 +15,58 @@ use crate::model::features::Features;
 use crate::model::file::{AccelerationSource, ModelKind};
 use crate::model::physics::PhysicsParameters;
 
-/// Everything about one training.
+/// The complete report of one training.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct TrainingSummary {
     /// `downwash.training`.
     pub schema: String,
-    /// Version of this form.
+    /// Version of this format.
     pub schema_version: u32,
     /// Name of the vehicle.
     pub vehicle: String,
-    /// How it was asked for.
+    /// The requested settings.
     pub settings: TrainSettings,
     /// The data.
     pub data: DataSummary,
-    /// How the rotors answer, by the training flights.
+    /// The rotors' response, identified on the training flights.
     pub actuation: Actuation,
     /// The fitted physics.
     pub physics: PhysicsParameters,
-    /// Whether the net is corrected by its open loop.
+    /// Whether the net was corrected on its open-loop predictions.
     #[serde(default)]
     pub net_corrected: bool,
     /// Every training of a network.
     pub curves: Vec<LearningCurve>,
-    /// The model that did best on the validation rows.
+    /// The model with the smallest errors on the validation rows.
     pub preferred: ModelKind,
     /// Errors of each model, in the order net, physics, hybrid.
     pub one_step: Vec<OneStepSummary>,
-    /// Open-loop errors on validation windows, by which models were chosen: models, then baselines.
+    /// Open-loop errors on validation windows, which decide the selection: models, then baselines.
     pub validation: Vec<MultiStepSummary>,
     /// Open-loop errors on the test rows: models, then baselines.
     pub multi_step: Vec<MultiStepSummary>,
-    /// Observed against predicted over time, from a test flight.
+    /// Observed and predicted values over time, from a test flight.
     pub series: Vec<Series>,
 }
 
-/// How a training is done.
+/// Settings of a training.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct TrainSettings {
-    /// What the networks are given.
+    /// The networks' input features.
     pub features: Features,
     /// Hidden units of each network.
     pub hidden: usize,
-    /// Passes through the training rows at most.
+    /// Most passes through the training rows.
     pub passes: usize,
-    /// How weights follow the gradient.
+    /// The optimiser.
     pub method: Method,
-    /// Weights of the squared weights that are tried; validation decides.
+    /// Weights of the squared weights to try; validation selects one.
     pub regularization: Vec<f64>,
-    /// Seed of the weights.
+    /// Random seed of the initial weights.
     pub seed: u64,
     /// Half width of the labels' window, s.
     pub window_half_s: f64,
-    /// All that may be tried, one after another, s.
+    /// All window half widths that may be tried, in order, s.
     #[serde(default)]
     pub windows_half_s: Vec<f64>,
 }
@@ -80,16 +80,16 @@ pub struct DataSummary {
     pub rows: [usize; 3],
     /// -3 dB bandwidth of the labels, Hz.
     pub label_bandwidth_hz: f64,
-    /// Where the linear acceleration is from.
+    /// Source of the linear acceleration.
     pub acceleration: AccelerationSource,
-    /// Deviation of each label over the training rows.
+    /// Standard deviation of each label over the training rows.
     pub deviation: [f64; ACCELERATIONS],
-    /// Mean squared difference between labels and the simulator's truth, over the labels'
-    /// variance; only where the logs hold the truth.
+    /// Mean squared difference between labels and the simulator's truth, relative to the labels'
+    /// variance; only if the logs hold the truth.
     pub label_error: Option<OneStep>,
     /// The logs that were used.
     pub logs: Vec<LogSummary>,
-    /// The logs of which nothing was used, and why.
+    /// The logs that were rejected, and why.
     pub refused: Vec<RefusedLog>,
 }
 
@@ -104,32 +104,32 @@ pub struct LogSummary {
     pub sha256: String,
     /// `mcap`, `tlog`, `csv`.
     pub format: String,
-    /// Usable flight, s.
+    /// Usable flight time, s.
     pub usable_s: f64,
-    /// Rows.
+    /// Number of rows.
     pub rows: usize,
-    /// What they are for.
+    /// The purposes of its rows.
     pub parts: Vec<Part>,
-    /// Where u is from.
+    /// The source of u.
     pub source: String,
-    /// Outputs by the on-board law against the logged ones, root mean square.
+    /// Root mean square difference between the on-board law's outputs and the logged ones.
     pub law_error: Option<f64>,
-    /// Lateness of the attitude against the gyro, s.
+    /// Latency of the attitude relative to the gyro, s.
     pub attitude_latency_s: Option<f64>,
-    /// Lateness of the velocity against the gyro, s.
+    /// Latency of the velocity relative to the gyro, s.
     pub velocity_latency_s: Option<f64>,
-    /// How much later than on average the motor outputs act, s.
+    /// Additional delay of the motor outputs relative to the average, s.
     pub command_shift_s: f64,
-    /// What was left out: why, and how much in words.
+    /// Excluded data: the reason, and the amount in words.
     pub left_out: Vec<(String, String)>,
 }
 
-/// A log of which nothing was used.
+/// A log that was rejected.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct RefusedLog {
     /// The file.
     pub path: PathBuf,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 
@@ -142,14 +142,14 @@ pub struct LearningCurve {
     pub network: String,
     /// Weight of the squared weights.
     pub regularization: f64,
-    /// Whether validation chose it.
+    /// Whether validation selected it.
     pub chosen: bool,
-    /// Pass whose weights were kept.
+    /// The pass whose weights were kept.
     pub best_pass: usize,
     /// Normalised mean squared error on the training rows, pass by pass.
     #[serde(deserialize_with = "not_finite::numbers")]
     pub training: Vec<f64>,
-    /// And on the validation rows, where it was computed.
+    /// The same on the validation rows, where it was computed.
     pub validation: Vec<Option<f64>>,
 }
 
@@ -169,11 +169,11 @@ pub struct OneStepSummary {
 pub struct MultiStepSummary {
     /// `net`, `physics`, `hybrid`, `hold`, `constant velocity`.
     pub predictor: String,
-    /// At each of `horizons_s`.
+    /// Errors at each of `horizons_s`.
     pub errors: MultiStep,
     /// Horizons, s.
     pub horizons_s: Vec<f64>,
-    /// Windows.
+    /// Number of windows.
     pub windows: usize,
 }
 
@@ -182,13 +182,13 @@ pub struct MultiStepSummary {
 pub struct Series {
     /// The flight.
     pub run: String,
-    /// Which acceleration, an index.
+    /// Index of the acceleration.
     pub acceleration: usize,
-    /// Since the start of the piece, s.
+    /// Time since the start of the series, s.
     pub time_s: Vec<f64>,
     /// The label.
     pub observed: Vec<f64>,
-    /// By each model, in the order net, physics, hybrid.
+    /// The prediction of each model, in the order net, physics, hybrid.
     #[serde(deserialize_with = "not_finite::lists")]
     pub predicted: Vec<Vec<f64>>,
 }

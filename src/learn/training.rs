@@ -16,46 +16,45 @@ use super::rprop::Rprop;
 use super::samples::Samples;
 use crate::model::net::Mlp;
 
-/// Variance of the first hidden weights, times the inputs. The paper's unit variance leaves an
-/// error a hundred times as large after a hundred passes; small weights beside biases that spread
-/// the kinks over the data do best.
+/// Variance of the initial hidden weights, times the number of inputs. The paper's unit variance
+/// leaves an error a hundred times as large after a hundred passes; small weights, with biases that
+/// spread the kinks over the data, work best.
 const HIDDEN_WEIGHTS: f64 = 1.0 / 6.0;
-/// Variance of the first hidden biases.
+/// Variance of the initial hidden biases.
 const HIDDEN_BIASES: f64 = 1.0 / 12.0;
-/// Variance of the first output weights, times the hidden units.
+/// Variance of the initial output weights, times the number of hidden units.
 const OUTPUT_WEIGHTS: f64 = 1.0 / 3.0;
 
-/// Adam's first step size.
+/// Adam's initial step size.
 const ADAM_RATE: f64 = 1e-2;
 
-/// How the parameters follow the gradient.
+/// The optimiser.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
-    /// Resilient backpropagation over all rows, one step a pass, as Bansal et al. 2016.
+    /// Resilient backpropagation over all rows, one step per pass, as in Bansal et al. 2016.
     Rprop,
-    /// Adam over shuffled batches, many steps a pass; the step size falls to zero by the last
-    /// pass.
+    /// Adam on shuffled batches, many steps per pass; the step size falls to zero by the last pass.
     Adam,
 }
 
-/// The inputs of a training.
+/// Settings of a training.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// Hidden units.
+    /// Number of hidden units.
     pub hidden: usize,
-    /// Passes through the training rows, at most.
+    /// Most passes through the training rows.
     pub passes: usize,
-    /// How the parameters follow the gradient.
+    /// The optimiser.
     pub method: Method,
     /// gamma in the loss `(1 - gamma) MSE + gamma mean(parameters^2)`, 0 to 1.
     pub regularization: f64,
-    /// Passes from one look at the validation rows to the next; the last pass has one.
+    /// Passes between two evaluations of the validation loss; the last pass always has one.
     pub validation_interval: usize,
-    /// Stops when so many passes have not improved the validation loss.
+    /// Stops after this many passes without an improvement of the validation loss.
     pub patience: usize,
-    /// Decides the first parameters and the order of batches.
+    /// Random seed of the initial parameters and of the order of batches.
     pub seed: u64,
 }
 
@@ -76,15 +75,15 @@ impl Default for Settings {
 /// One pass through the training rows.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Pass {
-    /// From 1.
+    /// Counted from 1.
     pub number: usize,
     /// Mean squared error over the training rows and outputs, normalised, without regularisation:
-    /// of the parameters with which the pass began (Rprop), of each batch before its step (Adam).
+    /// for the parameters at the start of the pass (Rprop), for each batch before its step (Adam).
     pub training: f64,
-    /// The same over the validation rows, of the parameters with which the pass ended, where they
-    /// were examined.
+    /// The same over the validation rows, for the parameters at the end of the pass, if it was
+    /// computed.
     pub validation: Option<f64>,
-    /// Whether no earlier validation loss was as low.
+    /// Whether this is the lowest validation loss so far.
     pub best: bool,
 }
 
@@ -96,18 +95,18 @@ pub enum Stop {
     Passes,
     /// The validation loss did not improve for [`Settings::patience`] passes.
     Patience,
-    /// The caller asked for it.
+    /// The caller interrupted it.
     Interrupted,
-    /// The loss is no number any more.
+    /// The loss is no longer finite.
     Diverged,
 }
 
-/// A training that ended.
+/// A finished training.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Training {
     /// The network with the lowest validation loss.
     pub network: Mlp,
-    /// All passes.
+    /// The history of all passes.
     pub curve: Vec<Pass>,
     /// Why it ended.
     pub stop: Stop,
@@ -137,23 +136,24 @@ pub enum TrainingError {
     /// A setting or a size is out of range.
     #[error("{what}: expected {expected}, found {found}")]
     Range {
-        /// Which.
+        /// The quantity.
         what: &'static str,
-        /// What would do.
+        /// The accepted range.
         expected: &'static str,
-        /// What it is.
+        /// The value found.
         found: f64,
     },
-    /// A checkpoint of another training.
+    /// The checkpoint belongs to another training.
     #[error("the checkpoint is of another training: {0}; train from the start")]
     Checkpoint(&'static str),
 }
 
-/// A training between two passes. Continued from here, it ends with the same bits.
+/// The state of a training between two passes. A training that resumes from it ends with identical
+/// bits.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Checkpoint {
     settings: Settings,
-    /// Of the training and the validation rows.
+    /// Fingerprints of the training and the validation rows.
     fingerprints: [u64; 2],
     parameters: Vec<f32>,
     optimizer: Optimizer,
@@ -168,7 +168,7 @@ enum Optimizer {
     Adam(Adam),
 }
 
-/// A training under way: [`Trainer::pass`] until it returns a [`Stop`].
+/// A training in progress: call [`Trainer::pass`] until it returns a [`Stop`].
 pub struct Trainer<'a> {
     state: Checkpoint,
     shape: Shape,
@@ -204,7 +204,7 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// Goes through the training rows once.
+    /// Runs one pass through the training rows.
     pub fn pass(&mut self) -> Result<Pass, Stop> {
         let Checkpoint { settings, curve, .. } = &self.state;
         let best = best(curve);
@@ -236,12 +236,12 @@ impl<'a> Trainer<'a> {
         Ok(pass)
     }
 
-    /// Where the training is.
+    /// The present state of the training.
     pub fn checkpoint(&self) -> &Checkpoint {
         &self.state
     }
 
-    /// Ends the training.
+    /// Ends the training and returns the best network.
     pub fn finish(self, stop: Stop) -> Training {
         let Checkpoint { best: lowest, parameters, curve, .. } = &self.state;
         let parameters = if best(curve).is_some() { lowest } else { parameters };
@@ -271,7 +271,7 @@ impl<'a> Trainer<'a> {
         losses / steps
     }
 
-    /// One step along the gradient and the regularisation's.
+    /// One step along the gradients of loss and regularisation.
     fn step(&mut self, rate: f64) {
         let Checkpoint { settings, parameters, optimizer, .. } = &mut self.state;
         let gamma = settings.regularization;
@@ -288,7 +288,7 @@ impl<'a> Trainer<'a> {
     }
 }
 
-/// The sizes, if sets and settings go together.
+/// The network's sizes, if sets and settings are consistent.
 fn shape(
     training: &Samples,
     validation: &Samples,
@@ -321,8 +321,8 @@ fn shape(
     Ok(Shape { inputs, hidden, outputs })
 }
 
-/// Before the first pass: normal numbers, of the variances that [`HIDDEN_WEIGHTS`] and its
-/// neighbours say.
+/// The state before the first pass: normal random parameters, with the variances of
+/// [`HIDDEN_WEIGHTS`] and the constants next to it.
 fn started(shape: Shape, settings: &Settings, fingerprints: [u64; 2]) -> Checkpoint {
     let Shape { inputs, hidden, outputs } = shape;
     let mut random = Pcg64::new(settings.seed.into(), u128::MAX);
@@ -348,7 +348,7 @@ fn started(shape: Shape, settings: &Settings, fingerprints: [u64; 2]) -> Checkpo
     }
 }
 
-/// The checkpoint, if it is of this training.
+/// The checkpoint, if it belongs to this training.
 fn continued(
     checkpoint: Checkpoint,
     shape: Shape,
@@ -378,10 +378,10 @@ fn best(curve: &[Pass]) -> Option<Pass> {
     curve.iter().rev().find(|pass| pass.best).copied()
 }
 
-/// Mean squared error of `network` over rows and outputs of `samples`, normalised as they are.
+/// Mean squared error of `network` over rows and outputs of `samples`, in their normalised units.
 ///
 /// # Panics
-/// When the network's inputs and outputs are not the samples'.
+/// If the numbers of the network's inputs and outputs differ from those of the samples.
 pub fn mean_squared_error(network: &Mlp, samples: &Samples) -> f64 {
     let shape = Shape { inputs: network.inputs, hidden: network.hidden, outputs: network.outputs };
     assert_eq!((shape.inputs, shape.outputs), (samples.inputs(), samples.outputs()));
@@ -395,8 +395,8 @@ pub fn mean_squared_error(network: &Mlp, samples: &Samples) -> f64 {
     Objective::new(Cow::Borrowed(samples), shape).loss(&parameters)
 }
 
-/// Trains to the end. `on_pass` sees every pass, and the trainer for its checkpoint; it may break
-/// off. Two trainings run well side by side, on two threads of one pool.
+/// Trains to the end. `on_pass` receives every pass, and the trainer for its checkpoint; it may
+/// interrupt. Two trainings run well in parallel, on two threads of one pool.
 pub fn train(
     training: &Samples,
     validation: &Samples,

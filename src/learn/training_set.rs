@@ -1,4 +1,4 @@
-//! Flights split into parts, with what they say of the vehicle's physics, and their rows.
+//! Flights split into parts, with the physics identified from them, and their rows.
 
 use std::ops::Range;
 
@@ -25,16 +25,16 @@ use crate::model::hybrid::Hybrid;
 use crate::model::learned::NetworkModel;
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 
-/// Refined physics must lower the validation's score to this share to be taken.
+/// The refined physics is accepted only if it lowers the validation score to this fraction.
 const REFINED_MIN: f64 = 0.97;
-/// Shares of the learned correction that a hybrid may take.
+/// Fractions of the learned correction that a hybrid may use.
 const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
-/// Windows over which choices are made, about.
+/// Approximate largest number of windows for selections.
 const CHOICE_WINDOWS_MAX: usize = 500;
 /// Least number of training rows.
 pub const ROWS_MIN: usize = 500;
 
-/// Flights that are ready to be learned from.
+/// Flights prepared for training.
 pub struct TrainingSet<'a> {
     pub(super) vehicle: &'a VehicleParams,
     pub(super) onboard: &'a Onboard,
@@ -47,17 +47,18 @@ pub struct TrainingSet<'a> {
 }
 
 impl<'a> TrainingSet<'a> {
-    /// Splits the flights, finds how the rotors answer on the training part, and makes the rows.
+    /// Splits the flights, identifies the rotors' response on the training part, and computes the
+    /// rows.
     ///
     /// # Errors
-    /// [`TrainError::TooFewRows`], [`TrainError::Vehicle`].
+    /// [`TrainError::TooFewRows`], [`TrainError::EmptyPart`], [`TrainError::Vehicle`].
     pub fn new(
         vehicle: &'a VehicleParams,
         onboard: &'a Onboard,
         flights: &'a mut [ObservedFlight],
     ) -> Result<Self, TrainError> {
         let split = Split::of(&flights.iter().map(ObservedFlight::traits).collect::<Vec<_>>());
-        // Streams that are offset differently in each flight would blur the common delay.
+        // Streams with different offsets in each flight would blur the common delay.
         let source = AccelerationSource::VelocitySlope;
         let first = identify::actuation(&training_part(flights, &split), onboard, vehicle, source);
         for flight in flights.iter_mut() {
@@ -75,8 +76,8 @@ impl<'a> TrainingSet<'a> {
             physics: PhysicsParameters::default(),
             rows: Vec::new(),
         };
-        // Both sources estimate the same; the one that physics explains with the smaller error
-        // has the smaller noise.
+        // Both sources estimate the same quantity; the one that the physics explains with the
+        // smaller error has less noise.
         let mut best = f64::INFINITY;
         for source in [AccelerationSource::SpecificForce, AccelerationSource::VelocitySlope] {
             let actuation = identify::actuation(&training, onboard, vehicle, source);
@@ -114,8 +115,8 @@ impl<'a> TrainingSet<'a> {
         Ok(dataset)
     }
 
-    /// Takes the actuation and physics whose open loop on the training part is best, if they
-    /// also predict the validation part better.
+    /// Accepts the actuation and physics with the best open-loop predictions on the training part,
+    /// if they also predict the validation part better.
     fn refine(&mut self) -> Result<(), VehicleError> {
         let training = self.training_blocks();
         let refined = refine::open_loop(
@@ -142,8 +143,8 @@ impl<'a> TrainingSet<'a> {
         Ok(())
     }
 
-    /// The net with a correction that makes its open loop on the training part best, if that also
-    /// predicts the validation part better.
+    /// The net with the correction that gives the best open-loop predictions on the training part,
+    /// if it also predicts the validation part better.
     pub(super) fn refine_net(&self, net: &NetworkModel) -> Option<NetworkModel> {
         let training = self.training_blocks();
         let windows = self.windows(Part::Validation, &self.actuation);
@@ -191,7 +192,7 @@ impl<'a> TrainingSet<'a> {
         intersection(&self.spans(flight, part), &self.flights[flight].segments.spans)
     }
 
-    /// Recorded inputs and starts of windows of one part.
+    /// Recorded inputs and start times of the windows of one part.
     pub(super) fn windows<'b>(
         &'b self,
         part: Part,
@@ -200,7 +201,7 @@ impl<'a> TrainingSet<'a> {
         let mut starts: Vec<Vec<f64>> =
             (0..self.flights.len()).map(|index| window_starts(&self.blocks(index, part))).collect();
         if part != Part::Test {
-            // Choices need fewer windows than judgements.
+            // Selections need fewer windows than evaluations.
             let total: usize = starts.iter().map(Vec::len).sum();
             let stride = total.div_ceil(CHOICE_WINDOWS_MAX).max(1);
             for starts in &mut starts {
@@ -218,8 +219,8 @@ impl<'a> TrainingSet<'a> {
 }
 
 impl TrainingSet<'_> {
-    /// The shares of the learned corrections, linear and angular, with which the hybrid's open
-    /// loop predicts the validation part best: what a network learned of noise is not taken.
+    /// Scales the learned corrections, linear and angular, by the fractions with which the hybrid
+    /// predicts the validation part best: this removes what a network learned from noise.
     pub(super) fn shrink(
         &self,
         residual: NetworkModel,
@@ -234,7 +235,7 @@ impl TrainingSet<'_> {
                 shares[head as usize] = share;
                 let hybrid = Hybrid::new(physics.clone(), residual.scaled(shares));
                 let score = score(&windows, &Predictor::Model(&hybrid));
-                // What is no number is not less.
+                // A NaN score compares as not lower.
                 if score < best.0 {
                     best = (score, shares);
                 }

@@ -1,10 +1,10 @@
-//! Local averages and slopes of a sampled signal, which take differentiation's place.
+//! Local averages and slopes of a sampled signal, in place of differentiation.
 //!
 //! The slope of the least-squares line through a window of half width W equals the average of the
-//! true derivative over that window, weighted by the parabola `1 - (s / W)^2`: the weak form of
-//! the derivative with that parabola as test function. An average with the same weights of
-//! whatever the derivative depends on (the input, the specific force) is therefore comparable with
-//! it, whatever W is. Its -3 dB bandwidth is 0.288 / W (14 Hz at 20 ms).
+//! true derivative over that window, weighted by the parabola `1 - (s / W)^2`: this is the weak
+//! form of the derivative with that parabola as test function. The average, with the same weights,
+//! of a quantity that the derivative depends on (the input, the specific force) is therefore
+//! comparable with it for any W. Its -3 dB bandwidth is 0.288 / W (14 Hz at 20 ms).
 
 use std::ops::Range;
 
@@ -13,7 +13,7 @@ use crate::log::import::Stream;
 /// -3 dB bandwidth of a window's average times its half width.
 pub(super) const BANDWIDTH: f64 = 0.288;
 
-/// A signal's samples as arrays, for windows to slide over.
+/// A signal's samples as arrays, for sliding windows.
 pub(super) trait Signal<const N: usize> {
     fn times(&self) -> &[f64];
     fn value(&self, index: usize) -> [f64; N];
@@ -43,7 +43,7 @@ impl<'a, const N: usize, S: Signal<N>> Sliding<'a, N, S> {
         Self { signal, half, range: 0..0 }
     }
 
-    /// Moves to `centre`, which never goes back.
+    /// Moves to `centre`, which must never decrease.
     fn move_to(&mut self, centre: f64) {
         let times = self.signal.times();
         while self.range.start < times.len() && times[self.range.start] <= centre - self.half {
@@ -55,7 +55,7 @@ impl<'a, const N: usize, S: Signal<N>> Sliding<'a, N, S> {
         }
     }
 
-    /// The average about `centre`, weighted by the parabola; `None` without samples on both sides.
+    /// The average around `centre`, weighted by the parabola; `None` without samples on both sides.
     pub fn mean(&mut self, centre: f64) -> Option<[f64; N]> {
         self.move_to(centre);
         let times = self.signal.times();
@@ -69,12 +69,12 @@ impl<'a, const N: usize, S: Signal<N>> Sliding<'a, N, S> {
                 *sum += weight * value;
             }
         }
-        // Lopsided windows do not average about their centre.
+        // The average of an asymmetric window is not at its centre.
         (total > 0.0 && moment.abs() < 0.25 * total).then(|| sum.map(|sum| sum / total))
     }
 
-    /// Value and slope at `centre` of the least-squares line through the window; `None` with
-    /// fewer than three samples or all on one side.
+    /// Value and slope at `centre` of the least-squares line through the window; `None` with fewer
+    /// than three samples or with samples too unevenly placed.
     pub fn line(&mut self, centre: f64) -> Option<([f64; N], [f64; N])> {
         self.move_to(centre);
         let times = &self.signal.times()[self.range.clone()];

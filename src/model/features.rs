@@ -1,4 +1,4 @@
-//! What the networks are given of a point, and the axes that they see it in.
+//! The networks' input features of a point, and the axes in which they are expressed.
 
 use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
@@ -8,13 +8,13 @@ use super::{ACCELERATIONS, VARIABLES};
 
 /// Outputs of each network.
 pub const OUTPUTS: usize = ACCELERATIONS / 2;
-/// Most features of a network.
+/// Largest number of features of a network.
 pub const FEATURES_MAX: usize = 15;
-/// Where a [`Point`](super::Point)'s variables begin in its array.
+/// First index of the angles in a [`Point`](super::Point)'s array, and of the input.
 const ANGLE: usize = 6;
 const INPUT: usize = 9;
 
-/// Which of the two networks.
+/// One of the two networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Head {
     /// NN1: linear acceleration, from the collective thrust.
@@ -35,7 +35,7 @@ impl Head {
         }
     }
 
-    /// Its accelerations among all.
+    /// Its range among the accelerations.
     pub fn rows(self) -> std::ops::Range<usize> {
         match self {
             Head::Linear => 0..3,
@@ -43,7 +43,7 @@ impl Head {
         }
     }
 
-    /// Its share of u.
+    /// Its range of u among the variables.
     fn inputs(self) -> std::ops::Range<usize> {
         match self {
             Head::Linear => INPUT..INPUT + 1,
@@ -52,7 +52,7 @@ impl Head {
     }
 }
 
-/// What a network is given of a [`Point`](super::Point).
+/// The input features of a network at a [`Point`](super::Point).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Features {
@@ -60,12 +60,12 @@ pub enum Features {
     /// (Bansal et al. 2016, section V-A).
     #[default]
     World,
-    /// The same seen from the vehicle's heading: v turned by -yaw, no yaw, and the linear
-    /// acceleration turned back by yaw. What holds at one heading then holds at every other.
+    /// The same relative to the vehicle's heading: v turned by -yaw, no yaw, and the linear
+    /// acceleration turned back by yaw. The model is then the same at every heading.
     Heading,
-    /// The same seen from the vehicle: v and the direction of down in body axes, and the linear
-    /// acceleration turned back by the attitude. Gravity, thrust and drag of the rotors are linear
-    /// in these.
+    /// The same relative to the vehicle: v and the direction of down in body axes, and the linear
+    /// acceleration turned back by the attitude. Gravity, thrust and rotor drag are linear in these
+    /// features.
     Body,
 }
 
@@ -73,7 +73,7 @@ impl Features {
     /// All, in order.
     pub const ALL: [Features; 3] = [Features::World, Features::Heading, Features::Body];
 
-    /// Names of the features, which are also their order.
+    /// Names of the features, in their order.
     pub fn names(self, head: Head) -> Vec<&'static str> {
         let mut names = match self {
             Features::World => vec!["v_n", "v_e", "v_d"],
@@ -95,7 +95,7 @@ impl Features {
         names
     }
 
-    /// Angles whose sine and cosine are features, as a count of roll, pitch and yaw.
+    /// Number of angles, in the order roll, pitch, yaw, whose sine and cosine are features.
     fn angles(self) -> usize {
         match self {
             Features::World => 3,
@@ -104,7 +104,7 @@ impl Features {
         }
     }
 
-    /// Writes the features of a point to the front of `out`; returns how many there are.
+    /// Writes the features of a point to the front of `out`; returns their number.
     pub fn extract(
         self,
         head: Head,
@@ -114,7 +114,7 @@ impl Features {
         self.extract_in(&Axes::of(self, at), head, at, out)
     }
 
-    /// The same in the axes at the point, which both heads share.
+    /// The same with precomputed axes, which both heads share.
     pub(super) fn extract_in(
         self,
         axes: &Axes,
@@ -147,8 +147,8 @@ impl Features {
         length
     }
 
-    /// Derivatives with respect to the point's variables, from those with respect to the
-    /// features; `axes`: those at the point.
+    /// Derivatives with respect to the point's variables, from those with respect to the features;
+    /// `axes` are those at the point.
     pub(super) fn pull_back(
         self,
         axes: &Axes,
@@ -182,8 +182,8 @@ impl Features {
         row
     }
 
-    /// The target of training for an acceleration of this head at a point: seen as the features
-    /// are.
+    /// The training target for an acceleration of this head at a point, in the axes of the
+    /// features.
     pub fn target(
         self,
         head: Head,
@@ -200,11 +200,11 @@ impl Features {
 /// Down, in world axes.
 const DOWN: [f64; 3] = [0.0, 0.0, 1.0];
 
-/// The axes that velocity and linear acceleration are seen in, at a point.
+/// The axes in which velocity and linear acceleration are expressed at a point.
 pub(super) struct Axes {
-    /// From these axes to the world's.
+    /// Rotation from these axes to the world's.
     to_world: Matrix3<f64>,
-    /// How they turn with roll, pitch and yaw: rotation vectors in these axes, per radian.
+    /// Rotation vectors of the axes per radian of roll, pitch and yaw, in these axes.
     turns: [Vector3<f64>; 3],
 }
 
@@ -234,7 +234,7 @@ impl Axes {
                     pitch.1 * roll.0,
                     pitch.1 * roll.1,
                 );
-                // Body rates of the angles' rates, angle by angle.
+                // Body rates per rate of each angle.
                 let down = tilt.row(2).transpose();
                 let turns = [Vector3::x(), Vector3::new(0.0, roll.1, -roll.0), down];
                 Self { to_world: about_down() * tilt, turns }
@@ -242,23 +242,23 @@ impl Axes {
         }
     }
 
-    /// A vector of the world in these axes.
+    /// A world vector in these axes.
     pub fn seen(&self, vector: [f64; 3]) -> [f64; 3] {
         self.to_world.tr_mul(&Vector3::from(vector)).into()
     }
 
-    /// A vector of these axes in the world's.
+    /// A vector in these axes, in world axes.
     pub fn told(&self, vector: [f64; 3]) -> [f64; 3] {
         (self.to_world * Vector3::from(vector)).into()
     }
 
-    /// Derivatives of [`Axes::told`] of a fixed vector by roll, pitch and yaw.
+    /// Derivatives of [`Axes::told`] of a fixed vector with respect to roll, pitch and yaw.
     pub fn told_turning(&self, vector: [f64; 3]) -> [[f64; 3]; 3] {
         self.turns.map(|turn| (self.to_world * turn.cross(&Vector3::from(vector))).into())
     }
 
-    /// Adds what the angles do to a fixed vector's appearance, by the derivatives with respect to
-    /// that.
+    /// Adds the effect of the angles on a fixed vector in these axes, given the derivatives with
+    /// respect to its components.
     fn add_turning(&self, vector: [f64; 3], slope: &[f64], row: &mut [f64; VARIABLES]) {
         let seen = Vector3::from(self.seen(vector));
         let slope = Vector3::new(slope[0], slope[1], slope[2]);

@@ -19,18 +19,18 @@ use super::net::{Mlp, Normalization};
 use super::physics::{PhysicsModel, PhysicsParameters};
 use super::{ACCELERATIONS, Model};
 
-/// What the file says that it is.
+/// Identifier in the file's `format` field.
 const FORMAT: &str = "downwash.model";
-/// Version of the file's form; files of others are refused.
+/// Version of the file format; files of other versions are rejected.
 const VERSION: u32 = 1;
 /// The one key of the metadata: a JSON object.
 const KEY: &str = "downwash";
-/// Most bytes of a file: networks of the most hidden units, and what of their training is kept.
+/// Largest file, in bytes: room for networks with the most hidden units and their training record.
 const SIZE_MAX: u64 = 64 << 20;
 /// Most hidden units.
 const HIDDEN_MAX: usize = 4096;
 
-/// Which of a file's models.
+/// One of a file's models.
 #[derive(
     Clone,
     Copy,
@@ -50,7 +50,7 @@ pub enum ModelKind {
     Net,
     /// The fitted physics alone.
     Physics,
-    /// The physics plus networks on what it leaves over.
+    /// The physics plus networks on its residual.
     Hybrid,
 }
 
@@ -68,11 +68,11 @@ impl ModelKind {
     }
 }
 
-/// Where the linear acceleration comes from.
+/// The source of the linear acceleration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AccelerationSource {
-    /// The accelerometer, turned to the world, plus gravity, its bias taken out by the velocity.
+    /// The accelerometer, rotated to the world, plus gravity; the velocity removes its bias.
     SpecificForce,
     /// The slope of the velocity.
     VelocitySlope,
@@ -93,25 +93,25 @@ impl AccelerationSource {
 pub struct ModelFile {
     /// The vehicle that it was trained for.
     pub vehicle: VehicleParams,
-    /// How its rotors answer.
+    /// The rotors' response.
     pub actuation: Actuation,
-    /// Where the linear acceleration that it learned is from.
+    /// Source of the linear acceleration in the labels.
     pub acceleration: AccelerationSource,
-    /// Deviation of the labels over the training rows: the unit of normalised errors.
+    /// Standard deviation of the labels over the training rows: the unit of normalised errors.
     pub deviation: [f64; ACCELERATIONS],
     /// The networks.
     pub net: NetworkModel,
     /// The physics' parameters.
     pub physics: PhysicsParameters,
-    /// The networks on what the physics leaves over.
+    /// The networks on the residual of the physics.
     pub residual: NetworkModel,
-    /// Which of the models did best on the validation data.
+    /// The model with the smallest errors on the validation data.
     pub preferred: ModelKind,
     /// How it was trained: logs with hashes, split, settings, errors.
     pub training: serde_json::Value,
 }
 
-/// Why a model file is refused.
+/// Why a model file is rejected.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelFileError {
     /// The file cannot be read or written.
@@ -119,7 +119,7 @@ pub enum ModelFileError {
     Io {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
     /// Not a model file, or a damaged one.
@@ -151,12 +151,12 @@ pub enum ModelFileError {
     Vehicle {
         /// The file.
         path: PathBuf,
-        /// Name of its vehicle.
+        /// Name of the vehicle that it was trained for.
         trained: String,
-        /// What differs.
+        /// The first difference.
         difference: Box<Difference>,
     },
-    /// Its vehicle is impossible.
+    /// Its vehicle is invalid.
     #[error(transparent)]
     Physics(#[from] VehicleError),
 }
@@ -178,13 +178,13 @@ struct Header {
     physics: PhysicsParameters,
     preferred: ModelKind,
     training: serde_json::Value,
-    /// SHA-256 of this header with this text empty, then of the tensors' names and bytes, in the
+    /// SHA-256 of this header with this field empty, then of the tensors' names and bytes, in the
     /// order of the names.
     sha256: String,
 }
 
 impl Header {
-    /// What `sha256` has to be.
+    /// The value that `sha256` must have.
     fn seal<'a>(
         &self,
         tensors: impl Iterator<Item = (&'a str, &'a [u8])>,
@@ -201,10 +201,10 @@ impl Header {
 }
 
 impl ModelFile {
-    /// One of its models, ready to be evaluated.
+    /// One of the file's models, ready for evaluation.
     ///
     /// # Errors
-    /// Physics that the vehicle does not allow.
+    /// The vehicle does not allow the physics.
     pub fn model(&self, kind: ModelKind) -> Result<Box<dyn Model>, VehicleError> {
         let physics = PhysicsModel::new(&self.vehicle, &self.physics)?;
         Ok(match kind {
@@ -214,10 +214,10 @@ impl ModelFile {
         })
     }
 
-    /// The file's bytes. The same model gives the same.
+    /// The file's bytes. Equal models give equal bytes.
     ///
     /// # Errors
-    /// A header that cannot be written.
+    /// The header cannot be written.
     pub fn to_bytes(&self) -> Result<Vec<u8>, SafeTensorError> {
         let tensors = self.tensors();
         let mut header = Header {
@@ -294,7 +294,7 @@ impl ModelFile {
         Self::from_bytes(&bytes, path)
     }
 
-    /// A model file from its bytes; `path` is for messages.
+    /// Parses a model file from its bytes; `path` is for messages.
     ///
     /// # Errors
     /// [`ModelFileError`].
@@ -307,7 +307,7 @@ impl ModelFile {
             .as_ref()
             .and_then(|map| map.get(KEY))
             .ok_or_else(|| damaged(format!("its metadata has no key {KEY:?}")))?;
-        // The version first: another one may have another form.
+        // The version first: another version may have another format.
         #[derive(Deserialize)]
         struct Stamp {
             format: String,
@@ -356,8 +356,8 @@ impl ModelFile {
         })
     }
 
-    /// Whether this model is for `vehicle`, by [`VehicleParams::difference`]. `path` is for the
-    /// message.
+    /// Checks that this model is for `vehicle`, with [`VehicleParams::difference`]. `path` is for
+    /// the message.
     ///
     /// # Errors
     /// [`ModelFileError::Vehicle`] with the first difference.

@@ -1,4 +1,4 @@
-//! Physics plus a network on what the physics leaves over.
+//! Physics plus a network on its residual.
 
 use super::learned::NetworkModel;
 use super::physics::PhysicsModel;
@@ -12,7 +12,7 @@ pub struct Hybrid {
 }
 
 impl Hybrid {
-    /// `physics`, corrected by `residual`, which was trained on what `physics` left over.
+    /// `physics`, corrected by `residual`, which was trained on the residual of `physics`.
     pub fn new(physics: PhysicsModel, residual: NetworkModel) -> Self {
         Self { physics, residual }
     }

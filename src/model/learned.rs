@@ -1,10 +1,10 @@
-//! Accelerations by two networks: NN1 gives the linear ones, NN2 the angular ones.
+//! Accelerations from two networks: NN1 gives the linear ones, NN2 the angular ones.
 
 use super::features::{Axes, FEATURES_MAX, Features, Head, OUTPUTS};
 use super::net::{Mlp, Normalization};
 use super::{ACCELERATIONS, Jacobian, Model, Point, VARIABLES};
 
-/// Where roll, pitch and yaw are among a [`Point`]'s variables.
+/// Range of roll, pitch and yaw among a [`Point`]'s variables.
 const ANGLES: std::ops::Range<usize> = 6..9;
 
 /// A network with the normalisation of its inputs and outputs.
@@ -18,7 +18,7 @@ pub struct Network {
     pub mlp: Mlp,
 }
 
-/// Calls a method for the number of features that a network has.
+/// Calls a method that is generic over the number of features.
 macro_rules! sized {
     ($network:ident . $method:ident ($features:ident, $count:ident)) => {
         match $count {
@@ -68,9 +68,9 @@ impl Network {
         (self.denormalised(y), slope)
     }
 
-    /// This network with other gains of its accelerations, and with constants and linear terms
-    /// (feature, acceleration, slope) added, both in normalised units. A ReLU layer holds
-    /// `c x = c relu(x) - c relu(-x)` exactly: each term takes two more hidden units.
+    /// This network with its accelerations scaled by `gains`, and with constants and linear terms
+    /// (feature, acceleration, slope) added, both in normalised units. A ReLU layer represents
+    /// `c x = c relu(x) - c relu(-x)` exactly: each term takes two additional hidden units.
     pub fn corrected(
         &self,
         gains: [f64; OUTPUTS],
@@ -100,7 +100,7 @@ impl Network {
         let mut hidden_biases = mlp.hidden_biases.clone();
         hidden_biases.resize(units, 0.0);
         let bias = |i: usize| {
-            // The mean of the accelerations is part of what the gain acts on.
+            // The gain also applies to the mean of the accelerations.
             let mean = (gains[i] - 1.0) * outputs.mean[i] / outputs.deviation[i];
             (gains[i] * f64::from(mlp.output_biases[i]) + constants[i] + mean) as f32
         };
@@ -127,7 +127,7 @@ impl Network {
 /// NN1 and NN2 together.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetworkModel {
-    /// What both are given.
+    /// The input features of both.
     pub features: Features,
     /// NN1.
     pub linear: Network,
@@ -136,13 +136,13 @@ pub struct NetworkModel {
 }
 
 impl NetworkModel {
-    /// The same networks with these shares of their accelerations, linear and angular.
+    /// The same networks with their linear and angular accelerations scaled by these factors.
     pub fn scaled(&self, [linear, angular]: [f64; 2]) -> Self {
         let scale = |network: &Network, share: f64| {
             let Normalization { mean, deviation } = &network.outputs;
             let outputs = Normalization {
                 mean: mean.iter().map(|m| share * m).collect(),
-                // A deviation of 0 is no normalisation; this one leaves nothing either.
+                // A deviation of 0 is not a valid normalisation; this one has the same effect.
                 deviation: deviation.iter().map(|d| (share * d).max(f64::MIN_POSITIVE)).collect(),
             };
             Network { outputs, ..network.clone() }
@@ -196,7 +196,7 @@ impl Model for NetworkModel {
                         row[column] = value;
                     }
                 }
-                // The axes of the output turn with the angles themselves.
+                // The output's axes turn with the angles.
                 for (column, slope) in ANGLES.zip(axes.told_turning(y)) {
                     for (row, value) in rows.iter_mut().zip(slope) {
                         row[column] += value;

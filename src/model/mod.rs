@@ -1,8 +1,8 @@
 //! Models of the vehicle's accelerations: nominal physics, learned networks, and their sum.
 //!
-//! A model maps the state without position and the actuated input to accelerations:
-//! `(v, omega, zeta, u) -> (dv/dt, domega/dt)`. What lies between a command and the input that
-//! acts (delay, rotors' lag, saturation, voltage) is [`actuation`]'s.
+//! A model maps the state without position and the acting input to accelerations:
+//! `(v, omega, zeta, u) -> (dv/dt, domega/dt)`. [`actuation`] covers everything between a command
+//! and the acting input (delay, rotor lag, saturation, voltage).
 
 pub mod actuation;
 pub mod features;
@@ -23,7 +23,8 @@ pub const VARIABLES: usize = 13;
 /// Number of accelerations: linear in world axes, angular in body axes.
 pub const ACCELERATIONS: usize = 6;
 
-/// Where a model is evaluated. Position does not act (Bansal et al. 2016, section V-A).
+/// The point at which a model is evaluated. Position has no effect (Bansal et al. 2016, section
+/// V-A).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Point {
     /// Velocity in world axes, m/s.
@@ -32,8 +33,8 @@ pub struct Point {
     pub body_rate: Frd,
     /// Roll, pitch and yaw, rad.
     pub attitude: Euler,
-    /// u: collective thrust along -z body in N, then moments about body x, y, z in N m, as the
-    /// rotors give them in the nominal vehicle's numbers.
+    /// u: collective thrust along -z body in N, then moments about body x, y, z in N m, from the
+    /// rotors with the nominal vehicle's parameters.
     pub input: [f64; 4],
 }
 

@@ -26,7 +26,7 @@ impl Normalization {
     /// The normalised values.
     ///
     /// # Panics
-    /// When `N` is not the number of columns.
+    /// If `N` is not the number of columns.
     pub fn apply<const N: usize>(&self, values: &[f64; N]) -> [f64; N] {
         std::array::from_fn(|i| (values[i] - self.mean[i]) / self.deviation[i])
     }
@@ -36,36 +36,36 @@ impl Mlp {
     /// y(x), computed in f64.
     ///
     /// # Panics
-    /// When `I` and `O` are not the network's inputs and outputs.
+    /// If `I` and `O` are not the numbers of the network's inputs and outputs.
     pub fn evaluate<const I: usize, const O: usize>(&self, x: &[f64; I]) -> [f64; O] {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            // SAFETY: the machine has the instructions, as just asked.
+            // SAFETY: the check above found both instruction sets.
             return unsafe { evaluate_avx2(self, x) };
         }
         evaluate::<false, I, O>(self, x)
     }
 
-    /// y(x) and its derivatives dy/dx, a row an output, computed in f64. At a kink, where a unit's
-    /// pre-activation is 0, the unit counts as inactive.
+    /// y(x) and its derivatives dy/dx, one row per output, computed in f64. At a kink, where a
+    /// unit's pre-activation is 0, the unit counts as inactive.
     ///
     /// # Panics
-    /// When `I` and `O` are not the network's inputs and outputs.
+    /// If `I` and `O` are not the numbers of the network's inputs and outputs.
     pub fn linearize<const I: usize, const O: usize>(
         &self,
         x: &[f64; I],
     ) -> ([f64; O], [[f64; I]; O]) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            // SAFETY: the machine has the instructions, as just asked.
+            // SAFETY: the check above found both instruction sets.
             return unsafe { linearize_avx2(self, x) };
         }
         linearize::<false, I, O>(self, x)
     }
 }
 
-/// [`evaluate`] for machines with AVX2 and FMA, which this package is not compiled for: the
-/// planner linearises at each of some hundred points, thousands of times.
+/// [`evaluate`] for machines with AVX2 and FMA, which the package's build does not assume: the
+/// planner linearises at several hundred points, thousands of times.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 fn evaluate_avx2<const I: usize, const O: usize>(net: &Mlp, x: &[f64; I]) -> [f64; O] {
@@ -104,8 +104,8 @@ fn linearize<const FUSED: bool, const I: usize, const O: usize>(
 ) -> ([f64; O], [[f64; I]; O]) {
     let mut y = output_biases(net);
     let mut jacobian = [[0.0; I]; O];
-    // Which units are active is as good as random, and a wrongly predicted branch costs more than
-    // a unit's pre-activation: the active ones are listed without a branch, then visited.
+    // Whether a unit is active is almost random, and a mispredicted branch costs more than a unit's
+    // pre-activation: collect the active units without a branch, then visit them.
     let mut active = [(0_usize, [0.0; O]); BATCH];
     let mut count = 0;
     let rows = net.hidden_weights.as_chunks::<I>().0;
@@ -125,12 +125,12 @@ fn linearize<const FUSED: bool, const I: usize, const O: usize>(
     (y, jacobian)
 }
 
-/// Units that are listed before they are visited.
+/// Number of units that are collected before they are visited.
 const BATCH: usize = 64;
 /// Columns of the Jacobian that stay in registers while the units are visited.
 const COLUMNS: usize = 8;
 
-/// Adds the slopes of active units, each a row of W and its weights in the outputs.
+/// Adds the slopes of active units, each given as a row of W and its output weights.
 #[inline(always)]
 fn add_slopes<const FUSED: bool, const I: usize, const O: usize>(
     rows: &[[f32; I]],
@@ -139,7 +139,7 @@ fn add_slopes<const FUSED: bool, const I: usize, const O: usize>(
 ) {
     let mut done = 0;
     while done < I {
-        // The last columns are taken together with some that are done already, to be eight.
+        // The last block overlaps with finished columns, so that it has eight.
         let first = done.min(I.saturating_sub(COLUMNS));
         let mut sums = [[0.0; COLUMNS]; O];
         for (unit, v) in active {
@@ -170,8 +170,7 @@ fn output_biases<const O: usize>(net: &Mlp) -> [f64; O] {
     std::array::from_fn(|output| f64::from(net.output_biases[output]))
 }
 
-/// Calls `visit` with each hidden unit's index, its weights in the outputs, and its pre-activation
-/// at `x`.
+/// Calls `visit` with each hidden unit's index, its output weights, and its pre-activation at `x`.
 #[inline(always)]
 fn for_each_unit<const FUSED: bool, const I: usize, const O: usize>(
     net: &Mlp,
@@ -185,7 +184,7 @@ fn for_each_unit<const FUSED: bool, const I: usize, const O: usize>(
     }
     let rows = net.hidden_weights.as_chunks::<I>().0;
     for (unit, (row, bias)) in rows.iter().zip(&net.hidden_biases).enumerate() {
-        // Four sums, side by side in a register.
+        // Four partial sums share a register.
         let mut sums = [f64::from(*bias), 0.0, 0.0, 0.0];
         for (w, x) in row.chunks(4).zip(x.chunks(4)) {
             for ((sum, w), x) in sums.iter_mut().zip(w).zip(x) {
@@ -209,9 +208,9 @@ fn product_sum<const FUSED: bool>(a: f64, b: f64, sum: f64) -> f64 {
 /// `normalised = (value - mean) / deviation`, column by column.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Normalization {
-    /// Means.
+    /// Mean of each column.
     pub mean: Vec<f64>,
-    /// Deviations, above 0.
+    /// Standard deviation of each column, above 0.
     pub deviation: Vec<f64>,
 }
 
@@ -246,7 +245,7 @@ mod tests {
             output_weights: vec![2.0, 4.0],
             output_biases: vec![-1.0],
         };
-        // Pre-activations 5.5 and 0: the second unit lies on its kink.
+        // Pre-activations 5.5 and 0: the second unit is at its kink.
         assert_eq!(net.evaluate(&[1.0, 2.0]), [10.0]);
         assert_eq!(net.linearize(&[1.0, 2.0]), ([10.0], [[2.0, 4.0]]));
     }

@@ -1,8 +1,8 @@
 //! The networks as an ONNX graph, for other programs.
 //!
-//! Inputs, a row a point: `velocity` (world, m/s), `body_rate` (rad/s), `attitude` (roll, pitch,
-//! yaw, rad), `input` (u1 in N, u2..u4 in N m). Outputs: `linear_acceleration` (world, m/s^2),
-//! `angular_acceleration` (body, rad/s^2). Features and normalisation are inside the graph.
+//! Inputs, one row per point: `velocity` (world, m/s), `body_rate` (rad/s), `attitude` (roll,
+//! pitch, yaw, rad), `input` (u1 in N, u2..u4 in N m). Outputs: `linear_acceleration` (world,
+//! m/s^2), `angular_acceleration` (body, rad/s^2). The graph includes features and normalisation.
 
 use prost::Message;
 
@@ -10,23 +10,23 @@ use super::features::{Features, Head, OUTPUTS};
 use super::file::ModelFile;
 use super::learned::{Network, NetworkModel};
 
-/// Version of ONNX's file form and of its operators that the graph needs (onnx.ai, 2021).
+/// Versions of ONNX's file format and of the operators that the graph needs (onnx.ai, 2021).
 const IR_VERSION: i64 = 7;
 const OPSET: i64 = 13;
 const FLOAT: i32 = 1;
 const INT64: i32 = 7;
 
-/// Which of a file's models the networks are of; the physics has none.
+/// The model whose networks are exported; the physics has none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Networks {
     /// The two networks alone.
     Net,
-    /// The networks on what the physics leaves over.
+    /// The networks on the residual of the physics.
     Hybrid,
 }
 
-/// Networks of a model file as an ONNX file; the output of those of `hybrid` is to be added to the
-/// physics'.
+/// Encodes networks of a model file as an ONNX file; the output of those of `hybrid` adds to the
+/// physics' output.
 pub fn encode(file: &ModelFile, networks: Networks) -> Vec<u8> {
     let (model, meaning) = match networks {
         Networks::Net => (&file.net, "accelerations"),
@@ -50,7 +50,8 @@ pub fn encode(file: &ModelFile, networks: Networks) -> Vec<u8> {
     .encode_to_vec()
 }
 
-/// A rotation in a plane: from its first axis towards its second, sine and cosine of the angle.
+/// A rotation in a plane: from its first axis towards its second, with the names of the angle's
+/// sine and cosine.
 type Turn<'a> = ([usize; 2], &'a str, &'a str);
 
 const YAWED: [usize; 2] = [0, 1];
@@ -74,7 +75,7 @@ impl Graph {
         // Sine and cosine of roll, pitch, yaw.
         let sines: Vec<String> = (0..3).map(|i| angle(&mut graph, i, "Sin")).collect();
         let cosines: Vec<String> = (0..3).map(|i| angle(&mut graph, i, "Cos")).collect();
-        // Rotations that lead from the world to the features' axes, one after another.
+        // Rotations from the world to the features' axes, in sequence.
         let turns: Vec<Turn<'_>> = match model.features {
             Features::World => Vec::new(),
             Features::Heading => vec![(YAWED, &sines[2], &cosines[2])],
@@ -158,7 +159,7 @@ impl Graph {
         name
     }
 
-    /// Columns of a matrix.
+    /// Gathers columns of a matrix.
     fn columns(&mut self, of: &str, columns: &[i64]) -> String {
         let name = format!("constant_{}", self.constants.len());
         self.constants.push(TensorProto {
@@ -174,7 +175,7 @@ impl Graph {
         self.columns(of, &[column])
     }
 
-    /// A vector turned in a plane, `forwards` or back.
+    /// A vector rotated in a plane, `forwards` or back.
     fn turned(&mut self, vector: &str, (plane, sin, cos): Turn<'_>, forwards: bool) -> String {
         let mut parts: [String; 3] = std::array::from_fn(|i| self.column(vector, i as i64));
         let [x, y] = plane.map(|axis| parts[axis].clone());
@@ -191,7 +192,7 @@ impl Graph {
     fn network(&mut self, network: &Network, features: &str) -> String {
         let Network { inputs, outputs, mlp } = network;
         let singles = |values: &[f32]| values.iter().map(|v| f64::from(*v)).collect::<Vec<_>>();
-        // ONNX multiplies rows from the left, so weights are transposed.
+        // ONNX multiplies row vectors from the left, so the weights are transposed.
         let transposed = |values: &[f32], columns: usize| -> Vec<f64> {
             let rows = values.len() / columns;
             (0..columns * rows).map(|i| f64::from(values[i % rows * columns + i / rows])).collect()
@@ -217,7 +218,7 @@ impl Graph {
     }
 }
 
-/// A matrix of any number of rows.
+/// A matrix with any number of rows.
 fn value_info(name: &str, width: i64) -> ValueInfo {
     let rows = Dimension { value: None, parameter: Some("points".to_owned()) };
     let columns = Dimension { value: Some(width), parameter: None };
@@ -226,7 +227,7 @@ fn value_info(name: &str, width: i64) -> ValueInfo {
     ValueInfo { name: name.to_owned(), kind: Some(TypeProto { tensor }) }
 }
 
-// The parts of ONNX's protobuf messages that are written here; numbers are those of onnx.proto.
+// The subset of ONNX's protobuf messages that this file writes; tags are those of onnx.proto.
 
 #[derive(Clone, PartialEq, Message)]
 struct ModelProto {

@@ -1,4 +1,4 @@
-//! The nominal vehicle's physics with parameters found from logs.
+//! The nominal vehicle's physics with parameters identified from logs.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,19 +11,19 @@ use vehicle::{VehicleError, VehicleParams};
 
 use super::{ACCELERATIONS, Jacobian, Model, Point, VARIABLES};
 
-/// Height at which the model evaluates the physics, m: out of the ground's effect, for a model
-/// does not see position.
+/// Height at which the model evaluates the physics, m: out of ground effect, because a model has no
+/// position input.
 const HEIGHT: f64 = 1e3;
 
-/// What a vehicle file's physics is changed by.
+/// Changes to a vehicle file's physics.
 #[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct PhysicsParameters {
-    /// Effects put over the vehicle file's modelled ones.
+    /// Effects that override the vehicle file's modelled ones.
     #[schemars(
         with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
     )]
     pub effects: EffectSet,
-    /// Moment against the body rate per axis, N m s.
+    /// Additional moment against the body rate per axis, N m s.
     pub angular_damping_nms: [f64; 3],
 }
 
@@ -32,7 +32,7 @@ pub struct PhysicsParameters {
 pub struct PhysicsModel {
     physics: Physics,
     environment: Environment,
-    /// Reported to true attitude: the inverse of the trim.
+    /// Rotation from the reported to the true attitude: the inverse of the trim.
     untrim: Option<Attitude>,
 }
 
@@ -40,7 +40,7 @@ impl PhysicsModel {
     /// The vehicle file's physics with `parameters`.
     ///
     /// # Errors
-    /// A vehicle whose mixer cannot be inverted, or that lacks a number which an effect needs.
+    /// The vehicle's mixer cannot be inverted, or it lacks a parameter that an effect needs.
     pub fn new(
         vehicle: &VehicleParams,
         parameters: &PhysicsParameters,
@@ -60,7 +60,7 @@ impl PhysicsModel {
         Ok(Self { physics, environment, untrim })
     }
 
-    /// The accelerations for variables of any scalar, in the order of [`Point::to_array`].
+    /// The accelerations for variables of any scalar type, in the order of [`Point::to_array`].
     pub fn evaluate<T: Scalar>(&self, at: &[T; VARIABLES]) -> [T; ACCELERATIONS] {
         let [vn, ve, vd, p, q, r, roll, pitch, yaw, u1, u2, u3, u4] = *at;
         let mut attitude = Euler { roll, pitch, yaw }.attitude();

@@ -1,4 +1,4 @@
-//! Every model's derivatives against finite differences, and what turning the world does.
+//! Every model's derivatives against finite differences, and the effect of a rotated world.
 
 use std::f64::consts::PI;
 
@@ -15,11 +15,11 @@ use super::net::{Mlp, Normalization};
 use super::physics::{PhysicsModel, PhysicsParameters};
 use super::{ACCELERATIONS, Model, Point, VARIABLES};
 
-/// What a step of each variable is measured in, and how far points lie from zero: v, omega, zeta,
-/// then newtons and newton metres of a nano quadrotor.
+/// Unit of the steps of each variable, and spread of the points about zero: v, omega, zeta, then
+/// newtons and newton metres of a nano quadrotor.
 const SCALES: [f64; VARIABLES] =
     [2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 0.5, 0.5, 3.0, 0.15, 5e-4, 5e-4, 5e-5];
-/// Steps of the differences, in scales.
+/// Finite-difference steps, in these units.
 const STEP: f64 = 1e-6;
 
 pub(super) fn vehicle() -> VehicleParams {
@@ -27,7 +27,7 @@ pub(super) fn vehicle() -> VehicleParams {
         .expect("a vehicle")
 }
 
-/// All that a fit may find, at once.
+/// All parameters that a fit may find, at once.
 pub(super) fn physics_parameters() -> PhysicsParameters {
     let mut effects = EffectSet::new();
     for effect in [
@@ -44,7 +44,7 @@ fn physics() -> PhysicsModel {
     PhysicsModel::new(&vehicle(), &physics_parameters()).expect("physics")
 }
 
-/// Networks of the given numbers, which are repeated where they do not reach.
+/// Networks with the given weights, which repeat if there are too few.
 pub(super) fn networks(features: Features, hidden: usize, values: &[f32]) -> NetworkModel {
     let mut values = values.iter().copied().cycle();
     let [linear, angular] = Head::BOTH.map(|head| {
@@ -75,7 +75,7 @@ pub(super) fn networks(features: Features, hidden: usize, values: &[f32]) -> Net
     NetworkModel { features, linear, angular }
 }
 
-/// Which hidden units are active.
+/// Activity of each hidden unit.
 fn active(model: &NetworkModel, at: &[f64; VARIABLES]) -> Vec<bool> {
     let mut active = Vec::new();
     for (head, network) in [(Head::Linear, &model.linear), (Head::Angular, &model.angular)] {
@@ -92,8 +92,8 @@ fn active(model: &NetworkModel, at: &[f64; VARIABLES]) -> Vec<bool> {
     active
 }
 
-/// Holds a model's value and derivatives at a point against finite differences; a step across a
-/// kink of `networks` is left out.
+/// Compares a model's value and derivatives at a point with finite differences; a step across a
+/// kink of `networks` is skipped.
 fn holds_to_differences(
     model: &dyn Model,
     networks: Option<&NetworkModel>,
@@ -150,7 +150,7 @@ fn turned([n, e, d]: [f64; 3], angle: f64) -> [f64; 3] {
     [cos * n - sin * e, sin * n + cos * e, d]
 }
 
-/// The point as it is in a world turned by `angle` about down.
+/// The point in a world turned by `angle` about down.
 fn turned_point(at: &[f64; VARIABLES], angle: f64) -> Point {
     let mut turned_at = *at;
     turned_at[..3].copy_from_slice(&turned([at[0], at[1], at[2]], angle));
@@ -158,7 +158,7 @@ fn turned_point(at: &[f64; VARIABLES], angle: f64) -> Point {
     Point::from_array(&turned_at)
 }
 
-/// Turning the world turns the linear acceleration and leaves the angular one.
+/// Turning the world turns the linear acceleration and leaves the angular one unchanged.
 fn holds_at_every_heading(
     model: &dyn Model,
     at: &[f64; VARIABLES],
@@ -284,7 +284,7 @@ fn at_hover_the_physics_stands_still() {
 
 #[test]
 fn the_physics_takes_the_reported_attitude_for_what_it_is() {
-    // A vehicle that hovers reports its trim.
+    // A hovering vehicle reports its trim.
     let vehicle = vehicle();
     let mut effects = EffectSet::new();
     effects.insert_argument("attitude_trim:roll_rad=0.05,pitch_rad=-0.03").expect("an effect");

@@ -11,28 +11,28 @@ pub(super) use super::equations::EQUATIONS;
 pub use super::equations::Row;
 use super::equations::{Equations, Means};
 
-/// Length of a cell, s: short against the interval that an onset is wanted in, long against the
-/// periods of reports.
+/// Length of a cell, s: short compared with the wanted resolution of an onset, long compared with
+/// the periods of reports.
 pub const CELL_S: f64 = 0.05;
-/// Points of a cell that means are made of.
+/// Number of points in a cell for the means.
 const POINTS: usize = 5;
-/// A pause of a stream that ends what came before, s.
+/// A longer gap in a stream counts as a pause, s.
 const PAUSE_S: f64 = 0.35;
 /// Cells after a pause in which the rotors' states are not known yet.
 const SETTLING: usize = 8;
-/// Samples of a stream that are kept: a second at a kilohertz.
+/// Samples kept per stream: a second at a kilohertz.
 const KEPT: usize = 1024;
 
-/// One sample of what a vehicle reports.
+/// One sample of the vehicle's reports.
 #[derive(Clone, Copy, Debug)]
 pub enum Sample {
     /// Position, m.
     Position(Ned),
     /// Velocity, m/s.
     Velocity(Ned),
-    /// Body to world.
+    /// Rotation from body to world.
     Attitude(Attitude),
-    /// rad/s
+    /// Body rate, rad/s.
     BodyRate(Frd),
     /// Specific force, m/s^2.
     SpecificForce(Frd),
@@ -40,11 +40,11 @@ pub enum Sample {
     Outputs([f64; ROTORS]),
     /// Pack voltage, V.
     Voltage(f64),
-    /// The vehicle is not in free flight any more: on the ground, or at a pause of the log.
+    /// The vehicle is no longer in free flight: it is on the ground, or the log pauses.
     Pause,
 }
 
-/// A piece of a flight.
+/// One cell of a flight.
 #[derive(Clone, Debug)]
 pub struct Cell {
     /// Its start, s.
@@ -53,12 +53,12 @@ pub struct Cell {
     pub rows: [Row; EQUATIONS],
 }
 
-/// What samples made.
+/// The next output from the samples.
 #[derive(Clone, Debug)]
 pub enum Piece {
     /// The next cell.
     Cell(Box<Cell>),
-    /// What comes does not go on from what came.
+    /// What follows does not continue what came before.
     Pause,
 }
 
@@ -75,7 +75,7 @@ impl<const N: usize> Default for Stream<N> {
 }
 
 impl<const N: usize> Stream<N> {
-    /// Takes a finite sample that is later than the last.
+    /// Adds a finite sample that is later than the last.
     fn push(&mut self, time: f64, values: [f64; N]) {
         let is_later = self.samples.back().is_none_or(|(last, _)| time > *last);
         if is_later && values.iter().all(|value| value.is_finite()) {
@@ -94,19 +94,19 @@ impl<const N: usize> Stream<N> {
         self.samples.back().map(|(time, _)| *time)
     }
 
-    /// Whether it brings what a cell until `end` takes.
+    /// Whether it covers a cell that ends at `end`.
     fn reaches(&self, end: f64) -> bool {
         self.last().is_some_and(|last| last >= end)
     }
 
-    /// Forgets what lies before the sample before `time`.
+    /// Drops everything before the last sample that precedes `time`.
     fn forget(&mut self, time: f64) {
         while self.samples.get(1).is_some_and(|(next, _)| *next < time) {
             self.samples.pop_front();
         }
     }
 
-    /// Whether it goes on without a pause from `start` to `end`.
+    /// Whether it has no pause from `start` to `end`.
     fn is_whole(&self, start: f64, end: f64) -> bool {
         let mut before = match self.first() {
             Some(first) if first <= start => first,
@@ -124,7 +124,7 @@ impl<const N: usize> Stream<N> {
         false
     }
 
-    /// The value at a time, on the line between its neighbours.
+    /// The value at a time, interpolated linearly.
     fn at(&self, time: f64) -> Option<[f64; N]> {
         let after = self.samples.partition_point(|(t, _)| *t < time);
         let (t1, b) = self.samples.get(after)?;
@@ -136,7 +136,7 @@ impl<const N: usize> Stream<N> {
     }
 }
 
-/// Makes cells of samples.
+/// Makes cells from samples.
 #[derive(Clone, Debug)]
 pub struct Cells {
     equations: Equations,
@@ -153,15 +153,15 @@ pub struct Cells {
     rotors: [f64; ROTORS],
     settling: usize,
     newest: f64,
-    /// Whether a pause is to be told.
+    /// Whether a pause is still to be reported.
     paused: bool,
 }
 
 impl Cells {
-    /// For flights of a vehicle.
+    /// Makes cells for flights of a vehicle.
     ///
     /// # Errors
-    /// A vehicle that the physics refuses.
+    /// The physics rejects the vehicle.
     pub fn new(vehicle: &VehicleParams) -> Result<Self, VehicleError> {
         let equations = Equations::new(vehicle)?;
         Ok(Self {
@@ -182,13 +182,13 @@ impl Cells {
         })
     }
 
-    /// The units of size of slopes.
+    /// The sizes that scale the slopes.
     pub fn sizes(&self) -> &Sizes {
         self.equations.sizes()
     }
 
-    /// Takes a sample of `time`, s of the vehicle's clock. What is not finite, or comes late in its
-    /// stream, is left out.
+    /// Adds a sample at `time`, s of the vehicle's clock. Values that are not finite, or late in
+    /// their stream, are dropped.
     pub fn push(&mut self, time: f64, sample: Sample) {
         if !time.is_finite() {
             return;
@@ -214,7 +214,7 @@ impl Cells {
         }
     }
 
-    /// The next piece that the samples so far make.
+    /// The next piece that the samples so far complete.
     pub fn next_piece(&mut self) -> Option<Piece> {
         loop {
             if std::mem::take(&mut self.paused) {
@@ -235,7 +235,7 @@ impl Cells {
                 self.pause();
                 continue;
             }
-            // What else is reported, or was until now, is waited for.
+            // Wait for the other streams, if the vehicle reports them.
             let is_due = |first: Option<f64>, reaches: bool| first.is_none() || reaches || is_late;
             let is_ready = is_due(self.velocity.first(), self.velocity.reaches(end))
                 && is_due(self.body_rate.first(), self.body_rate.reaches(end))
@@ -254,7 +254,7 @@ impl Cells {
         }
     }
 
-    /// Where cells begin: once what is needed is there.
+    /// Starts the cells at the first time that both required streams cover.
     fn begin(&mut self) -> Option<f64> {
         let start = self.attitude.first()?.max(self.outputs.first()?);
         if !(self.attitude.reaches(start) && self.outputs.reaches(start)) {
@@ -266,7 +266,7 @@ impl Cells {
         Some(start)
     }
 
-    /// Forgets all; reports a pause if there were cells.
+    /// Discards all samples; reports a pause if there were cells.
     fn pause(&mut self) {
         self.paused |= self.next.is_some();
         self.next = None;

@@ -1,4 +1,4 @@
-//! A change that was found.
+//! A detected change.
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -6,71 +6,71 @@ use serde::Serialize;
 use super::columns::{Cause, Sizes, quantity};
 use super::likelihood::Numbers;
 
-/// Deviations to either side of a 90 % interval.
+/// Standard deviations to either side of a 90 % interval.
 const WIDTH: f64 = 1.645;
 
-/// Something that changed in a flight.
+/// A change in a flight.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct Change {
-    /// When it began, s of the vehicle's clock.
+    /// Time of the onset, s of the vehicle's clock.
     pub at_s: f64,
-    /// 90 % interval of that, s.
+    /// 90 % interval of the onset, s.
     pub interval_s: [f64; 2],
-    /// When the evidence passed the bound, s.
+    /// Time at which the evidence passed the threshold, s.
     pub alarmed_s: f64,
-    /// What changed, most likely.
+    /// The most probable cause.
     pub cause: Cause,
-    /// The rotor, counted as in the vehicle file from 0.
+    /// The rotor, with the vehicle file's index from 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotor: Option<usize>,
-    /// Effects of the catalogue that act so.
+    /// Effects of the catalogue that have this result.
     pub effects: Vec<&'static str>,
-    /// Probability of that cause among those that were asked.
+    /// Probability of that cause among those tested.
     pub probability: f64,
-    /// The other causes that have a chance, the likeliest first.
+    /// The other causes with a notable probability, most probable first.
     pub others: Vec<Other>,
-    /// How much likelier a change makes the flight than none, nats.
+    /// Log Bayes factor of a change against none, nats.
     pub evidence: f64,
-    /// What it was before and after.
+    /// The changed quantities, before and after.
     pub values: Vec<Value>,
 }
 
-/// Another cause.
+/// An alternative cause.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct Other {
-    /// Which.
+    /// The cause.
     pub cause: Cause,
     /// Its probability.
     pub probability: f64,
 }
 
-/// A number that changed; the vehicle file's is 0.
+/// A quantity that changed, relative to the vehicle file, whose value is 0.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct Value {
-    /// `thrust` over weight and `rotor_thrust` as shares more than the file's, `centre_front`,
+    /// `thrust` over weight and `rotor_thrust` as fractions above the file's, `centre_front`,
     /// `centre_right`, `force_north`, `force_east`, `drag`.
     pub name: &'static str,
     /// Its unit.
     pub unit: &'static str,
-    /// Before, with a 90 % interval.
+    /// Value before, with a 90 % interval.
     pub before: Estimate,
-    /// After.
+    /// Value after.
     pub after: Estimate,
-    /// After less before.
+    /// After minus before.
     pub change: Estimate,
 }
 
-/// A number with its 90 % interval.
+/// A value with its 90 % interval.
 #[derive(Clone, Copy, Debug, Serialize, JsonSchema)]
 pub struct Estimate {
-    /// The number.
+    /// The estimate.
     pub value: f64,
-    /// Its interval.
+    /// Its 90 % interval.
     pub interval: [f64; 2],
 }
 
 impl Estimate {
-    /// Of a mean and a deviation.
+    /// The estimate from a mean and a standard deviation.
     pub fn normal([value, deviation]: [f64; 2]) -> Self {
         Self { value, interval: [value - WIDTH * deviation, value + WIDTH * deviation] }
     }

@@ -1,47 +1,48 @@
-//! Causes of a change, and the numbers that stand still through one.
+//! Causes of a change, and the parameters that the equations are linear in.
 
 use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 
-/// Numbers that the equations are linear in.
+/// Number of parameters in which the equations are linear.
 pub const COLUMNS: usize = 24;
 
-/// Share of its thrust that a rotor has more than by the vehicle file; four of them.
+/// Excess of each rotor's thrust over the vehicle file's, as a fraction; four of them.
 pub(super) const ROTOR: usize = 0;
-/// Place of the centre of mass, front and right, m.
+/// Position of the centre of mass, front and right, m.
 pub(super) const CENTRE: usize = 4;
 /// Moment about down, N m.
 pub(super) const YAW: usize = 6;
-/// Force that is fixed in the world, north and east, N.
+/// Force fixed in the world, north and east, N.
 pub(super) const WIND: usize = 7;
 /// Force against the horizontal velocity in body axes, N per m/s.
 pub(super) const DRAG: usize = 9;
 /// Bias of the accelerometer, m/s^2.
 pub(super) const ACCELEROMETER: usize = 10;
-/// Tilt that the reported attitude has beside the true one, about front and right, rad.
+/// Tilt of the reported attitude relative to the true one, about front and right, rad.
 pub(super) const TILT: usize = 13;
-/// Moment that the velocity makes, N m per m/s.
+/// Moment proportional to the velocity, N m per m/s.
 pub(super) const FLAPPING: usize = 15;
-/// Share of thrust per squared horizontal speed, (m/s)^-2.
+/// Relative thrust per squared horizontal speed, (m/s)^-2.
 pub(super) const LIFT: usize = 16;
 /// Force against the velocity along down in body axes, N per m/s.
 pub(super) const SINK: usize = 17;
-/// Change in ten seconds of thrust, both places of the centre of mass, yaw moment and both forces.
+/// Change in ten seconds of thrust, both coordinates of the centre of mass, yaw moment and both
+/// forces.
 pub(super) const DRIFT: usize = 18;
-/// What each of those drifts is the drift of; the thrust's is of all rotors.
+/// The column that each of those drifts belongs to; the thrust's drift is of all rotors.
 pub(super) const DRIFTING: [usize; 6] = [ROTOR, CENTRE, CENTRE + 1, YAW, WIND, WIND + 1];
 
-/// A direction in the space of the columns that a change goes along.
+/// A direction of change in the space of the columns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
-    /// All rotors by the same share.
+    /// All rotors by the same fraction.
     Thrust,
     /// One column.
     Column(usize),
 }
 
-/// All directions: of thrust, of each rotor, of the centre of mass, of the wind, of drag.
+/// All directions: thrust, each rotor, the centre of mass, the wind, drag.
 pub const DIRECTIONS: [Direction; 10] = [
     Direction::Thrust,
     Direction::Column(ROTOR),
@@ -55,7 +56,7 @@ pub const DIRECTIONS: [Direction; 10] = [
     Direction::Column(DRAG),
 ];
 
-/// What may change.
+/// A possible cause of a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Cause {
@@ -69,18 +70,18 @@ pub enum Cause {
     Rotor2,
     /// The thrust of rotor 3.
     Rotor3,
-    /// The place of the centre of mass.
+    /// The position of the centre of mass.
     CentreOfMass,
-    /// Thrust over weight and the centre of mass together: a load beside the middle.
+    /// Thrust over weight and the centre of mass together: an off-centre load.
     Payload,
-    /// A force that is fixed in the world.
+    /// A force fixed in the world.
     Wind,
     /// Drag along the horizontal velocity.
     Drag,
 }
 
 impl Cause {
-    /// All.
+    /// All causes.
     pub const ALL: [Self; 9] = [
         Self::Thrust,
         Self::Rotor0,
@@ -93,7 +94,7 @@ impl Cause {
         Self::Drag,
     ];
 
-    /// Its directions, as places in [`DIRECTIONS`].
+    /// Its directions, as indices into [`DIRECTIONS`].
     pub fn directions(self) -> &'static [usize] {
         match self {
             Self::Thrust => &[0],
@@ -108,7 +109,7 @@ impl Cause {
         }
     }
 
-    /// The effects of the catalogue that act so.
+    /// The effects of the catalogue that have this result.
     pub fn effects(self) -> &'static [&'static str] {
         match self {
             Self::Thrust => &["thrust_scale", "mass", "battery_sag"],
@@ -120,7 +121,7 @@ impl Cause {
         }
     }
 
-    /// The rotor, counted as in the vehicle file from 0.
+    /// The rotor, with the vehicle file's index from 0.
     pub fn rotor(self) -> Option<usize> {
         match self {
             Self::Rotor0 => Some(0),
@@ -132,7 +133,7 @@ impl Cause {
     }
 }
 
-/// Name and unit of a direction's number.
+/// Name and unit of a direction's quantity.
 pub fn quantity(direction: usize) -> (&'static str, &'static str) {
     match direction {
         0 => ("thrust", "1"),
@@ -145,12 +146,11 @@ pub fn quantity(direction: usize) -> (&'static str, &'static str) {
     }
 }
 
-/// Shares of the weight, and of the moment that it has at the arms, below which no law is believed over
-/// a stretch of flight.
+/// Least error of a law over a stretch of flight, as fractions of the weight and of its moment at
+/// the arms.
 const BELIEVED: [f64; 2] = [1e-3, 3e-4];
 
-/// Typical sizes of the numbers before anything is known, one standard deviation each; the columns
-/// are told in these.
+/// Prior standard deviations of the parameters; the columns are in these units.
 #[derive(Clone, Copy, Debug)]
 pub struct Sizes {
     columns: [f64; COLUMNS],
@@ -158,9 +158,9 @@ pub struct Sizes {
 }
 
 impl Sizes {
-    /// Of a vehicle. A rotor, the thrust: 20 %; the centre of mass: 20 % of the arm; forces: 20 % of
-    /// the weight, at 1 m/s where they go with the velocity. An accelerometer's bias 0.5 m/s^2, a tilt 3
-    /// degrees. Drifts of what changes: 2 % in 10 s, wider than a pack sags.
+    /// The sizes for a vehicle. Rotors and thrust: 20 %; the centre of mass: 20 % of the arm;
+    /// forces: 20 % of the weight, at 1 m/s if proportional to velocity. Accelerometer bias: 0.5
+    /// m/s^2; tilt: 3 degrees. Drifts of what may change: 2 % in 10 s, more than a pack sags.
     pub fn of(vehicle: &VehicleParams) -> Self {
         let weight = vehicle.mass * vehicle.gravity;
         let arms = vehicle.rotors.map(|rotor| rotor.position_m[0].hypot(rotor.position_m[1]));
@@ -187,18 +187,18 @@ impl Sizes {
         Self { columns: sizes, least }
     }
 
-    /// Of a column, in its unit.
+    /// Size of a column, in its unit.
     pub fn column(&self, column: usize) -> f64 {
         self.columns[column]
     }
 
-    /// What an equation is off by at least over a stretch of flight: accelerations in m/s^2, angular ones in
+    /// Least error of an equation over a stretch of flight: accelerations in m/s^2, angular ones in
     /// rad/s^2.
     pub fn least(&self, equation: usize) -> f64 {
         self.least[if equation < 6 { equation % 3 } else { equation - 3 }]
     }
 
-    /// Of a direction, in its unit.
+    /// Size of a direction, in its unit.
     pub fn direction(&self, direction: usize) -> f64 {
         match DIRECTIONS[direction] {
             Direction::Thrust => self.columns[ROTOR],

@@ -1,4 +1,4 @@
-//! Samples in, changes out.
+//! The change detector: samples in, changes out.
 
 mod estimate;
 
@@ -15,29 +15,28 @@ use super::noise::{Autoregression, COHERENT, LawErrors, Noise, ORDER, Spectrum};
 
 /// Cells that are examined together: half a minute.
 const WINDOW: usize = 600;
-/// Cells before a change, from which the vehicle before is known: 8 s.
+/// Cells before a change, enough to know the vehicle's state before it: 8 s.
 const BEFORE: usize = 160;
 /// Cells after a change: 0.3 to 12 s.
 const AFTER: [usize; 2] = [6, 240];
-/// Cells after which the noise takes note: by then a change would be known.
+/// Cells by which the noise estimate lags: a change would be detected by then.
 const LATE: usize = 120;
-/// Cells after which the noise is taken anew: 5 s.
+/// Cells between updates of the noise: 5 s.
 const RENEWED: usize = 100;
-/// Cells after a beginning at which a statistic says how large chance makes it: 1, 2 and 4 s.
+/// Cells after a candidate onset at which its statistic is sampled under no change: 1, 2 and 4 s.
 const CHANCE_AFTER: [usize; 3] = [20, 40, 80];
-/// Cells between two of those.
+/// Cells between two such samples.
 const CHANCE_EVERY: usize = 20;
-/// Looks that the noise's scale is taken to have been 1 in, before anything was seen, and the most
-/// that are remembered.
+/// Prior weight of a noise scale of 1, and the largest weight of the past, in looks.
 const LOOKS: [f64; 2] = [15.0, 60.0];
 
-/// How sure the detector must be of a change, and when it reports it.
+/// The detection threshold and the delay of reports.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
-    /// Mean time between false alarms that the bound on the evidence is for, were the noise as it is
-    /// taken to be, h.
+    /// Mean time between false alarms for which the threshold is set, if the noise model is
+    /// correct, h.
     pub false_alarm_h: f64,
-    /// Time after its beginning at which the detector reports a change, s.
+    /// Delay of the report of a change after its onset, s.
     pub hindsight_s: f64,
     /// Cells between looks.
     pub every: usize,
@@ -46,18 +45,18 @@ pub struct Settings {
 impl Settings {
     /// In flight: reports after two seconds.
     pub const LIVE: Self = Self { false_alarm_h: 1000.0, hindsight_s: 2.0, every: 10 };
-    /// From a log: reports when five seconds after the change are known.
+    /// From a log: reports once five seconds after the change are available.
     pub const LOG: Self = Self { hindsight_s: 5.0, ..Self::LIVE };
 
-    /// Evidence from which on the detector reports a change, nats: that of a Bayes factor whose inverse bounds the
-    /// rate of false alarms by looks and causes (Shiryaev 1963, Roberts 1966).
+    /// Evidence threshold for a change, nats: that of a Bayes factor whose inverse bounds the rate
+    /// of false alarms over looks and causes (Shiryaev 1963, Roberts 1966).
     pub fn bound(&self) -> f64 {
         let looks = self.false_alarm_h.max(0.01) * 3600.0 / (self.every as f64 * CELL_S);
         (looks * Cause::ALL.len() as f64).ln()
     }
 }
 
-/// What a detector sees.
+/// Output of a detector.
 #[derive(Clone, Debug)]
 pub enum Event {
     /// A look at the last seconds.
@@ -66,23 +65,24 @@ pub enum Event {
     Change(Box<Change>),
 }
 
-/// How much speaks for a change by now.
+/// The present evidence for a change.
 #[derive(Clone, Copy, Debug)]
 pub struct Look {
     /// Time of the look, s.
     pub time_s: f64,
-    /// The cause that most speaks for.
+    /// The cause with the most evidence.
     pub cause: Cause,
     /// Its evidence, nats.
     pub evidence: f64,
-    /// Whether an alarm was raised and waits.
+    /// Whether an alarm is active and its report pending.
     pub is_alarmed: bool,
 }
 
-/// What the vehicle is by the last seconds, along each direction, in its unit.
+/// The vehicle's parameters over the last seconds along each direction, with standard deviations,
+/// in its unit.
 pub type Present = [[f64; 2]; DIRECTIONS.len()];
 
-/// Watches one vehicle.
+/// The change detector of one vehicle.
 #[derive(Clone, Debug)]
 pub struct Detector {
     settings: Settings,
@@ -92,28 +92,28 @@ pub struct Detector {
     law_errors: LawErrors,
     noise: Noise,
     window: Window,
-    /// The numbers that the noise is what they leave of.
+    /// The parameters relative to which the residuals for the noise are computed.
     numbers: Option<[f64; COLUMNS]>,
-    /// Kept cells that the noise has taken note of.
+    /// Number of kept cells that the noise estimate already includes.
     noted: usize,
-    /// Cells since the noise was taken, and since a look.
+    /// Cells since the noise was updated, and since a look.
     renewed: usize,
     looked: usize,
-    /// Count of cells when chance was last sampled.
+    /// Count of cells when the statistics were last sampled.
     sampled: usize,
-    /// Sums of statistics and their count, by cause; those that wait.
+    /// Sums of statistics and their count, by cause; and the pending samples.
     statistics: [[f64; 2]; Cause::ALL.len()],
     waiting: VecDeque<(usize, [f64; Cause::ALL.len()])>,
     count: usize,
-    /// When an alarm was raised, s.
+    /// Time of the active alarm, s.
     alarm: Option<f64>,
 }
 
 impl Detector {
-    /// For a vehicle.
+    /// A detector for a vehicle.
     ///
     /// # Errors
-    /// A vehicle that the physics refuses.
+    /// The physics rejects the vehicle.
     pub fn new(vehicle: &VehicleParams, settings: Settings) -> Result<Self, VehicleError> {
         Ok(Self {
             settings,
@@ -135,7 +135,7 @@ impl Detector {
         })
     }
 
-    /// Takes a sample of `time`, s of the vehicle's clock; `hear` hears what follows.
+    /// Adds a sample at `time`, s of the vehicle's clock; calls `hear` with the resulting events.
     pub fn push(&mut self, time: f64, sample: Sample, mut hear: impl FnMut(Event)) {
         self.cells.push(time, sample);
         while let Some(piece) = self.cells.next_piece() {
@@ -146,12 +146,13 @@ impl Detector {
         }
     }
 
-    /// The flight is over: tells what waits.
+    /// Ends the flight: reports a pending change.
     pub fn finish(&mut self, mut hear: impl FnMut(Event)) {
         self.pause(&mut hear);
     }
 
-    /// What the vehicle is by the last half minute, with deviations, as differences from the file.
+    /// The vehicle's parameters over the last half minute, with standard deviations, as differences
+    /// from the file.
     pub fn present(&self) -> Option<Present> {
         let mut along = self.window.along_directions().filter(|_| self.window.len() >= BEFORE)?;
         for (direction, pair) in along.iter_mut().enumerate() {
@@ -205,7 +206,7 @@ impl Detector {
         }
     }
 
-    /// The first noise: what numbers leave that are fitted as if it were white.
+    /// The first noise estimate: the residual of parameters fitted under white noise.
     fn begin(&mut self) {
         let white = |equation: usize| {
             let left = || self.kept.iter().map(|cell| cell.rows[equation].left);
@@ -223,7 +224,7 @@ impl Detector {
         self.renew();
     }
 
-    /// Lets the noise take note of what is `late` cells old.
+    /// Adds cells at least `late` cells old to the noise estimate.
     fn note(&mut self, late: usize) {
         let Some(numbers) = self.numbers else { return };
         while self.noted + late < self.kept.len() {
@@ -237,7 +238,7 @@ impl Detector {
         }
     }
 
-    /// Lets the laws' errors take note of the same cell, whitened.
+    /// Adds the same cell, whitened, to the estimate of the laws' errors.
     fn note_laws(&mut self, numbers: &[f64; COLUMNS]) {
         for (equation, filter) in self.noise.filters.iter().enumerate() {
             let Some(filter) = filter else { continue };
@@ -254,7 +255,7 @@ impl Detector {
         }
     }
 
-    /// Takes the noise anew, and whitens the window by it.
+    /// Updates the noise, and whitens the window with it.
     fn renew(&mut self) {
         self.renewed = 0;
         self.noise = Noise {
@@ -275,7 +276,7 @@ impl Detector {
 
     fn scales(&self) -> [Scale; Cause::ALL.len()] {
         self.statistics.map(|[sum, count]| {
-            // Neighbouring looks share half of what they see.
+            // Neighbouring looks share half of their data.
             let looks = LOOKS[0] + 0.5 * count;
             let variance = (LOOKS[0] + 0.5 * sum) / looks;
             Scale { variance: variance.max(1.0), looks }
@@ -313,7 +314,7 @@ impl Detector {
         }
     }
 
-    /// Keeps how large chance makes the statistics.
+    /// Records the size of the statistics under no change.
     fn sample_chance(&mut self, profiles: &[Profile]) {
         let end = self.window.len();
         let mut means = [f64::NAN; Cause::ALL.len()];
@@ -334,7 +335,7 @@ impl Detector {
         }
     }
 
-    /// After a change, what follows it is the vehicle.
+    /// After a change, only the data that follow it describe the vehicle.
     fn begin_anew(&mut self, cell: usize) {
         self.kept.drain(..(cell + ORDER).min(self.kept.len()));
         self.noted = self.noted.saturating_sub(cell + ORDER);
@@ -345,7 +346,7 @@ impl Detector {
     }
 }
 
-/// What numbers leave of a cell's equation.
+/// The residual of a cell's equation.
 fn unexplained(cell: &Cell, equation: usize, numbers: &[f64; COLUMNS]) -> f64 {
     let row = &cell.rows[equation];
     let modelled = row.slopes[..DRIFT].iter().zip(numbers);
@@ -361,8 +362,8 @@ mod tests {
 
     use super::*;
 
-    /// A hover of so many seconds, reported at 100 Hz; the specific force is larger by a share of
-    /// gravity that depends on the time.
+    /// A hover of `seconds`, reported at 100 Hz; the specific force is larger by a time-dependent
+    /// fraction of gravity.
     fn told(seconds: f64, seed: u64, share: impl Fn(f64) -> f64) -> Vec<Change> {
         let vehicle = VehicleParams::load("quad1200").expect("a vehicle");
         let mut detector = Detector::new(&vehicle, Settings::LOG).expect("a detector");

@@ -1,5 +1,5 @@
-//! What the vehicle file's physics leaves of the equations of motion over a cell, and by how much each
-//! of the [columns](super::columns) would change it.
+//! The residual of the equations of motion over a cell under the vehicle file's physics, and its
+//! derivatives with respect to the [columns](super::columns).
 
 use vehicle::frame::{Attitude, Frd, Ned};
 use vehicle::physics::Physics;
@@ -8,15 +8,17 @@ use vehicle::{ROTORS, VehicleError, VehicleParams};
 
 use super::columns::*;
 
-/// Equations: acceleration in world axes, specific force and angular acceleration in body axes.
+/// Number of equations: acceleration in world axes, specific force and angular acceleration in body
+/// axes.
 pub(super) const EQUATIONS: usize = 9;
 pub(super) const FORCE: usize = 3;
 pub(super) const RATE: usize = 6;
 
-/// Means over a cell of what was reported; what is not reported is `None`.
+/// Means of the reports over a cell; `None` for what is not reported.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Means {
-    /// Height is not needed by what is compared: effects of the floor are the file's at this place.
+    /// Only for effects of the floor, which are the file's at this position; otherwise height has
+    /// no influence.
     pub position: Ned,
     pub velocity: Ned,
     pub attitude: Attitude,
@@ -24,10 +26,10 @@ pub(super) struct Means {
     /// States of the rotors.
     pub rotors: [f64; ROTORS],
     pub voltage: Option<f64>,
-    /// Change of velocity over the cell's length, m/s^2.
+    /// Change of velocity divided by the cell's length, m/s^2.
     pub acceleration: Option<Ned>,
     pub specific_force: Option<Frd>,
-    /// Change of the body rate over the cell's length, rad/s^2.
+    /// Change of the body rate divided by the cell's length, rad/s^2.
     pub angular_acceleration: Option<Frd>,
 }
 
@@ -36,13 +38,13 @@ pub(super) struct Means {
 pub struct Row {
     /// Reported minus modelled; not a number where it was not reported.
     pub left: f64,
-    /// What the model says beyond a hover.
+    /// The modelled value in excess of a hover.
     pub model: f64,
-    /// Change of the modelled side by each column, in its [size](Sizes).
+    /// Derivative of the modelled side with respect to each column, in units of its [size](Sizes).
     pub slopes: [f64; COLUMNS],
 }
 
-/// The physics that cells are compared with.
+/// The reference physics of the cells.
 #[derive(Clone, Debug)]
 pub(super) struct Equations {
     physics: Physics,
@@ -129,7 +131,7 @@ impl Equations {
             rows[FORCE + axis].slopes[ACCELEROMETER + axis] =
                 self.sizes.column(ACCELEROMETER + axis);
         }
-        // A vehicle that is tilted by e where it reports none is pushed by R (e x f).
+        // A vehicle with an unreported tilt e gets the additional specific force R (e x f).
         for (place, turn) in
             [Frd::new(1.0, 0.0, 0.0), Frd::new(0.0, 1.0, 0.0)].into_iter().enumerate()
         {

@@ -1,4 +1,5 @@
-//! Change over flights by their dates: a number of each flight, told apart from how flights differ anyhow.
+//! Change across flights by date: a value of each flight, tested against the scatter between
+//! flights.
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -7,43 +8,43 @@ use super::change::Estimate;
 use super::columns::{DIRECTIONS, quantity};
 use super::detector::Present;
 
-/// Fewest flights of which two groups and their scatter can be told.
+/// Fewest flights for two groups and their scatter.
 pub const FLIGHTS_MIN: usize = 4;
-/// The probability of a step by chance, over all numbers and all places, below which it is reported.
+/// Significance level of a step, over all quantities and places.
 const CHANCE: f64 = 0.01;
-/// Steps of the integral of Student's density.
+/// Steps of the numerical integral of Student's density.
 const STEPS: usize = 2000;
 
-/// A number of one flight.
+/// An estimate from one flight.
 #[derive(Clone, Copy, Debug)]
 pub struct FlightValue {
-    /// As the difference from the file.
+    /// Difference from the file.
     pub value: f64,
-    /// Its deviation within the flight.
+    /// Standard deviation within the flight.
     pub deviation: f64,
 }
 
-/// A number that differs between flights before one and from it on.
+/// A quantity that differs between the flights before one and those from it on.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct Step {
-    /// The number, as of a change in flight.
+    /// Name of the quantity, as for a change in flight.
     pub name: &'static str,
-    /// The rotor, from 0.
+    /// The rotor, with index from 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotor: Option<usize>,
     /// Its unit.
     pub unit: &'static str,
-    /// The first flight with the new value, as an index.
+    /// Index of the first flight with the new value.
     pub from: usize,
     /// Mean of the flights before.
     pub before: Estimate,
-    /// Mean from it on.
+    /// Mean of the flights from it on.
     pub after: Estimate,
-    /// How probable such a step is by chance, anywhere and in any of the numbers.
+    /// Probability of such a step by chance, anywhere and in any of the quantities.
     pub chance: f64,
 }
 
-/// Summary of what a detector found the vehicle to be through a flight.
+/// Summary of a detector's estimates of the vehicle over a flight.
 pub fn of_flight(looks: &[Present]) -> Option<[FlightValue; DIRECTIONS.len()]> {
     if looks.is_empty() {
         return None;
@@ -58,9 +59,9 @@ pub fn of_flight(looks: &[Present]) -> Option<[FlightValue; DIRECTIONS.len()]> {
     }))
 }
 
-/// The likeliest step of each number between flights in the order of their dates, where it is no
-/// chance: a two-sample t test with pooled scatter, no smaller than the flights' own errors, times the
-/// places and numbers that were asked.
+/// The most significant step of each quantity between flights in date order, if it is significant:
+/// a two-sample t test with pooled scatter, at least as large as the flights' own errors, with
+/// Bonferroni correction for the places and quantities tested.
 pub fn steps(flights: &[[FlightValue; DIRECTIONS.len()]]) -> Vec<Step> {
     let mut found: Vec<Step> = (0..DIRECTIONS.len())
         .filter_map(|direction| {
@@ -113,8 +114,8 @@ fn step(values: &[FlightValue], direction: usize) -> Option<Step> {
     })
 }
 
-/// Probability that Student's t with so many degrees of freedom is at least as far from 0: with
-/// t = sqrt(n) tan a, the integral of cos(a)^(n - 1), which has no tail.
+/// Two-sided p-value of Student's t with `freedom` degrees of freedom: with t = sqrt(n) tan a, the
+/// integral of cos(a)^(n - 1), which has no tail.
 fn two_sided(t: f64, freedom: f64) -> f64 {
     let limit = (t.abs() / freedom.sqrt()).atan();
     let half = std::f64::consts::FRAC_PI_2;

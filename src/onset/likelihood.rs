@@ -1,11 +1,11 @@
-//! How much likelier a cause of change makes a window of cells, for each instant that it may have begun.
+//! The evidence of each cause of change in a window of cells, for each possible onset.
 //!
 //! With e the whitened left side of every equation and P its whitened slopes, a change of size d in
-//! directions D from cell k on makes e = P b + 1(cell >= k) P D d + noise. The numbers b are the
-//! vehicle's before: all of them are free within their [sizes](super::columns::Sizes), so that what was always so,
-//! and shows only now as the vehicle moves, is no change. With b and d normal this is a marginal
-//! likelihood in closed form; the noise's scale is known only by what the cause's statistic did before, so
-//! that Student's t takes the place of the normal density.
+//! directions D from cell k on gives e = P b + 1(cell >= k) P D d + noise. The parameters b are the
+//! vehicle's before the change: all of them are free within their [sizes](super::columns::Sizes),
+//! so a constant property that shows only now, because the vehicle moves, is no change. With normal
+//! priors on b and d, this is a marginal likelihood in closed form. The noise's scale is known only
+//! from the cause's past statistic, so Student's t replaces the normal density.
 
 use std::collections::VecDeque;
 
@@ -15,82 +15,83 @@ use super::cells::{CELL_S, Cell};
 use super::columns::*;
 use super::noise::{Noise, ORDER};
 
-/// What the numbers before leave beyond this many deviations weighs less: a jump of the estimate. A change is
-/// not so large in a cell, or large enough anyway.
+/// Residuals of the earlier parameters beyond this many standard deviations get less weight: they
+/// are jumps of the estimate. A change is not this large in one cell, or is detected anyway.
 const HUBER: f64 = 6.0;
-/// A change is estimated to within this share of its size: no law is exact.
+/// Relative accuracy of an estimated change: no law is exact.
 const LAW: f64 = 0.03;
-/// Beyond so many cells after a beginning only every second place is evaluated, and then every fourth.
+/// Beyond these numbers of cells after an onset, only every second place is evaluated, then every
+/// fourth.
 const COARSE: [usize; 2] = [60, 120];
-/// Time over which a drift is estimated, s.
+/// Time unit of a drift, s.
 const DRIFT_S: f64 = 10.0;
 
 type Matrix = SMatrix<f64, COLUMNS, COLUMNS>;
 type Vector = SVector<f64, COLUMNS>;
 
-/// What a whitened cell adds to the normal equations.
+/// Contribution of a whitened cell to the normal equations.
 #[derive(Clone, Debug)]
 pub struct Terms {
     gram: Box<Matrix>,
     moment: Vector,
 }
 
-/// Cells of a window as normal equations.
+/// The cells of a window as normal equations.
 #[derive(Clone, Debug, Default)]
 pub struct Window {
     terms: VecDeque<Terms>,
-    /// When drifts are zero, s.
+    /// Time at which drifts are zero, s.
     zero_s: f64,
 }
 
-/// A cause's likelihood by where it begins.
+/// A cause's evidence as a function of its onset.
 #[derive(Clone, Debug)]
 pub struct Profile {
     /// The cause.
     pub cause: Cause,
-    /// By cells from the window's start.
+    /// Candidate onsets, by cells from the window's start.
     pub places: Vec<Place>,
 }
 
-/// A cause that begins at a cell.
+/// A cause with its onset at a cell.
 #[derive(Clone, Debug)]
 pub struct Place {
-    /// Cells before it in the window.
+    /// Number of cells before it in the window.
     pub cell: usize,
-    /// Logarithm of how much likelier the change makes the window, nats.
+    /// Log Bayes factor of the change against none, nats.
     pub evidence: f64,
-    /// The same with the noise's scale taken as known: what tells one beginning from another.
+    /// The same for a known noise scale: it compares onsets with each other.
     pub sharp: f64,
-    /// s' V^-1 s over the number of directions: 1 on average without a change, were the noise white and
-    /// the model right.
+    /// s' V^-1 s over the number of directions: 1 on average without a change, if the noise is
+    /// white and the model correct.
     pub statistic: f64,
 }
 
-/// Numbers of a change, in the directions' units.
+/// Parameters of a change, in the directions' units.
 #[derive(Clone, Copy, Debug)]
 pub struct Numbers {
-    /// The direction, as a place in [`DIRECTIONS`].
+    /// The direction, as an index into [`DIRECTIONS`].
     pub direction: usize,
-    /// Before, after and their difference, each with its deviation.
+    /// Value before, with its standard deviation; likewise `after` and `change`.
     pub before: [f64; 2],
-    /// See above.
+    /// Value after.
     pub after: [f64; 2],
-    /// See above.
+    /// After minus before.
     pub change: [f64; 2],
 }
 
-/// How much larger than it should be each cause's statistic was before, and of how many looks.
+/// Excess of each cause's past statistic over its expectation, and the number of looks behind it.
 #[derive(Clone, Copy, Debug)]
 pub struct Scale {
-    /// Factor on the noise's variance, 1 or more.
+    /// Factor on the noise's variance, at least 1.
     pub variance: f64,
-    /// Looks, as degrees of freedom.
+    /// Number of looks, as degrees of freedom.
     pub looks: f64,
 }
 
 impl Window {
-    /// Cells whitened by `noise`, the first [`ORDER`] of which only foretell; `numbers` are the vehicle's
-    /// before.
+    /// Whitens the cells with `noise`; the first [`ORDER`] of them only serve as history. `numbers`
+    /// are the vehicle's earlier parameters.
     pub fn of(cells: &VecDeque<Cell>, noise: &Noise, numbers: &[f64; COLUMNS]) -> Self {
         let zero_s = cells.front().map_or(0.0, |cell| cell.time);
         let mut window = Self { terms: VecDeque::with_capacity(cells.len() + 1), zero_s };
@@ -100,22 +101,22 @@ impl Window {
         window
     }
 
-    /// Cells in it.
+    /// Number of cells.
     pub fn len(&self) -> usize {
         self.terms.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no cells.
     pub fn is_empty(&self) -> bool {
         self.terms.is_empty()
     }
 
-    /// Forgets the first cell.
+    /// Drops the first cell.
     pub fn forget(&mut self) {
         self.terms.pop_front();
     }
 
-    /// Adds cell `index`, whitened by those before it.
+    /// Adds cell `index`, whitened with those before it.
     pub fn push(
         &mut self,
         cells: &VecDeque<Cell>,
@@ -142,7 +143,7 @@ impl Window {
             if !left.is_finite() {
                 continue;
             }
-            // A drift changes little over the cells that foretell.
+            // A drift hardly changes over the filter's history.
             for (place, of) in DRIFTING.into_iter().enumerate() {
                 let slope = if place == 0 { slopes[..CENTRE].iter().sum() } else { slopes[of] };
                 slopes[DRIFT + place] = 0.1 * late * slope;
@@ -164,10 +165,10 @@ impl Window {
         self.terms.push_back(Terms { gram, moment });
     }
 
-    /// Each cause's likelihood by where it begins, `after` cells from the end being the first and the
-    /// last to look at.
+    /// Each cause's evidence as a function of its onset, from `after[0]` to `after[1]` cells before
+    /// the end.
     ///
-    /// Where not all are wanted, fewer places are evaluated far back.
+    /// Without `wants_all`, fewer places far back are evaluated.
     pub fn profiles(
         &self,
         after: [usize; 2],
@@ -200,7 +201,7 @@ impl Window {
         profiles
     }
 
-    /// The numbers of a change that begins at `cell`, with deviations larger by `scale`.
+    /// The parameters of a change with its onset at `cell`; `scale` widens the standard deviations.
     pub fn numbers(&self, cause: Cause, cell: usize, scale: Scale) -> Option<Vec<Numbers>> {
         let inverse = self.inverse()?;
         let all: Vector = self.terms.iter().map(|terms| terms.moment).sum();
@@ -224,7 +225,8 @@ impl Window {
         let numbers = directions.iter().enumerate().map(|(place, &direction)| {
             let axis = axis(direction);
             let value = axis.dot(&before);
-            // Cov of the numbers before: (A^-1) + (A^-1 U) C (A^-1 U)'; with the change: -(A^-1 U) C.
+            // Cov of the numbers before: (A^-1) + (A^-1 U) C (A^-1 U)'; with the change: -(A^-1 U)
+            // C.
             let onto = DVector::from_iterator(
                 directions.len(),
                 directions.iter().map(|other| axis.dot(&tail.solved[*other])),
@@ -245,13 +247,13 @@ impl Window {
         Some(numbers.collect())
     }
 
-    /// The numbers as they are if nothing changed in the window, in their sizes.
+    /// The present parameters if nothing changed in the window, in their sizes.
     pub fn numbers_now(&self) -> Option<[f64; COLUMNS]> {
         let all: Vector = self.terms.iter().map(|terms| terms.moment).sum();
         Some((self.inverse()? * all).into())
     }
 
-    /// The same along each direction, with its deviation.
+    /// The same along each direction, with its standard deviation.
     pub fn along_directions(&self) -> Option<[[f64; 2]; DIRECTIONS.len()]> {
         let inverse = self.inverse()?;
         let all: Vector = self.terms.iter().map(|terms| terms.moment).sum();
@@ -262,7 +264,7 @@ impl Window {
         }))
     }
 
-    /// Covariance of the numbers without a change.
+    /// Covariance of the parameters without a change.
     fn inverse(&self) -> Option<Matrix> {
         let mut gram = Matrix::identity();
         for terms in &self.terms {
@@ -271,13 +273,13 @@ impl Window {
         Some(Cholesky::new(gram)?.inverse())
     }
 
-    /// Length of what lies before `cell`, s.
+    /// Duration of `cells` cells, s.
     pub fn seconds(cells: usize) -> f64 {
         cells as f64 * CELL_S
     }
 }
 
-/// Sum of what columns hold along a direction.
+/// Sum of the columns along a direction.
 pub(super) fn along(columns: &[f64; COLUMNS], direction: usize) -> f64 {
     match DIRECTIONS[direction] {
         Direction::Thrust => columns[ROTOR..CENTRE].iter().sum(),
@@ -285,7 +287,8 @@ pub(super) fn along(columns: &[f64; COLUMNS], direction: usize) -> f64 {
     }
 }
 
-/// What reads a direction's number off the columns: the mean of the rotors is the thrust's.
+/// The vector that extracts a direction's value from the columns: the thrust's is the mean of the
+/// rotors.
 fn axis(direction: usize) -> Vector {
     let mut axis = Vector::zeros();
     match DIRECTIONS[direction] {
@@ -295,7 +298,7 @@ fn axis(direction: usize) -> Vector {
     axis
 }
 
-/// The cells from one on, as each direction sees them.
+/// The cells from one on, projected on each direction.
 struct Tail {
     /// d' G d of every pair.
     own: SMatrix<f64, 10, 10>,
@@ -333,8 +336,8 @@ impl Tail {
         DVector::from_iterator(directions.len(), directions.iter().map(|d| self.score[*d]))
     }
 
-    /// The evidence with a change of normal size: with V its information over the noise's scale k,
-    /// ln det(1 + V) / -2 and, in place of s' (1 + V)^-1 s / 2, Student's logarithm.
+    /// The evidence for a change of normal size, with information V over the noise's scale k: ln
+    /// det(1 + V) / -2, plus Student's logarithm in place of s' (1 + V)^-1 s / 2.
     fn place(&self, cause: Cause, scale: Scale, cell: usize) -> Option<Place> {
         let directions = cause.directions();
         let count = directions.len() as f64;

@@ -1,12 +1,13 @@
-//! When a vehicle changed: a detector of change points in what a model leaves unexplained of a
-//! flight. Pure and sans I/O: samples in, changes out, time passed in, so that a monitor in flight
-//! and a reader of logs are the same.
+//! Onset detection: a change-point detector on the residuals of a flight under a model. It is pure
+//! and sans I/O (samples in, changes out, time passed in), so an in-flight monitor and a log reader
+//! use the same code.
 //!
-//! Samples become [`cells`] of fixed length. Each cell holds what the vehicle file's physics leaves of
-//! the equations of motion, and by how much each cause would change that ([`columns`]). Both are
-//! whitened by the spectrum of the noise before ([`noise`]). In what is left, each cause is asked, for each
-//! instant of the last seconds, whether it differs after from before by more than chance
-//! ([`likelihood`]); [`detector`] decides. [`history`] asks the same of flights by their dates.
+//! Samples become [`cells`] of fixed length. Each cell holds the residual of the equations of
+//! motion under the vehicle file's physics, and its derivative with respect to each possible cause
+//! ([`columns`]). Both are whitened with the spectrum of the earlier noise ([`noise`]). For each
+//! cause and each instant of the last seconds, [`likelihood`] tests whether the whitened residuals
+//! before and after differ by more than chance; [`detector`] decides. [`history`] runs the
+//! corresponding test across flights by date.
 
 pub mod cells;
 pub mod change;

@@ -1,51 +1,51 @@
-//! The spectrum of what an equation leaves, as an autoregression: what of a cell the cells before
-//! foretell, and how far off that is.
+//! The spectrum of an equation's residual as an autoregression: the part of a cell that the earlier
+//! cells predict, and the variance of the rest.
 
 use super::cells::EQUATIONS;
 
-/// Cells that foretell the next: what is left of a velocity's noise and of slow errors of a model goes
-/// on for some tenths of a second.
+/// Order of the prediction, in cells: velocity noise and slow model errors are correlated over
+/// several tenths of a second.
 pub const ORDER: usize = 12;
-/// The spectrum is of about the last minute, s.
+/// Memory of the spectrum: about the last minute, s.
 const MEMORY_S: f64 = 60.0;
-/// Values beyond this many deviations are taken to be this large.
+/// Values beyond this many standard deviations are clipped.
 const CLIP: f64 = 4.0;
-/// Share of the power that is taken to be white, against a spectrum with holes.
+/// Fraction of the power that is taken as white, against a spectrum with holes.
 const WHITE: f64 = 1e-3;
 
-/// How long an error of a law goes on in one direction: as long as a motion does, cells.
+/// Correlation length of a law's error: the duration of a motion, in cells.
 pub(super) const COHERENT: usize = 10;
-/// Share by which forces and moments are off before anything was seen: of moments a vehicle file knows
-/// less. And of how many stretches of motion that is taken to be known.
+/// Prior relative error of forces and moments: a vehicle file states moments less accurately. And
+/// the weight of this prior, in stretches of motion.
 const SHARE: [f64; 3] = [0.03, 0.03, 0.1];
 const STRETCHES: f64 = 6.0;
-/// The least that a law is taken to be off by.
+/// Least relative error of a law.
 const SHARE_MIN: f64 = 0.002;
-/// What stretches tell is of about the last minutes.
+/// Decay of the weight of earlier stretches: they cover the last minutes.
 const STRETCH_DECAY: f64 = 0.995;
 
-/// How one equation's noise goes on.
+/// The autoregression of one equation's noise.
 #[derive(Clone, Copy, Debug)]
 pub struct Autoregression {
-    /// Of the value j + 1 cells before.
+    /// Coefficient of the value j + 1 cells before.
     pub coefficients: [f64; ORDER],
-    /// Of what is not foretold.
+    /// Variance of the prediction error.
     pub variance: f64,
 }
 
-/// Gathers autocovariances of the equations, weighted towards the newest.
+/// Accumulates autocovariances of the equations, weighted towards the newest.
 #[derive(Clone, Debug)]
 pub struct Spectrum {
     sums: [[f64; ORDER + 1]; EQUATIONS],
     counts: [f64; EQUATIONS],
     recent: [[f64; ORDER]; EQUATIONS],
-    /// How many of the recent go on without a pause.
+    /// Number of recent values without a pause.
     whole: [usize; EQUATIONS],
     decay: f64,
 }
 
 impl Spectrum {
-    /// Of nothing yet, for cells of `cell_s`.
+    /// An empty estimate for cells of `cell_s` seconds.
     pub fn new(cell_s: f64) -> Self {
         Self {
             sums: [[0.0; ORDER + 1]; EQUATIONS],
@@ -56,7 +56,7 @@ impl Spectrum {
         }
     }
 
-    /// Takes what a cell's equations leave; not a number where one does not.
+    /// Adds a cell's residuals; NaN for those that are missing.
     pub fn add(&mut self, left: &[f64; EQUATIONS]) {
         for (equation, value) in left.iter().enumerate() {
             if !value.is_finite() {
@@ -84,20 +84,20 @@ impl Spectrum {
         }
     }
 
-    /// After a pause nothing goes on.
+    /// Interrupts the history, after a pause.
     pub fn pause(&mut self) {
         self.whole = [0; EQUATIONS];
     }
 
-    /// Cells that an equation's spectrum is of.
+    /// Effective number of cells behind an equation's spectrum.
     pub fn count(&self, equation: usize) -> f64 {
         self.counts[equation]
     }
 
-    /// The autoregression of an equation by Levinson's recursion (Durbin 1960); `None` of one that
-    /// left nothing yet.
+    /// The autoregression of an equation by Levinson's recursion (Durbin 1960); `None` without
+    /// enough residuals.
     ///
-    /// `least` is a variance that is there at least, white: what no law and no sensor is below.
+    /// `least` is a lower bound on the white variance, which no law and no sensor falls below.
     pub fn autoregression(&self, equation: usize, least: f64) -> Option<Autoregression> {
         let sums = &self.sums[equation];
         if self.counts[equation] < 2.0 * ORDER as f64 || sums[0].is_nan() || sums[0] <= 0.0 {
@@ -124,23 +124,24 @@ impl Spectrum {
 /// Noise of all equations.
 #[derive(Clone, Copy, Debug)]
 pub struct Noise {
-    /// How each goes on; `None` of one that is not reported.
+    /// The filter of each equation; `None` if it is not reported.
     pub filters: [Option<Autoregression>; EQUATIONS],
-    /// Variance that an error of the law adds to each cell, over the square of what the law says: that of
-    /// a share that goes on for some cells, as if each had an error of its own.
+    /// Variance that an error of the law adds to each cell, over the square of the law's value: a
+    /// relative error that persists for some cells, expressed as independent errors of each cell.
     pub law: [f64; EQUATIONS],
 }
 
 impl Noise {
-    /// Of equations that nothing is known of.
+    /// The noise before any data.
     pub const NONE: Self = Self { filters: [None; EQUATIONS], law: [0.0; EQUATIONS] };
 }
 
-/// Learns by how much the laws are off, from stretches of motion: with e and m the sums of what is left and
-/// of what the law says over a stretch, both whitened, E(e^2) is the noise's variance plus (share m)^2.
+/// Estimates the relative errors of the laws from stretches of motion: with e and m the sums of the
+/// residual and of the law's value over a stretch, both whitened, E(e^2) is the noise's variance
+/// plus (share m)^2.
 #[derive(Clone, Debug)]
 pub struct LawErrors {
-    /// Sums over the stretch that goes on, and its cells.
+    /// Sums over the present stretch, and its number of cells.
     stretch: [[f64; 2]; EQUATIONS],
     cells: [usize; EQUATIONS],
     /// Weighted sums of (e^2 - variance) m^2 and of m^4.
@@ -148,13 +149,13 @@ pub struct LawErrors {
 }
 
 impl LawErrors {
-    /// Of nothing yet.
+    /// The prior, without data.
     pub fn new() -> Self {
         Self {
             stretch: [[0.0; 2]; EQUATIONS],
             cells: [0; EQUATIONS],
             sums: std::array::from_fn(|equation| {
-                // Each stretch of motion alone weighs 1 / (2 share^4).
+                // Each stretch of motion alone has the weight 1 / (2 share^4).
                 let share = SHARE[equation / 3].powi(2);
                 let weight = STRETCHES / (2.0 * share * share);
                 [weight * share, weight]
@@ -162,7 +163,7 @@ impl LawErrors {
         }
     }
 
-    /// Takes what is left of a cell, what the law says, and the noise's variance.
+    /// Adds a cell's residual, the law's value, and the noise's variance.
     pub fn add(&mut self, equation: usize, left: f64, model: f64, variance: f64) {
         let [e, m] = &mut self.stretch[equation];
         *e += left;
@@ -177,14 +178,14 @@ impl LawErrors {
         let noise = COHERENT as f64 * variance;
         let expected = noise + SHARE[equation / 3].powi(2) * m2;
         let weight = 0.5 / (expected * expected);
-        // One stretch alone, such as a jump of the estimate, does not make the law wrong.
+        // A single stretch, such as a jump of the estimate, must not dominate.
         let beyond = (e2 - noise).min(CLIP * CLIP * expected);
         let [top, bottom] = &mut self.sums[equation];
         *top = *top * STRETCH_DECAY + weight * beyond * m2;
         *bottom = *bottom * STRETCH_DECAY + weight * m2 * m2;
     }
 
-    /// Variance over the square of what the law says, for each cell.
+    /// Variance over the square of the law's value, for each cell.
     pub fn variance(&self, equation: usize) -> f64 {
         let [top, bottom] = self.sums[equation];
         COHERENT as f64 * (top / bottom).max(SHARE_MIN * SHARE_MIN)

@@ -4,7 +4,7 @@ use super::change::{Change, Estimate, Value};
 use super::columns::Cause;
 use super::history::Step;
 
-/// One line: when, what, by how much.
+/// One line: onset, cause and size.
 pub fn line(change: &Change) -> String {
     let [low, high] = change.interval_s;
     let mut text =
@@ -25,7 +25,7 @@ pub fn line(change: &Change) -> String {
     text
 }
 
-/// What a cause is called.
+/// Display name of a cause.
 pub fn name(cause: Cause) -> &'static str {
     match cause {
         Cause::Thrust => "thrust over weight",
@@ -40,7 +40,7 @@ pub fn name(cause: Cause) -> &'static str {
     }
 }
 
-/// What changed, by how much.
+/// The cause and the size of the change.
 pub fn what(change: &Change) -> String {
     let [first, ..] = change.values.as_slice() else { return name(change.cause).to_owned() };
     match change.cause {
@@ -83,7 +83,7 @@ pub fn what(change: &Change) -> String {
     }
 }
 
-/// A change of a share, of what it was, with its interval.
+/// A relative change with its interval, as percentages of the value before.
 fn percent(value: &Value) -> String {
     let before = 1.0 + value.before.value;
     let share = |change: f64| 100.0 * (change / before).abs();
@@ -101,7 +101,7 @@ fn vector(values: &[Value]) -> String {
     parts.collect::<Vec<_>>().join(", ")
 }
 
-/// A step between flights in a line; flights count from 1.
+/// A step between flights in one line; flights count from 1.
 pub fn step_line(step: &Step) -> String {
     let what = match step.rotor {
         Some(rotor) => format!("thrust of rotor {rotor}"),

@@ -1,10 +1,10 @@
-//! Clarabel on the subproblem: the norm as a second-order cone, and the dynamics as equations or
-//! with the l1 penalty of the paper.
+//! The subproblem in Clarabel: the norm as a second-order cone, and the dynamics as equality
+//! constraints or with the paper's l1 penalty.
 //!
-//! Slower than [`super::interior_point`], and exact where that takes the norm to second order: the
-//! paper's form of the search, and the oracle that the other is tested against. The matrices keep
-//! one pattern, explicit zeros included, so that from the second subproblem on the values are
-//! updated in place and the symbolic work is kept.
+//! Slower than [`super::interior_point`], but exact where that one approximates the norm to second
+//! order: this is the paper's form of the search, and the reference for the other's tests. The
+//! matrices keep one sparsity pattern, explicit zeros included: from the second subproblem on, the
+//! solver updates the values in place and reuses the symbolic factorisation.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
@@ -17,35 +17,36 @@ use super::subproblem::{
     DynamicsForm, Solution, Subproblem, SubproblemError, SubproblemSolver, TRUST_SHAPE,
 };
 
-/// The solver with its set-up problem.
+/// The solver and its last problem.
 pub struct Conic {
     penalises: bool,
     problem: Option<SetUp>,
 }
 
-/// A problem of one pattern inside Clarabel.
+/// A problem of one sparsity pattern inside Clarabel.
 struct SetUp {
     layout: Layout,
     solver: DefaultSolver<f64>,
-    /// Where each entry, in the order in which they are written, lies among the matrix's values.
+    /// Position of each entry, in writing order, among the matrix's values.
     order: Vec<usize>,
 }
 
 /// Size of a stage's cone: the distance, the weighted error, the knee.
 const CONE: usize = STATES + 2;
 
-/// Which variables and constraints there are.
+/// The layout of variables and constraints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Layout {
     stages: usize,
     inputs: usize,
-    /// Bounds of the state a stage has room for.
+    /// State bounds per stage that the pattern has room for.
     rows: usize,
     penalised: bool,
 }
 
 impl Layout {
-    /// Variables of a stage: inputs, states, distance, overruns, and slacks of both signs.
+    /// Number of variables of a stage: inputs, states, distance, overruns, and slacks of both
+    /// signs.
     fn width(&self) -> usize {
         self.inputs + STATES + 1 + self.rows + if self.penalised { 2 * STATES } else { 0 }
     }
@@ -74,7 +75,7 @@ impl Layout {
         self.stages * self.width()
     }
 
-    /// Inequalities of a stage.
+    /// Number of inequalities of a stage.
     fn inequalities(&self) -> usize {
         let trust = if self.penalised { 4 * STATES } else { 0 };
         2 * self.inputs + 2 * self.rows + trust
@@ -94,9 +95,9 @@ impl Layout {
     }
 }
 
-/// The numbers of `min x'Px/2 + q'x, A x + s = b, s in cones`, P diagonal.
+/// The data of `min x'Px/2 + q'x, A x + s = b, s in cones`, P diagonal.
 struct Program {
-    /// Row, column and value, each place once, zeros included.
+    /// Row, column and value; each position once, zeros included.
     entries: Vec<(usize, usize, f64)>,
     bounds: Vec<f64>,
     slopes: Vec<f64>,
@@ -104,12 +105,12 @@ struct Program {
 }
 
 impl Conic {
-    /// With the dynamics as equations.
+    /// A solver with the dynamics as equality constraints.
     pub fn equations() -> Self {
         Self { penalises: false, problem: None }
     }
 
-    /// With the l1 penalty on the dynamics.
+    /// A solver with the l1 penalty on the dynamics.
     pub fn penalised() -> Self {
         Self { penalises: true, problem: None }
     }
@@ -134,7 +135,7 @@ impl<const INPUTS: usize> SubproblemSolver<INPUTS> for Conic {
         solution: &mut Solution<INPUTS>,
     ) -> Result<(), SubproblemError> {
         let rows = problem.stages.iter().map(|stage| stage.rows.len()).max().unwrap_or(0);
-        // Room that was once needed stays, so that the pattern does.
+        // Room that was needed once is kept, so the pattern stays the same.
         let rows = rows.max(self.problem.as_ref().map_or(0, |set_up| set_up.layout.rows));
         let layout = Layout {
             stages: problem.stages.len(),
@@ -174,7 +175,7 @@ impl<const INPUTS: usize> SubproblemSolver<INPUTS> for Conic {
 
 impl SetUp {
     fn new(layout: Layout, program: &Program) -> Result<Self, SubproblemError> {
-        // Column by column, rows in order: where each entry belongs.
+        // Compressed columns need the entries by column and row: find each entry's position.
         let mut sorted: Vec<usize> = (0..program.entries.len()).collect();
         sorted.sort_unstable_by_key(|index| {
             let (row, column, _) = program.entries[*index];
@@ -234,7 +235,7 @@ impl SetUp {
     }
 }
 
-/// Writes the subproblem's numbers, each entry at its turn whatever its value.
+/// Writes the subproblem's data, in an order that does not depend on the values.
 fn program<const INPUTS: usize>(problem: &Subproblem<INPUTS>, layout: &Layout) -> Program {
     let mut program = Program {
         entries: Vec::new(),

@@ -1,4 +1,4 @@
-//! Harmonic curves: the sinusoid, figure-8, yaw and multisine families, in one form.
+//! Harmonic curves: one form for the sinusoid, figure-8, yaw and multisine families.
 
 use std::f64::consts::TAU;
 
@@ -7,7 +7,7 @@ use vehicle::frame::Ned;
 use super::desired_point::DesiredPoint;
 
 /// offset + amplitude (sin(2 pi tau / period + phase) - sin(phase)) + rate tau, over phase time
-/// tau. At tau = 0 it is at `offset`.
+/// tau. At tau = 0 the value is `offset`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Harmonic {
     pub offset: f64,
@@ -21,7 +21,7 @@ pub(super) struct Harmonic {
 }
 
 impl Harmonic {
-    /// A constant.
+    /// A constant value.
     pub fn constant(offset: f64) -> Self {
         Self { offset, period_s: 1.0, ..Self::default() }
     }
@@ -46,12 +46,12 @@ pub(super) struct HarmonicCurve {
 }
 
 impl HarmonicCurve {
-    /// One harmonic each.
+    /// A curve with one harmonic per axis.
     pub fn of_one(position: [Harmonic; 3], yaw: Harmonic) -> Self {
         Self { position: position.map(|axis| vec![axis]), yaw: vec![yaw] }
     }
 
-    /// The point at phase time tau, whose value, rate and acceleration over real time are given.
+    /// The point at phase time tau, given tau and its first and second derivative over real time.
     pub fn sample(&self, [tau, rate, acceleration]: [f64; 3]) -> DesiredPoint {
         let axes = [0, 1, 2].map(|axis| sum_at(&self.position[axis], tau));
         let [yaw, yaw_slope, _] = sum_at(&self.yaw, tau);
@@ -76,8 +76,8 @@ fn sum_at(harmonics: &[Harmonic], tau: f64) -> [f64; 3] {
 }
 
 /// Phase time over real time: its rate rises from 0 to 1 within `ramp_s`, and falls to 0 at the
-/// end, so that a vehicle at rest can follow from the first sample. The rate follows
-/// 10 x^3 - 15 x^4 + 6 x^5, whose first two derivatives vanish at both ends.
+/// end, so a vehicle at rest can follow from the first sample. The rate follows 10 x^3 - 15 x^4 + 6
+/// x^5, whose first two derivatives vanish at both ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Envelope {
     ramp_s: f64,
@@ -86,12 +86,12 @@ pub(super) struct Envelope {
 }
 
 impl Envelope {
-    /// Runs through `phase_s` seconds of a curve; `ramp_s` is cut to what fits.
+    /// Covers `phase_s` seconds of a curve; `ramp_s` is capped at `phase_s`.
     pub fn new(phase_s: f64, ramp_s: f64) -> Self {
         Self { ramp_s: ramp_s.min(phase_s), phase_s }
     }
 
-    /// Real time from rest to rest: each ramp covers half of its time in phase.
+    /// Real time from rest to rest, s: each ramp covers half of its duration in phase time.
     pub fn duration(&self) -> f64 {
         self.phase_s + self.ramp_s
     }

@@ -1,4 +1,4 @@
-//! A desired trajectory as desired states: what a vehicle without drag would do to follow it.
+//! The desired states of a trajectory: those of a vehicle without drag that follows it.
 
 use vehicle::frame::{Euler, Ned};
 
@@ -6,7 +6,7 @@ use super::planned::CommandedInput;
 use super::problem::{ANGLE, RATE, StateVector, YAW};
 use super::trajectory::{DesiredPoint, Trajectory};
 
-/// Desired states and the inputs that would hold them in still, thin air.
+/// Desired states, and the inputs that hold them without drag.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Desire {
     /// `s_d,0 .. s_d,N`.
@@ -15,23 +15,23 @@ pub struct Desire {
     pub inputs: Vec<CommandedInput>,
 }
 
-/// What the vehicle weighs, and how far it may tilt.
+/// The vehicle's weight, and its tilt limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weight {
     /// kg
     pub mass_kg: f64,
     /// m/s^2
     pub gravity: f64,
-    /// The thrust axis is taken no further from the vertical than this, rad.
+    /// Largest angle of the thrust axis to the vertical, rad.
     pub tilt_max_rad: f64,
 }
 
 impl Desire {
-    /// The trajectory at every `period_s` from `from_s` on, `periods` times.
+    /// Samples the trajectory every `period_s` from `from_s` on, for `periods` periods.
     ///
-    /// A quadrotor is differentially flat: thrust carries the weight and makes the acceleration,
-    /// `(u1/m) R e3 = g e3 - a`, which with the yaw gives the attitude (Mellinger and Kumar 2011).
-    /// Body rates are those that lead from one attitude to the next.
+    /// A quadrotor is differentially flat: thrust carries the weight and produces the acceleration,
+    /// `(u1/m) R e3 = g e3 - a`, which with the yaw determines the attitude (Mellinger and Kumar
+    /// 2011). The body rates lead from one attitude to the next.
     pub fn new(
         trajectory: &Trajectory,
         from_s: f64,
@@ -43,7 +43,7 @@ impl Desire {
         Self::along(points, period_s, weight)
     }
 
-    /// The same along given points, at least two.
+    /// The same from given points, at least two.
     pub(super) fn along(
         points: impl ExactSizeIterator<Item = DesiredPoint>,
         period_s: f64,
@@ -84,13 +84,13 @@ impl Desire {
 }
 
 impl Weight {
-    /// Thrust [N] and attitude that make a point's acceleration.
+    /// Thrust [N] and attitude that produce a point's acceleration.
     pub(super) fn carry(&self, point: &DesiredPoint) -> (f64, Euler<f64>) {
         let carried = Ned::new(0.0, 0.0, self.gravity) - point.acceleration;
         let (sin, cos) = point.yaw.sin_cos();
         let [n, e, down] = carried.to_array();
         let (ahead, right) = (cos * n + sin * e, cos * e - sin * n);
-        // Below the horizon of the largest tilt, the direction is kept and the tilt cut.
+        // Beyond the largest tilt, the direction is kept and the tilt cut.
         let across = ahead.hypot(right);
         let most = self.tilt_max_rad.tan() * down.max(0.1 * self.gravity);
         let cut = if across > most { most / across } else { 1.0 };

@@ -1,9 +1,9 @@
-//! What is wanted at one instant of a trajectory.
+//! One instant of a desired trajectory.
 
 use vehicle::frame::Ned;
 
-/// What is wanted at one instant. World axes, SI, radians. The origin is the trajectory's anchor:
-/// the take-off point on the floor; its axes are the world's.
+/// The desired motion at one instant. World axes, SI, radians. The origin is the trajectory's
+/// anchor, the take-off point on the floor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DesiredPoint {
     /// Position, m.

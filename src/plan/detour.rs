@@ -1,8 +1,8 @@
-//! A first guess that goes round the regions to keep out of.
+//! An initial guess that leads around the regions to avoid.
 //!
-//! Where a path crosses a region, the nearest ways out of it lead forward and back along the path,
-//! and a search that follows them ends with a vehicle that would have to leap. So the guess is
-//! bent to one side beforehand, as a whole: from there every nearest way out leads round.
+//! Where a path crosses a region, the nearest ways out lead forward and back along the path, and a
+//! search that follows them ends with a trajectory that would have to jump. The guess is therefore
+//! first bent to one side as a whole: from there, every nearest way out leads around the region.
 
 use std::f64::consts::PI;
 use std::ops::RangeInclusive;
@@ -10,15 +10,15 @@ use std::ops::RangeInclusive;
 use super::keep_out::{KeepOut, position};
 use super::problem::{StateLimits, StateVector};
 
-/// How far beyond a region the bent path leads, m.
+/// Clearance of the bent path from a region, m.
 const CLEARANCE: f64 = 0.02;
 /// Sideways acceleration of the bend, m/s^2.
 const ACCELERATION: f64 = 2.0;
-/// Passes over the regions: the way round one may lead through another.
+/// Most passes over the regions: the detour around one may lead through another.
 const ROUNDS: usize = 3;
 
-/// Bends a path, a state each `period_s`, round the regions that it crosses, with its velocities;
-/// whether there was need to. Its first position stays.
+/// Bends a path with one state per `period_s` around the regions that it crosses, and adjusts its
+/// velocities; returns whether any bend was needed. The first position stays.
 pub(super) fn bend(
     states: &mut [StateVector],
     period_s: f64,
@@ -46,10 +46,10 @@ pub(super) fn bend(
     is_bent
 }
 
-/// The first run of states inside, from one that is outside to one that is again, of those from
-/// `from` on.
+/// The first run of states inside the region at or after `from`, with states outside it at both
+/// ends.
 fn crossing(states: &[StateVector], region: &KeepOut, from: usize) -> Option<(usize, usize)> {
-    // Both ends of a step that leads through count as inside.
+    // Both ends of a step through the region count as inside.
     let enters = |n: usize| states.get(n..n + 2).is_some_and(|step| !is_clear_of(step, region));
     let mut entered = from.checked_sub(1).is_some_and(enters);
     let mut inside = (from..states.len()).map(|n| {
@@ -62,8 +62,8 @@ fn crossing(states: &[StateVector], region: &KeepOut, from: usize) -> Option<(us
     Some((first, after - 1))
 }
 
-/// The shortest shift, to one side of the way through, that takes a crossing out of a region and
-/// into no other, within the limits.
+/// The shortest sideways shift that takes a crossing out of a region, into no other, and within the
+/// limits.
 fn way_round(
     crossing: &[StateVector],
     region: &KeepOut,
@@ -75,7 +75,7 @@ fn way_round(
     let length = along.iter().map(|c| c * c).sum::<f64>().sqrt();
     let mut best: Option<(f64, [f64; 3])> = None;
     for axis in 0..3 {
-        // Axes that lie along the way through lead forward and back, not round.
+        // A shift along the direction of the crossing leads forward or back, not around.
         if along[axis].abs() > 0.7 * length {
             continue;
         }
@@ -102,7 +102,7 @@ fn way_round(
     best.map(|(_, shift)| shift)
 }
 
-/// Whether the ways between states, two at least, do not lead into a region.
+/// Whether the segments between states, at least two, stay out of a region.
 fn is_clear_of(states: &[StateVector], region: &KeepOut) -> bool {
     let mut ways = states.windows(2);
     ways.all(|pair| region.depth_between(position(&pair[0]), position(&pair[1])) <= 0.0)
@@ -124,9 +124,9 @@ fn exit(region: &KeepOut, position: [f64; 3], axis: usize, sign: f64) -> f64 {
     }
 }
 
-/// Shifts the states of a crossing, and those before and after it less and less: along half a
-/// cosine whose largest acceleration, `size pi^2 / (2 lead^2)`, is [`ACCELERATION`], or in the time
-/// that there is.
+/// Shifts the states of a crossing, and those before and after it by less and less: along half a
+/// cosine whose largest acceleration, `size pi^2 / (2 lead^2)`, is [`ACCELERATION`], or over the
+/// time available if that is shorter.
 fn shift_about(
     states: &mut [StateVector],
     period_s: f64,
@@ -139,7 +139,7 @@ fn shift_about(
     let before = lead.min(first as f64);
     let after = lead.min((states.len() - 1 - last) as f64);
     for (n, state) in states.iter_mut().enumerate() {
-        // Share of the lead that lies between here and the crossing, and its change per second.
+        // Distance to the crossing as a fraction of the lead, and its change per second.
         let (away, rate) = if n < first {
             ((first - n) as f64 / before, -1.0 / (before * period_s))
         } else if n > last {
@@ -202,7 +202,7 @@ mod tests {
         assert!(is_clear(&states, &regions));
         assert!((states[20][1] - 0.22).abs() < 1e-9 && states[20][2] == -1.0);
         assert_eq!((states[0], states[40]), (path()[0], path()[40]));
-        // The velocities are those of the positions.
+        // The velocities match the positions.
         for n in 5..35 {
             let slope = (states[n + 1][1] - states[n - 1][1]) / 0.1;
             assert!((slope - states[n][4]).abs() < 0.05, "{slope} {}", states[n][4]);

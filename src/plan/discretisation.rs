@@ -1,4 +1,4 @@
-//! From a model of the accelerations to the step of a planning problem.
+//! Discrete steps of a planning problem from a model of the accelerations.
 
 use vehicle::AttitudePd;
 use vehicle::frame::{Euler, Frd, Ned};
@@ -33,10 +33,10 @@ pub struct WrenchDynamics<'a> {
     period_s: f64,
 }
 
-/// Euler steps of the vehicle with its attitude loop inside: the input is the commanded one,
+/// Euler steps of the vehicle with its attitude loop: the input is the commanded one,
 /// `u_hat = (u1, zeta_des, omega_des)`, and the moments are
-/// `(u2, u3, u4) = Kp (zeta_des - zeta) + Kd (omega_des - omega)` (Bansal et al. 2016, eq. 15).
-/// Yaw is continuous here, so its difference is not wrapped.
+/// `(u2, u3, u4) = Kp (zeta_des - zeta) + Kd (omega_des - omega)` (Bansal et al. 2016, eq. 15). Yaw
+/// is continuous here, so its difference is not wrapped.
 #[derive(Clone, Copy)]
 pub struct CommandedDynamics<'a> {
     model: &'a dyn Model,
@@ -45,19 +45,19 @@ pub struct CommandedDynamics<'a> {
 }
 
 impl<'a> WrenchDynamics<'a> {
-    /// Steps of `period_s` seconds.
+    /// Uses steps of `period_s` seconds.
     pub fn new(model: &'a dyn Model, period_s: f64) -> Self {
         Self { model, period_s }
     }
 }
 
 impl<'a> CommandedDynamics<'a> {
-    /// Steps of `period_s` seconds of a vehicle with this attitude loop.
+    /// Uses steps of `period_s` seconds of a vehicle with this attitude loop.
     pub fn new(model: &'a dyn Model, attitude_pd: AttitudePd, period_s: f64) -> Self {
         Self { model, attitude_pd, period_s }
     }
 
-    /// The wrench that a commanded input makes at a state.
+    /// The wrench that results from a commanded input at a state.
     pub fn wrench(&self, state: &StateVector, [thrust, command @ ..]: &[f64; 7]) -> [f64; 4] {
         let AttitudePd { kp, kd, .. } = &self.attitude_pd;
         let moment = |i: usize| {
@@ -113,7 +113,7 @@ fn point(state: &StateVector, wrench: &[f64; 4]) -> Point {
     }
 }
 
-/// The state a period later if nothing accelerated it.
+/// The state one period later without any acceleration.
 pub(super) fn coasted(state: &StateVector, period: f64) -> StateVector {
     euler_step(state, &[0.0; ACCELERATIONS], period)
 }

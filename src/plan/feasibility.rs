@@ -1,4 +1,4 @@
-//! Whether a trajectory asks for more than the vehicle may be asked, before it is armed.
+//! Check, before arming, that a trajectory stays within the flight envelope.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,21 +8,21 @@ use super::planned::Plan;
 use super::problem::YAW;
 use super::trajectory::Trajectory;
 
-/// What a trajectory may ask for at most.
+/// Limits on the demands of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FlightEnvelope {
-    /// Speed, m/s.
+    /// Largest speed, m/s.
     pub speed_max_m_s: f64,
-    /// Tilt that the acceleration needs, degrees.
+    /// Largest tilt that the acceleration needs, degrees.
     pub tilt_max_deg: f64,
-    /// Specific thrust that the acceleration needs, in units of gravity.
+    /// Largest specific thrust that the acceleration needs, in units of gravity.
     pub thrust_max_g: f64,
-    /// Yaw rate, degrees/s.
+    /// Largest yaw rate, degrees/s.
     pub yaw_rate_max_deg_s: f64,
-    /// Horizontal distance from the take-off point, m.
+    /// Largest horizontal distance from the take-off point, m.
     pub radius_max_m: f64,
-    /// Height above the take-off floor, m.
+    /// Greatest height above the take-off floor, m.
     pub height_max_m: f64,
     /// Lowest height above the take-off floor, m.
     pub height_min_m: f64,
@@ -42,7 +42,7 @@ impl Default for FlightEnvelope {
     }
 }
 
-/// A limit that a trajectory breaks, and where it is broken the most.
+/// A limit that a trajectory exceeds, and where it does so most.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "trajectory {trajectory} cannot be flown: {quantity} reaches {found:.2} {unit} at {at_s:.2} s, \
@@ -72,10 +72,10 @@ pub struct Feasibility {
     pub height_m: f64,
 }
 
-/// A trajectory is checked at times this far apart, s.
+/// Sampling interval of the check, s.
 const SPACING_S: f64 = 0.01;
 
-/// What one instant asks for.
+/// The demands of one instant.
 struct Demand {
     at_s: f64,
     speed_m_s: f64,
@@ -87,7 +87,7 @@ struct Demand {
 }
 
 impl Demand {
-    /// Of a place with a velocity and a specific force, world axes.
+    /// The demands of a position with a velocity and a specific force, world axes.
     fn new(at_s: f64, position: Ned, velocity: Ned, force: Ned, gravity: f64) -> Self {
         let horizontal = force.north().hypot(force.east());
         Self {
@@ -103,13 +103,13 @@ impl Demand {
 }
 
 impl FlightEnvelope {
-    /// The trajectory's largest demands, if none breaks a limit.
+    /// The trajectory's largest demands, if none exceeds a limit.
     ///
-    /// The thrust direction that an acceleration `a` needs is that of `a - g`, so tilt is
-    /// atan2(|a_horizontal|, g - a_down), without drag.
+    /// An acceleration `a` needs a thrust along `a - g`, so tilt is atan2(|a_horizontal|, g -
+    /// a_down), without drag.
     ///
     /// # Errors
-    /// [`InfeasibleTrajectory`] for the limit that is broken by the largest factor.
+    /// [`InfeasibleTrajectory`] for the limit exceeded by the largest factor.
     pub fn check(
         &self,
         trajectory: &Trajectory,
@@ -127,7 +127,7 @@ impl FlightEnvelope {
         self.judge(trajectory.name(), demands)
     }
 
-    /// The largest demands of a plan, if none breaks a limit: what its states and thrusts are.
+    /// The largest demands of a plan, from its states and thrusts, if none exceeds a limit.
     ///
     /// # Errors
     /// As [`FlightEnvelope::check`].

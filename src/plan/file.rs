@@ -18,13 +18,13 @@ use super::table::Table;
 use super::time_optimal::Task;
 use super::trajectory::{Shape, Trajectory};
 
-/// The longest trajectory, s: what checks one looks at every moment of it.
+/// The longest trajectory, s: a check samples all of it.
 const DURATION_MAX_S: f64 = 86_400.0;
 
-/// Most bytes of a file: a table of a day is no larger at 30 rows a second.
+/// Largest file, in bytes: a table of one day at 30 rows per second fits.
 const SIZE_MAX: u64 = 256 << 20;
 
-/// Why a trajectory file is refused.
+/// Why a trajectory file is rejected.
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryError {
     /// The file cannot be read.
@@ -32,10 +32,10 @@ pub enum TrajectoryError {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
-    /// The text does not follow the schema.
+    /// The text does not match the schema.
     #[error("trajectory {path}: {message}")]
     Syntax {
         /// The file.
@@ -43,19 +43,19 @@ pub enum TrajectoryError {
         /// What was found and where.
         message: String,
     },
-    /// A value is impossible.
+    /// A value is out of range.
     #[error("trajectory {path}: {field}: expected {expected}, found {found:?}")]
     Value {
         /// The file.
         path: PathBuf,
         /// The field.
         field: &'static str,
-        /// What would be right.
+        /// The accepted range.
         expected: &'static str,
-        /// What is there.
+        /// The value found.
         found: f64,
     },
-    /// It says where, and not when.
+    /// The file gives places without times.
     #[error(
         "trajectory {path}: the family time-optimal says where to fly and not when; plan it first, \
          `downwash plan {path} -o plan.json`, and fly plan.json"
@@ -66,21 +66,20 @@ pub enum TrajectoryError {
     },
 }
 
-/// What a trajectory file holds.
+/// The content of a trajectory file.
 #[derive(Clone, Debug)]
 pub enum TrajectoryFile {
-    /// A trajectory: a place at each time.
+    /// A trajectory: a position at each time.
     Desired(Trajectory),
-    /// Places to be passed as fast as it goes: to be planned.
+    /// Places to pass in minimum time; it must be planned first.
     Task(Task),
 }
 
 impl TrajectoryFile {
-    /// Reads a trajectory file, or the shipped one of that name: TOML by its schema, or CSV with a
-    /// header.
+    /// Reads a trajectory file, or the shipped trajectory of that name: TOML that matches the
+    /// schema, or CSV with a header.
     ///
-    /// # Errors
-    /// [`TrajectoryError`] names the file, the field, what was expected and what was found.
+    /// [`TrajectoryError`] names the file, the field, the expected and the found value.
     pub fn load(path: &Path) -> Result<Self, TrajectoryError> {
         load(path)
     }
@@ -93,7 +92,7 @@ impl TrajectoryFile {
         parse(text, origin)
     }
 
-    /// The trajectory, where it is one.
+    /// The trajectory, if the file holds one.
     fn desired(self, path: &Path) -> Result<Trajectory, TrajectoryError> {
         match self {
             Self::Desired(trajectory) => Ok(trajectory),
@@ -102,7 +101,7 @@ impl TrajectoryFile {
     }
 }
 
-/// The names that are shipped, for a path that looks like one.
+/// The names of the shipped trajectories, for a path that could be one.
 fn shipped_names(path: &Path) -> String {
     if path.extension().is_some() || path.components().count() > 1 {
         return String::new();
@@ -112,15 +111,15 @@ fn shipped_names(path: &Path) -> String {
 }
 
 impl Trajectory {
-    /// What a trajectory file may hold, as a JSON Schema.
+    /// The JSON Schema of trajectory files.
     pub fn file_schema() -> Schema {
         schema_for!(Family)
     }
 
-    /// As [`TrajectoryFile::load`], for a trajectory.
+    /// As [`TrajectoryFile::load`], for files that hold a trajectory.
     ///
     /// # Errors
-    /// Likewise, and a file that must be planned first.
+    /// As there, and for a file that must be planned first.
     pub fn load(path: &Path) -> Result<Self, TrajectoryError> {
         load(path)?.desired(path)
     }
@@ -128,8 +127,8 @@ impl Trajectory {
     /// Parses the text of a TOML trajectory file; `origin` names it in errors.
     ///
     /// # Errors
-    /// As [`Trajectory::load`]. A file that refers to another file by a relative path is looked up
-    /// beside `origin`.
+    /// As [`Trajectory::load`]. A relative path to another file is resolved against the folder of
+    /// `origin`.
     pub fn parse(text: &str, origin: &Path) -> Result<Self, TrajectoryError> {
         parse(text, origin)?.desired(origin)
     }

@@ -1,4 +1,4 @@
-//! The reference of a desired trajectory with its own acceleration fed forward.
+//! The reference of a desired trajectory, with its own acceleration fed forward.
 
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 
@@ -7,14 +7,13 @@ use super::reference::{FeedForward, ReferenceSource};
 use super::trajectory::{DesiredPoint, Trajectory};
 use crate::setpoint::{Expected, Reference, Setpoint};
 
-/// Half of the time over which the attitude's slope is taken, s.
+/// Half of the interval for the attitude's derivative, s.
 const SLOPE_S: f64 = 0.02;
 
-/// Position and velocity as desired, and attitude, body rate and thrust that make the desired
-/// acceleration against the drag that is known: a quadrotor is differentially flat (Mellinger and
+/// Position and velocity as desired, and the attitude, body rate and thrust that produce the
+/// desired acceleration against the known drag. A quadrotor is differentially flat (Mellinger and
 /// Kumar 2011), also with drag linear in the velocity (Faessler, Franchi, Scaramuzza 2018). The
-/// input is that of as much later as it takes to act. No model is needed for it beyond weight, drag
-/// and delay.
+/// input leads by its delay. The reference needs no model beyond weight, drag and delay.
 #[derive(Clone, Debug)]
 pub struct FlatReference {
     trajectory: Trajectory,
@@ -25,7 +24,7 @@ pub struct FlatReference {
 }
 
 impl FlatReference {
-    /// Along `trajectory`.
+    /// Follows `trajectory`.
     pub fn new(trajectory: Trajectory, feed_forward: &FeedForward) -> Self {
         let FeedForward {
             mass_kg,
@@ -39,7 +38,7 @@ impl FlatReference {
         Self { trajectory, weight, drag_kg_s, attitude_delay_s, thrust_delay_s }
     }
 
-    /// Acceleration by drag at a point that is flown in `attitude`, m/s^2.
+    /// Acceleration from drag at a point flown in `attitude`, m/s^2.
     fn drag(&self, point: &DesiredPoint, attitude: Euler) -> Ned {
         let [across, along] = self.drag_kg_s.map(|drag| -drag / self.weight.mass_kg);
         let attitude = attitude.attitude();
@@ -47,8 +46,8 @@ impl FlatReference {
         attitude.to_world(flow.scale_by([across, across, along]))
     }
 
-    /// Thrust and attitude that make the acceleration of `t`, and the drag against which they do,
-    /// which turns with the attitude: by so little that two looks are enough.
+    /// Thrust and attitude that produce the acceleration at `t`, and the drag that they compensate.
+    /// Drag turns with the attitude, by so little that two iterations suffice.
     fn carry(&self, t: f64) -> (f64, Euler, Ned) {
         let point = self.trajectory.sample(t);
         let mut drag = Ned::zero();
@@ -63,7 +62,7 @@ impl FlatReference {
         (thrust_n, attitude, drag)
     }
 
-    /// The input that makes the acceleration and the turn of `t`.
+    /// The input that produces the acceleration and the rotation at `t`.
     fn input(&self, t: f64) -> Setpoint {
         let (thrust_n, attitude, _) = self.carry(t);
         let ((_, before, _), (_, after, _)) = (self.carry(t - SLOPE_S), self.carry(t + SLOPE_S));

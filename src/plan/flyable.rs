@@ -1,5 +1,5 @@
-//! Whether a plan may be flown: what its search says that it misses, and whether its states follow
-//! from one another.
+//! Whether a plan may be flown: the violations that its search reports, and the consistency of its
+//! states.
 
 use super::discretisation::coasted;
 use super::iterate::{Violation, entry};
@@ -7,23 +7,23 @@ use super::keep_out::{KeepOut, position};
 use super::problem::{ANGLE, RATE, StateVector};
 use super::scp::{Outcome, Status};
 
-/// Largest defect and overrun of a plan that is flown.
+/// Largest defect and overrun of a plan that may be flown.
 const DEFECT_MAX: f64 = 1e-4;
 const OVERRUN_MAX: f64 = 1e-2;
-/// How far a position may be where it must not be, m.
+/// Largest depth of a position in forbidden space, m.
 const TRESPASS_MAX_M: f64 = 1e-3;
 
-/// How far a way bulges between two states at most, over what the accelerations about it bend it: a
-/// parabola's eighth, twice over.
+/// Largest bulge of the path between two states, relative to the bend from the accelerations around
+/// it: twice a parabola's eighth.
 const BULGE: f64 = 0.25;
 
 /// Why a plan is not flown.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum NotFlyable {
-    /// Its search found nothing.
+    /// Its search failed.
     #[error("the search of this plan failed; change the trajectory or [plan] in the configuration")]
     Failed,
-    /// It breaks the dynamics or a bound.
+    /// It violates the dynamics or a bound.
     #[error(
         "the plan misses its dynamics by {defect:.1e} (at most {DEFECT_MAX:.0e}) and its bounds by \
          {overrun:.1e} (at most {OVERRUN_MAX:.0e}); change the trajectory, or [plan] in the \
@@ -35,34 +35,33 @@ pub enum NotFlyable {
         /// Largest overrun of a state's bounds (m, rad, rad/s).
         overrun: f64,
     },
-    /// It leads where the vehicle must not be.
+    /// It enters forbidden space.
     #[error(
         "the plan leads {trespass_m:.4} m into a region to keep out of, or out of the box to stay in \
          (at most {TRESPASS_MAX_M} m): change the trajectory, or [plan] in the configuration"
     )]
     Trespass {
-        /// How far at most, m.
+        /// Largest depth, m.
         trespass_m: f64,
     },
-    /// Its states do not follow from one another.
+    /// Its states are not consistent with each other.
     #[error(
         "the plan's position or attitude jumps by {jump:.1e} m or rad at {at_s:.2} s, where its \
          velocity or body rate does not lead (at most {DEFECT_MAX:.0e}): the file was changed; plan \
          it again"
     )]
     Torn {
-        /// The jump that was found first, m or rad.
+        /// The first jump found, m or rad.
         jump: f64,
-        /// Where, s.
+        /// Its time, s.
         at_s: f64,
     },
 }
 
-/// Whether what a search says of its outcome is a plan to fly: a search that failed, or that ended
-/// with states that no input leads through, is none.
+/// Whether the outcome of a search may be flown. A failed search, or one that ended with states
+/// that no input connects, gives no such plan.
 ///
-/// # Errors
-/// What the plan misses.
+/// What the plan violates.
 pub(super) fn check_violation(status: Status, violation: &Violation) -> Result<(), NotFlyable> {
     let Violation { defect, overrun, trespass_m } = *violation;
     if status == Status::Failed {
@@ -77,10 +76,10 @@ pub(super) fn check_violation(status: Status, violation: &Violation) -> Result<(
     Ok(())
 }
 
-/// As [`check_violation`], for a plan that begins where a flying vehicle is. That may be a
-/// little inside of a region to keep out of, or out of the box to stay in, and the vehicle must
-/// not be left without a plan there: each region counts from where the plan is out of it, and the
-/// box as any other bound.
+/// As [`check_violation`], for a plan that starts at the state of a flying vehicle. That may be
+/// slightly inside a region to avoid, or outside the box, and the vehicle must still get a plan
+/// there: each region counts from where the plan has left it, and the box counts like any other
+/// bound.
 pub(super) fn check_in_flight(
     outcome: &Outcome<7>,
     regions: impl Iterator<Item = KeepOut>,
@@ -91,16 +90,17 @@ pub(super) fn check_in_flight(
     check_violation(outcome.status, &Violation { trespass_m, ..outcome.violation })
 }
 
-/// How deep the ways between states lead into a region at most, m, from the first state on that is
-/// not deeper in it than `most_m`: a vehicle that is inside must be led out of it.
+/// Largest depth of the path in a region, m, from the first state on that is at most `most_m` deep
+/// in it: a vehicle inside must be led out.
 fn entry_once_out(states: &[StateVector], region: &KeepOut, most_m: f64) -> f64 {
     let out = states.iter().position(|state| region.depth(position(state)).0 <= most_m);
     out.map_or(0.0, |out| entry(&states[out..], region))
 }
 
-/// Whether velocity and body rate lead from state to state, `period_s` seconds apart, which no
-/// model has a part in: those at the state, those at the next, or any between. Where they turn back
-/// within a period, they go no further beyond both than the periods about it show.
+/// Whether velocity and body rate lead from each state to the next, `period_s` seconds later,
+/// independently of any model: the step must match the rates at the state, those at the next, or a
+/// value between. Where the rates reverse within a period, the step may exceed both by no more than
+/// the periods around it indicate.
 ///
 /// # Errors
 /// The first jump.
@@ -137,7 +137,7 @@ mod tests {
     use crate::plan::iterate::Iterate;
     use crate::plan::problem::STATES;
 
-    /// An outcome whose states are at these places north, m.
+    /// An outcome whose states are at these positions north, m.
     fn outcome(north: &[f64], violation: Violation) -> Outcome<7> {
         let state = |north: &f64| {
             let mut state = [0.0; STATES];
@@ -155,7 +155,7 @@ mod tests {
     fn in_flight_a_region_counts_once_the_plan_is_out_of_it() {
         let regions = [
             KeepOut::Sphere { centre: Ned::new(1.0, 0.0, 0.0), radius: 0.1 },
-            // Thinner than a step is long.
+            // Thinner than the length of a step.
             KeepOut::Box { lower: Ned::new(-1.0, -1.0, -1.0), upper: Ned::new(-0.99, 1.0, 1.0) },
         ];
         let check = |north: &[f64]| {
@@ -166,7 +166,7 @@ mod tests {
         assert!(matches!(check(&[0.0, 0.5, 0.905]), Err(NotFlyable::Trespass { trespass_m })
             if (trespass_m - 0.005).abs() < 1e-12));
         assert!(matches!(check(&[-0.9, -1.1]), Err(NotFlyable::Trespass { .. })));
-        // It begins inside, and is led out; then not back.
+        // It starts inside and is led out, then must stay out.
         assert_eq!(check(&[0.906, 0.904, 0.901, 0.89, 0.5]), Ok(()));
         assert!(check(&[0.906, 0.904, 0.9005, 0.905]).is_err());
     }

@@ -1,16 +1,16 @@
-//! A primal-dual interior point for the subproblem, stage by stage.
+//! A primal-dual interior-point method for the subproblem, stage by stage.
 //!
-//! The norm is taken to second order, so the subproblem is a quadratic program whose Newton
-//! system is that of a linear-quadratic regulator: a Riccati recursion solves it in one sweep
-//! back and one forth, and the work grows with the horizon as that of no general factorisation
-//! does (Rao, Wright and Rawlings 1998, "Application of interior-point methods to model
-//! predictive control"). Predictor and corrector are Mehrotra's (1992).
+//! The norm is approximated to second order, so the subproblem is a quadratic program whose Newton
+//! system is that of a linear-quadratic regulator. A Riccati recursion solves it in one backward
+//! and one forward sweep, and the work grows only linearly with the horizon (Rao, Wright and
+//! Rawlings 1998, "Application of interior-point methods to model predictive control"). Predictor
+//! and corrector are Mehrotra's (1992).
 //!
-//! Where no bound acts, one such sweep without them is the solution. It is tried first where the last
-//! subproblem's solution lay clear of its bounds: a search near its end, and a plan that goes on from
-//! the one before, are of that kind.
+//! Where no bound is active, one such sweep without bounds is the solution. The solver tries it
+//! first if the last subproblem's solution was clear of its bounds: this is common near the end of
+//! a search, and for a plan that continues its predecessor.
 
-// Matrix algebra reads by its indices.
+// Matrix algebra reads best with explicit indices.
 #![allow(clippy::needless_range_loop)]
 
 use super::problem::{STATES, StateVector};
@@ -25,20 +25,21 @@ use super::subproblem::{
 
 /// Iterations after which the solver gives up.
 const ITERATIONS_MAX: usize = 60;
-/// Share of the way to the nearest bound that a step goes at most.
+/// Largest fraction of the way to the nearest bound that a step may take.
 const TO_BOUNDARY: f64 = 0.995;
-/// Distance between the bounds of an input, at least.
+/// Least distance between the bounds of an input.
 const LEAST_ROOM: f64 = 1e-9;
-/// Share of the way to a bound up to which it does not act: an interior point ends this side of it.
+/// Fraction of the way to a bound below which the bound counts as inactive: an interior point ends
+/// short of it.
 const CLEAR: f64 = 0.9;
-/// Curvature that each scaled input has at least.
+/// Least curvature of each scaled input.
 const LEAST_INPUT_CURVATURE: f64 = 1e-9;
 
 /// The solver with its workspace.
 #[derive(Clone, Debug, Default)]
 pub struct InteriorPoint<const INPUTS: usize> {
     work: Vec<Work<INPUTS>>,
-    /// Whether a bound acted on the last solution.
+    /// Whether a bound was active in the last solution.
     is_bound: bool,
 }
 
@@ -124,14 +125,14 @@ impl<const INPUTS: usize> SubproblemSolver<INPUTS> for InteriorPoint<INPUTS> {
     }
 }
 
-/// Solves the problem as if it had no bounds; false where the solution breaks one.
+/// Solves the problem as if it had no bounds; false if the solution violates one.
 fn without_bounds<const INPUTS: usize>(
     work: &mut [Work<INPUTS>],
     problem: &Subproblem<INPUTS>,
 ) -> bool {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        // SAFETY: the machine has the instructions, as just asked.
+        // SAFETY: the check above found both instruction sets.
         return unsafe { without_bounds_avx2(work, problem) };
     }
     without_bounds_with::<false, INPUTS>(work, problem)
@@ -173,13 +174,13 @@ fn iterate<const INPUTS: usize>(
 ) -> Result<usize, SubproblemError> {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        // SAFETY: the machine has the instructions, as just asked.
+        // SAFETY: the check above found both instruction sets.
         return unsafe { iterate_avx2(work, problem) };
     }
     iterate_with::<false, INPUTS>(work, problem)
 }
 
-/// [`iterate`] for machines with AVX2 and FMA, which this package is not compiled for.
+/// [`iterate`] for machines with AVX2 and FMA, which the package's build does not assume.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 fn iterate_avx2<const INPUTS: usize>(
@@ -200,7 +201,8 @@ fn iterate_with<const FUSED: bool, const INPUTS: usize>(
         pairs += 2 * (INPUTS + work.rows.len());
     }
     let pairs = pairs as f64;
-    // The dynamics hold from the first full step on; until then a step leaves its share open.
+    // The dynamics hold from the first full step on; a shorter step leaves a fraction of the
+    // defect.
     let mut open = 1.0;
     for iteration in 1..=ITERATIONS_MAX {
         let gap: f64 = work.iter().map(|work| work.gap(0.0)).sum();
@@ -210,7 +212,7 @@ fn iterate_with<const FUSED: bool, const INPUTS: usize>(
         if gap <= problem.tolerance && open < 1e-9 {
             return Ok(iteration - 1);
         }
-        // Predictor: aims at complementarity 0.
+        // Predictor: targets complementarity 0.
         work.iter_mut().for_each(Work::aim_at_zero);
         factorise::<FUSED, INPUTS>(work, &problem.stages)?;
         solve::<FUSED, INPUTS>(work, &problem.stages);
@@ -234,12 +236,12 @@ fn reach<const INPUTS: usize>(work: &[Work<INPUTS>]) -> f64 {
 }
 
 impl<const INPUTS: usize> Work<INPUTS> {
-    /// Forgets the bounds.
+    /// Removes the bounds.
     #[inline(always)]
     fn free(&mut self, stage: &Stage<INPUTS>, problem: &Subproblem<INPUTS>) {
         self.cost = QuadraticNorm::new(&stage.error, &problem.state_weight, problem.knee);
         (self.state, self.input) = ([0.0; STATES], [0.0; INPUTS]);
-        // A slack whose multiplier is 0 pushes nowhere.
+        // A slack whose multiplier is 0 exerts no force.
         let idle = Pair { slack: 1.0, ..Pair::default() };
         (self.lower, self.upper) = ([idle; INPUTS], [idle; INPUTS]);
         (self.lower_target, self.upper_target) = ([0.0; INPUTS], [0.0; INPUTS]);
@@ -260,10 +262,10 @@ impl<const INPUTS: usize> Work<INPUTS> {
         self.cost = QuadraticNorm::new(&stage.error, &problem.state_weight, problem.knee);
         self.state = [0.0; STATES];
         for i in 0..INPUTS {
-            // An input that is fixed is let move by nothing that matters.
+            // A fixed input gets negligible room to move.
             let lower = stage.lower[i];
             let upper = stage.upper[i].max(lower + LEAST_ROOM);
-            // As near to no deviation as a tenth of the way between the bounds allows.
+            // The deviation nearest to 0 that leaves a tenth of the range to each bound.
             let inset = 0.1 * (upper - lower);
             self.input[i] = 0.0_f64.max(lower + inset).min(upper - inset);
             self.lower[i] = Pair::new(self.input[i] - lower);
@@ -284,7 +286,7 @@ impl<const INPUTS: usize> Work<INPUTS> {
         }));
     }
 
-    /// Sum of the complementarities after a share of the direction.
+    /// Sum of the complementarities after a fraction of the direction.
     #[inline(always)]
     fn gap(&self, share: f64) -> f64 {
         let mut sum = 0.0;
@@ -297,7 +299,7 @@ impl<const INPUTS: usize> Work<INPUTS> {
         sum
     }
 
-    /// Longest share of the direction that keeps every pair above 0.
+    /// Largest fraction of the direction that keeps every pair above 0.
     #[inline(always)]
     fn reach(&self) -> f64 {
         let mut share = f64::INFINITY;
@@ -331,7 +333,7 @@ impl<const INPUTS: usize> Work<INPUTS> {
         }
     }
 
-    /// Newton's gradient by the input, at `w = 0`.
+    /// Gradient of the Newton system with respect to the input, at `w = 0`.
     #[inline(always)]
     fn input_gradient(&self, stage: &Stage<INPUTS>) -> [f64; INPUTS] {
         let mut gradient = stage.input_gradient;
@@ -344,7 +346,7 @@ impl<const INPUTS: usize> Work<INPUTS> {
         gradient
     }
 
-    /// Newton's curvature by the input.
+    /// Curvature of the Newton system with respect to the input.
     #[inline(always)]
     fn input_curvature(&self, stage: &Stage<INPUTS>, i: usize) -> f64 {
         stage.input_curvature
@@ -353,7 +355,7 @@ impl<const INPUTS: usize> Work<INPUTS> {
             + self.upper[i].ratio()
     }
 
-    /// Newton's gradient by the state, at `d = 0`.
+    /// Gradient of the Newton system with respect to the state, at `d = 0`.
     #[inline(always)]
     fn state_gradient(&self) -> StateVector {
         let mut gradient = self.cost.gradient;
@@ -366,7 +368,7 @@ impl<const INPUTS: usize> Work<INPUTS> {
         gradient
     }
 
-    /// Adds Newton's curvature by the state.
+    /// Adds the curvature of the Newton system with respect to the state.
     #[inline(always)]
     fn add_state_curvature<const FUSED: bool>(&self, sums: &mut Matrix<STATES, STATES>) {
         let QuadraticNorm { diagonal, ray, .. } = &self.cost;
@@ -384,7 +386,7 @@ impl<const INPUTS: usize> Work<INPUTS> {
         }
     }
 
-    /// Turns Newton's point into the direction of every pair.
+    /// Converts the Newton point to the direction of every pair.
     #[inline(always)]
     fn point(&mut self) {
         for i in 0..INPUTS {
@@ -423,7 +425,7 @@ fn factorise<const FUSED: bool, const INPUTS: usize>(
 ) -> Result<(), SubproblemError> {
     let mut value = [[0.0; STATES]; STATES];
     for (work, stage) in work.iter_mut().zip(stages).rev() {
-        // P of the period's end, from what the stages after it left.
+        // P at the end of the period, from the stages after it.
         work.add_state_curvature::<FUSED>(&mut value);
         let (a, b) = (&stage.step.state, &stage.step.input);
         work.pushed_offset = times_vector::<FUSED, STATES, STATES>(&value, &stage.step.next);
@@ -444,7 +446,7 @@ fn factorise<const FUSED: bool, const INPUTS: usize>(
                 add_scaled::<FUSED, STATES>(value, *cross, gain);
             }
         }
-        // Rounding must not make P lopsided over a thousand stages.
+        // Rounding must not make P asymmetric over a thousand stages.
         for i in 0..STATES {
             for j in 0..i {
                 let mean = 0.5 * (value[i][j] + value[j][i]);
@@ -457,7 +459,7 @@ fn factorise<const FUSED: bool, const INPUTS: usize>(
     Ok(())
 }
 
-/// Newton's point for the current targets, by the factorisation.
+/// The Newton point for the current targets, from the factorisation.
 #[inline(always)]
 fn solve<const FUSED: bool, const INPUTS: usize>(
     work: &mut [Work<INPUTS>],

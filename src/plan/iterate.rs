@@ -1,4 +1,4 @@
-//! Iterates of a search: states and inputs over the horizon, and what they miss.
+//! Iterates of a search: states and inputs over the horizon, and their violations.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,43 +16,43 @@ pub struct Iterate<const INPUTS: usize> {
     pub inputs: Vec<[f64; INPUTS]>,
 }
 
-/// What an iterate misses.
+/// The violations of an iterate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Violation {
-    /// Largest defect of the dynamics in any state.
+    /// Largest defect of the dynamics in any component of a state.
     pub defect: f64,
-    /// Largest overrun of the state's bounds, summed over a state's bounds (m, rad, rad/s).
+    /// Largest overrun of a state, summed over its bounds (m, rad, rad/s).
     pub overrun: f64,
-    /// How far a position is at most where it must not be, of a state after the start, or on a way
-    /// between two states, its ends included, m.
+    /// Largest depth in forbidden space of a state after the start, or of the path between two
+    /// states, both ends included, m.
     pub trespass_m: f64,
 }
 
-/// What the states of an iterate overrun their bounds by.
+/// By how much the states of an iterate exceed their bounds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Overrun {
     /// Sum over the horizon (m, rad, rad/s).
     pub sum: f64,
     /// The largest of a state, summed over its bounds (m, rad, rad/s).
     pub most: f64,
-    /// How far a position after the start is at most where it must not be, m.
+    /// Largest depth in forbidden space of a position after the start, m.
     trespass_m: f64,
 }
 
 impl<const INPUTS: usize> Iterate<INPUTS> {
-    /// The desired states with one input throughout.
+    /// The desired states with one constant input.
     pub fn desired(problem: &Problem<INPUTS>, input: [f64; INPUTS]) -> Self {
         let mut states = vec![problem.start];
         states.extend_from_slice(&problem.desired);
         Self { states, inputs: vec![input; problem.horizon()] }
     }
 
-    /// The problem's cost of the plan.
+    /// The problem's cost of this iterate.
     pub(super) fn cost(&self, problem: &Problem<INPUTS>) -> f64 {
         (0..self.inputs.len()).map(|n| problem.cost(n, &self.states[n + 1], &self.inputs[n])).sum()
     }
 
-    /// What the states overrun their bounds by.
+    /// By how much the states exceed their bounds.
     pub(super) fn overrun(&self, problem: &Problem<INPUTS>) -> Overrun {
         let states = self.states.iter().skip(1).enumerate();
         let each = states.map(|(n, state)| problem.excess(n, state));
@@ -63,10 +63,11 @@ impl<const INPUTS: usize> Iterate<INPUTS> {
         })
     }
 
-    /// What the iterate misses.
+    /// The violations, given the largest defect.
     pub(super) fn violation(&self, problem: &Problem<INPUTS>, defect: f64) -> Violation {
         let Overrun { most, trespass_m, .. } = self.overrun(problem);
-        // States look ahead; nothing but the start looks at the way to the first.
+        // The states' own bounds cover the steps after them; the step from the start is checked
+        // here.
         let first = self.states.get(..2).unwrap_or_default();
         let entered = problem.keep_out.iter().map(|region| entry(first, region));
         Violation { defect, overrun: most, trespass_m: entered.fold(trespass_m, f64::max) }
@@ -87,7 +88,7 @@ impl<const INPUTS: usize> Iterate<INPUTS> {
     }
 }
 
-/// How deep the ways between states lead into a region at most, m.
+/// Largest depth of the path between states in a region, m.
 pub(super) fn entry(states: &[StateVector], region: &KeepOut) -> f64 {
     let ways = states.windows(2);
     let depths = ways.map(|way| region.depth_between(position(&way[0]), position(&way[1])));

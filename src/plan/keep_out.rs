@@ -1,4 +1,4 @@
-//! Regions that a plan keeps out of, at its states and between them.
+//! Regions that a plan avoids, at its states and between them.
 
 use vehicle::frame::Ned;
 
@@ -14,7 +14,7 @@ pub enum KeepOut {
         /// m
         radius: f64,
     },
-    /// A box along the world's axes.
+    /// A box aligned with the world's axes.
     Box {
         /// Corner with the least coordinates, m.
         lower: Ned,
@@ -24,8 +24,8 @@ pub enum KeepOut {
 }
 
 impl KeepOut {
-    /// Where the way from a position [m] on by `way` [m] is deepest in the region, or nearest to
-    /// it.
+    /// The point of the segment from a position [m] along `way` [m] that is deepest in the region,
+    /// or nearest to it.
     fn deepest(&self, from: [f64; 3], way: [f64; 3]) -> Deepest {
         let at = |share: f64| {
             let (depth, gradient) = self.depth(along(from, way, share));
@@ -47,17 +47,17 @@ impl KeepOut {
                 look(-dot(&off, &way) / dot(&way, &way));
             }
             Self::Box { lower, upper } => {
-                // Distances to the faces, positive inside, are linear along the way.
+                // Signed distances to the faces, positive inside, are linear along the segment.
                 let (lower, upper) = (lower.to_array(), upper.to_array());
                 let faces: [[f64; 2]; 6] = std::array::from_fn(|face| match (face / 2, face % 2) {
                     (i, 0) => [from[i] - lower[i], way[i]],
                     (i, _) => [upper[i] - from[i], -way[i]],
                 });
-                // Inside, the least of them counts, which is greatest where two are equal.
+                // Inside, the least of them counts; it is greatest where two are equal.
                 for (k, [a, slope]) in faces.iter().enumerate() {
                     faces[k + 1..].iter().for_each(|[b, other]| look((b - a) / (slope - other)));
                 }
-                // Outside, the sum of the squares of those below 0, between two crossings.
+                // Outside, the sum of squares of the negative ones counts, between two crossings.
                 let crossing = |[a, slope]: [f64; 2]| {
                     if slope == 0.0 { 0.0 } else { (-a / slope).clamp(0.0, 1.0) }
                 };
@@ -70,7 +70,7 @@ impl KeepOut {
                         cross += a * slope;
                         square += slope * slope;
                     }
-                    // Not `clamp`, which panics where an end is no number.
+                    // `clamp` would panic on a NaN bound.
                     look((-cross / square).max(*start).min(*end));
                 }
             }
@@ -78,15 +78,16 @@ impl KeepOut {
         best
     }
 
-    /// Depth [m] of the deepest position between `from` and `to` [m], negative where all are
-    /// outside. Both ends count.
+    /// Depth [m] of the deepest position between `from` and `to` [m], ends included; negative if
+    /// all are outside.
     pub(super) fn depth_between(&self, from: [f64; 3], to: [f64; 3]) -> f64 {
         self.deepest(from, std::array::from_fn(|i| to[i] - from[i])).depth
     }
 
-    /// The bound of a state that goes on with its velocity for `ahead_s` seconds: between states
-    /// the vehicle must not be inside either. The gradient is that of the deepest place, at its
-    /// share of the way: between two faces the depth itself may have none that leads out.
+    /// The bound of a state that continues with its velocity for `ahead_s` seconds: the vehicle
+    /// must stay outside between states too. The gradient is that of the deepest point, at its
+    /// fraction of the segment: between two faces, the depth itself may have no gradient that leads
+    /// out.
     pub(super) fn row(&self, state: &StateVector, ahead_s: f64) -> StateRow {
         let way = [3, 4, 5].map(|i| state[i] * ahead_s);
         let Deepest { share, depth, gradient: slopes } = self.deepest(position(state), way);
@@ -98,14 +99,14 @@ impl KeepOut {
         StateRow { excess: depth, gradient }
     }
 
-    /// Depth [m] of a position [m] inside the region, negative outside, and its gradient (no
-    /// unit).
+    /// Depth [m] of a position [m] inside the region, negative outside, and its gradient
+    /// (dimensionless).
     pub(super) fn depth(&self, position: [f64; 3]) -> (f64, [f64; 3]) {
         match self {
             Self::Sphere { centre, radius } => {
                 let from = std::array::from_fn(|i| position[i] - centre.to_array()[i]);
                 let distance = norm(&from);
-                // At the very centre every way out is as good.
+                // At the exact centre, every direction out is equally short.
                 let out =
                     if distance > 0.0 { from.map(|c| c / distance) } else { [0.0, 0.0, -1.0] };
                 (radius - distance, out.map(|c| -c))
@@ -135,14 +136,14 @@ impl KeepOut {
     }
 }
 
-/// The place of a way that is deepest in a region, or nearest to it.
+/// The point of a segment that is deepest in a region, or nearest to it.
 #[derive(Clone, Copy, Debug)]
 struct Deepest {
-    /// Share of the way up to it.
+    /// Fraction of the segment up to it.
     share: f64,
     /// m, negative outside.
     depth: f64,
-    /// Of the depth by the position.
+    /// Gradient of the depth with respect to the position.
     gradient: [f64; 3],
 }
 
@@ -151,7 +152,7 @@ pub(super) fn position(state: &StateVector) -> [f64; 3] {
     [state[0], state[1], state[2]]
 }
 
-/// A share of the way from a position.
+/// The point at a fraction of the segment.
 fn along(from: [f64; 3], way: [f64; 3], share: f64) -> [f64; 3] {
     std::array::from_fn(|i| from[i] + share * way[i])
 }
@@ -188,7 +189,7 @@ mod tests {
         let (depth, gradient) = block.depth([0.5, 1.0, 0.0]);
         assert!((depth + 0.5).abs() < 1e-12);
         assert!((gradient[0] + 0.6).abs() < 1e-12 && (gradient[1] + 0.8).abs() < 1e-12);
-        // At the centre every way out is as good; there is one.
+        // At the centre every direction out is equally short; one is returned.
         let (depth, gradient) = ball.depth([0.3, -0.2, 0.1]);
         assert_eq!(depth, 0.7);
         assert_eq!(norm(&gradient), 1.0);
@@ -200,7 +201,7 @@ mod tests {
         // Along a face, or at rest on it.
         assert_eq!(block.depth_between([-0.5, 0.0, 0.0], [-0.5, 0.3, 0.0]), 0.0);
         assert_eq!(block.depth_between([-0.5, 0.0, 0.0], [-0.5, 0.0, 0.0]), 0.0);
-        // A wall of a few millimetres, far thinner than a step is long.
+        // A wall a few millimetres thick, far thinner than the length of a step.
         let wall =
             KeepOut::Box { lower: Ned::new(0.0, -1.0, -1.0), upper: Ned::new(0.004, 1.0, 1.0) };
         let through = wall.depth_between([-0.01, 0.0, 0.0], [0.03, 0.1, 0.0]);
@@ -208,7 +209,7 @@ mod tests {
         assert!(wall.depth_between([-0.03, 0.0, 0.0], [-0.01, 0.1, 0.0]) < 0.0);
         let chord = ball.depth_between([-1.0, -0.2, 0.7], [1.5, -0.2, 0.7]);
         assert!((chord - 0.1).abs() < 1e-12, "{chord}");
-        // A corner that is cut.
+        // A segment that cuts a corner.
         let cut = block.depth_between([0.1, 0.7, 0.0], [0.3, 0.5, 0.0]);
         assert!(cut.abs() < 1e-9, "{cut}");
         let cut = block.depth_between([0.0, 0.7, 0.0], [0.3, 0.4, 0.0]);

@@ -1,4 +1,4 @@
-//! Manoeuvres that set one cause of a vehicle's behaviour apart from another: a small library of
+//! Manoeuvres that separate one cause of a vehicle's behaviour from another: a small library of
 //! safe flights, as large as the room, the envelope and the vehicle allow.
 
 mod room;
@@ -15,19 +15,19 @@ use super::trajectory::Trajectory;
 /// One manoeuvre of the library.
 #[derive(Clone, Debug)]
 pub struct Manoeuvre {
-    /// Its name in answers.
+    /// Its name in reports.
     pub name: &'static str,
-    /// What it sets apart, after "because it".
+    /// What it distinguishes, as a clause after "because it".
     pub purpose: &'static str,
     /// The trajectory file.
     pub text: String,
-    /// What that file says.
+    /// The trajectory in that file.
     pub trajectory: Trajectory,
-    /// The most that it asks for.
+    /// The largest demands of the trajectory.
     pub demands: Feasibility,
 }
 
-/// The manoeuvres for a vehicle in a room, those left out that break the envelope.
+/// The manoeuvres for a vehicle in a room, without those that exceed the envelope.
 pub fn library(room: &Room, envelope: &FlightEnvelope) -> Vec<Manoeuvre> {
     let drawn: [(&'static str, &'static str, String); 16] = [
         (
@@ -118,7 +118,7 @@ pub fn library(room: &Room, envelope: &FlightEnvelope) -> Vec<Manoeuvre> {
         .collect()
 }
 
-/// Ramp from and to rest, s.
+/// Duration of the ramps from and to rest, s.
 const RAMP_S: f64 = 2.0;
 
 fn hover_yaw(room: &Room) -> String {
@@ -166,7 +166,7 @@ fn low_hover(room: &Room) -> String {
         .to_toml()
 }
 
-/// Waves of equal shares of an acceleration, limited in amplitude and speed.
+/// Waves with equal shares of an acceleration, limited in amplitude and speed.
 fn waves(periods_s: &[f64], acceleration: f64, amplitude_max: f64, speed_max: f64) -> Vec<Wave> {
     let count = periods_s.len() as f64;
     periods_s
@@ -177,7 +177,7 @@ fn waves(periods_s: &[f64], acceleration: f64, amplitude_max: f64, speed_max: f6
             let amplitude_m = (acceleration / count / (omega * omega))
                 .min(amplitude_max / count)
                 .min(speed_max / count / omega);
-            // Phases that keep the waves' peaks from meeting.
+            // Phases that keep the waves' peaks apart.
             Wave { amplitude_m, period_s: *period_s, phase_deg: 110.0 * i as f64 }
         })
         .collect()
@@ -194,7 +194,7 @@ fn vertical_chirp(room: &Room) -> String {
     .to_toml()
 }
 
-/// Up and down as hard as allowed, so many times.
+/// Up and down as hard as allowed, `times` times.
 fn punches(room: &Room, script: Script, times: usize) -> Script {
     let [low, high] = room.height_m;
     (0..times).fold(script, |script, _| {
@@ -246,7 +246,7 @@ fn speed_sweep(room: &Room) -> String {
     script.to_toml()
 }
 
-/// `turning`: share of the yaw rate.
+/// `turning`: fraction of the yaw rate limit.
 fn fast_circle(room: &Room, turning: f64) -> String {
     let radius = 0.9 * room.half_size_m;
     let speed = room.speed_m_s.min((room.lateral_m_s2 * radius).sqrt());
@@ -264,7 +264,7 @@ fn fast_circle(room: &Room, turning: f64) -> String {
 }
 
 fn stops(room: &Room) -> String {
-    // Feedback sees at most a metre of error, so that a step is approached at a bounded speed.
+    // Feedback sees at most a metre of error, so the approach to a step has a bounded speed.
     let step = (0.4 * room.half_size_m).min(0.6);
     let mut offsets = Vec::new();
     for [north, east] in [[step, 0.0], [-step, 0.0], [0.0, step], [0.0, -step]] {
@@ -278,10 +278,10 @@ fn stops(room: &Room) -> String {
     )
 }
 
-/// `turning`: share of the yaw rate.
+/// `turning`: fraction of the yaw rate limit.
 fn tilt_chirp(room: &Room, turning: f64) -> String {
     let side = 0.5 * room.half_size_m;
-    // Both axes may want the most at once.
+    // Both axes may reach their maximum at once.
     let (acceleration, speed) = (room.lateral_m_s2 / 2f64.sqrt(), room.speed_m_s / 2f64.sqrt());
     let lateral = |periods: &[f64]| waves(periods, acceleration, side, speed);
     Multisine {
@@ -297,7 +297,7 @@ fn tilt_chirp(room: &Room, turning: f64) -> String {
 }
 
 fn yaw_waves(room: &Room) -> Vec<YawWave> {
-    // Drag torques are small: rotors have little to yaw with.
+    // Drag torques are small, so the rotors have little yaw authority.
     let periods = [4.1, 2.6, 1.7, 1.1];
     let share = 0.6 * room.yaw_rate_deg_s / periods.len() as f64;
     periods
@@ -324,7 +324,7 @@ fn yaw_chirp(room: &Room) -> String {
 
 fn everything(room: &Room) -> String {
     let side = 0.6 * room.half_size_m;
-    // Together they share speed and acceleration.
+    // The axes together share speed and acceleration.
     let (lateral, speed) = (0.6 * room.lateral_m_s2, 0.6 * room.speed_m_s);
     Multisine {
         altitude_m: room.middle(),

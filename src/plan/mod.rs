@@ -1,5 +1,5 @@
-//! Trajectories: what the vehicle is asked to do, and the reference made of it: as it is, or
-//! planned through a model.
+//! Trajectories: the desired motion, and the reference derived from it, directly or planned through
+//! a model.
 
 pub mod conic;
 mod curve;

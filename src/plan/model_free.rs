@@ -1,4 +1,4 @@
-//! The reference that knows no dynamics.
+//! The reference without a dynamics model.
 
 use std::sync::Arc;
 
@@ -10,8 +10,8 @@ use super::trajectory::Trajectory;
 use crate::setpoint::{Reference, Setpoint};
 
 /// The desired position, velocity, yaw and yaw rate as the reference state, and hover thrust,
-/// level, at the desired yaw and yaw rate as the feed-forward: all that leads the vehicle along the
-/// trajectory is feedback. This is what planned references are compared with.
+/// level, at the desired yaw and yaw rate as the feed-forward: feedback alone moves the vehicle
+/// along the trajectory. This is the baseline for planned references.
 #[derive(Clone, Debug)]
 pub struct ModelFreeReference {
     trajectory: Trajectory,

@@ -8,7 +8,7 @@ use vehicle::frame::{Ned, wrap_angle};
 
 use super::desired_point::DesiredPoint;
 
-/// A point to reach and how long to stay there.
+/// A point to reach, and the time to stay there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Waypoint {
     pub position: Ned,
@@ -17,7 +17,7 @@ pub(super) struct Waypoint {
     pub hold_s: f64,
 }
 
-/// How fast a segment may be flown.
+/// Limits on the speed of a segment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pace {
     /// m/s
@@ -29,8 +29,8 @@ pub(super) struct Pace {
 }
 
 /// Straight segments, each position(x) = a + (b - a)(10 x^3 - 15 x^4 + 6 x^5), x = t / duration,
-/// the minimum-jerk profile between two points at rest (Flash and Hogan, 1985, eq. 3), yaw likewise
-/// by the shorter way.
+/// the minimum-jerk profile between two points at rest (Flash and Hogan, 1985, eq. 3). Yaw has the
+/// same profile and turns the shorter way.
 #[derive(Clone, Debug)]
 pub(super) struct MinimumJerkPath {
     /// Never empty.
@@ -49,7 +49,7 @@ struct Segment {
 }
 
 impl MinimumJerkPath {
-    /// Through the waypoints in order; `None` without any.
+    /// A path through the waypoints in order; `None` without any.
     pub fn through(waypoints: &[Waypoint], pace: Pace) -> Option<Self> {
         let first = *waypoints.first()?;
         let (mut segments, mut clock) = (Vec::new(), 0.0);
@@ -76,7 +76,8 @@ impl MinimumJerkPath {
         Some(Self { segments, duration: clock })
     }
 
-    /// `count` waypoints drawn uniformly from a box around `centre`, beginning and ending there.
+    /// A path through `count` waypoints drawn uniformly from a box around `centre`, starting and
+    /// ending at the centre.
     pub fn random(
         seed: u64,
         count: usize,

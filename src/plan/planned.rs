@@ -1,4 +1,4 @@
-//! A plan that was found, as a file, and as the reference that a flight follows.
+//! A finished plan, as a file and as the reference of a flight.
 
 use std::path::{Path, PathBuf};
 
@@ -15,20 +15,20 @@ use super::reference::ReferenceSource;
 use super::scp::{Outcome, Record, Status};
 use crate::setpoint::{Expected, Reference, Setpoint};
 
-/// What the file says that it is.
+/// Identifier in the file's `schema` field.
 const SCHEMA: &str = "downwash.plan";
-/// Version of the file's form; files of others are refused.
+/// Version of the file format; files of other versions are rejected.
 const VERSION: u32 = 2;
-/// Longest plan that is read, in periods: three hours at 100 Hz.
+/// Longest plan that is accepted, in periods: three hours at 100 Hz.
 const PERIODS_MAX: usize = 1_080_000;
 
-/// Most bytes of a file: that many periods.
+/// Largest file, in bytes: room for that many periods.
 const SIZE_MAX: u64 = 512 << 20;
 
 /// A commanded input `u_hat = (u1, zeta_des, omega_des)` in N, rad and rad/s.
 pub type CommandedInput = [f64; 7];
 
-/// A plan: states, the inputs that lead through them, and how they were found. Position is relative
+/// A plan: states, the inputs that connect them, and the record of the search. Position is relative
 /// to the take-off point, as in the desired trajectory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -39,23 +39,23 @@ pub struct Plan {
     pub trajectory: String,
     /// Name of the vehicle.
     pub vehicle: String,
-    /// The vehicle's numbers.
+    /// The vehicle's parameters.
     pub body: PlannedBody,
-    /// What it was planned through.
+    /// The model that it was planned through.
     pub model: PlannedThrough,
     /// Time between states, s.
     pub period_s: f64,
-    /// How the vehicle answers its inputs, as the model has it.
+    /// The vehicle's response to its inputs, according to the model.
     pub answer: Answer,
     /// How the search ended.
     pub status: Status,
-    /// Sum of the distances to the desired states; of a plan of least time, its length in s.
+    /// Sum of the distances to the desired states; for a minimum-time plan, its length in s.
     pub cost: f64,
-    /// What the plan misses.
+    /// The plan's violations.
     pub violation: Violation,
     /// The search's subproblems.
     pub records: Vec<Record>,
-    /// The desired states, one more than inputs; those of a plan of least time are its own.
+    /// The desired states, one more than inputs; in a minimum-time plan, the planned states.
     pub desired: Vec<StateVector>,
     /// The planned states, one more than inputs.
     pub states: Vec<StateVector>,
@@ -63,7 +63,7 @@ pub struct Plan {
     pub inputs: Vec<CommandedInput>,
 }
 
-/// What of its vehicle a plan's inputs hold for, the modelled effects applied.
+/// The vehicle parameters that a plan's inputs hold for, with the modelled effects applied.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannedBody {
@@ -83,25 +83,26 @@ pub struct PlannedBody {
 pub struct PlannedThrough {
     /// net, physics or hybrid; nominal for the vehicle file's own physics.
     pub kind: String,
-    /// SHA-256 of the model file, where there is one.
+    /// SHA-256 of the model file, if there is one.
     pub sha256: Option<String>,
 }
 
-/// How the vehicle answers its inputs: the plan's inputs are those that act, and are sent early.
+/// The vehicle's response to its inputs: the plan's inputs are those that act, and are sent
+/// earlier.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Answer {
-    /// From a setpoint's sending to its use on board, s.
+    /// Delay from sending a setpoint to its use on board, s.
     pub delay_s: f64,
-    /// First-order lag from a commanded wrench to the one that acts, s.
+    /// First-order lag from a commanded wrench to the acting one, s.
     pub lag_s: f64,
-    /// Power of the pack's voltage, over that of a full one, that thrust is proportional to.
+    /// Exponent of the thrust in the pack's voltage, relative to a full pack.
     pub voltage_exponent: f64,
     /// The loop that turns setpoints into moments.
     pub attitude_pd: AttitudePd,
 }
 
-/// Why a plan is refused.
+/// Why a plan is rejected.
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
     /// The file cannot be read.
@@ -109,7 +110,7 @@ pub enum PlanError {
     Io {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
     /// Not a plan, or a damaged one.
@@ -122,27 +123,27 @@ pub enum PlanError {
     },
 }
 
-/// What a new plan is made of.
+/// The parts of a new plan that the search does not provide.
 #[derive(Clone, Debug)]
 pub struct Found {
     /// Name of the desired trajectory.
     pub trajectory: String,
     /// Name of the vehicle.
     pub vehicle: String,
-    /// The vehicle's numbers.
+    /// The vehicle's parameters.
     pub body: PlannedBody,
-    /// What it was planned through.
+    /// The model that it was planned through.
     pub model: PlannedThrough,
     /// Time between states, s.
     pub period_s: f64,
-    /// How the vehicle answers.
+    /// The vehicle's response.
     pub answer: Answer,
     /// The desired states, one more than inputs.
     pub desired: Vec<StateVector>,
 }
 
 impl Plan {
-    /// The plan of a search's outcome.
+    /// The plan from a search's outcome.
     pub fn new(found: Found, outcome: Outcome<7>) -> Self {
         let Found { trajectory, vehicle, body, model, period_s, answer, desired } = found;
         Self {
@@ -164,16 +165,15 @@ impl Plan {
         }
     }
 
-    /// Whether a file is taken for a plan, by its name alone: trajectories are no JSON.
+    /// Whether a file counts as a plan, by its name alone: no trajectory is JSON.
     pub fn is_plan(path: &Path) -> bool {
         path.extension().is_some_and(|extension| extension == "json")
     }
 
-    /// Reads a plan.
+    /// Reads and checks a plan.
     ///
     /// # Errors
-    /// [`PlanError`] where the file is none, of another version, or holds numbers that no plan
-    /// has.
+    /// [`PlanError`] if the file is not a plan, has another version, or holds invalid numbers.
     pub fn load(path: &Path) -> Result<Self, PlanError> {
         let text = bounded::read_to_string(path, SIZE_MAX)
             .map_err(|source| PlanError::Io { path: path.to_owned(), source })?;
@@ -183,7 +183,7 @@ impl Plan {
         Ok(plan)
     }
 
-    /// The text of its file.
+    /// The content of its file.
     pub fn to_json(&self) -> Result<String, serde_json::Error> {
         serde_json::to_string(self)
     }
@@ -225,7 +225,7 @@ impl Plan {
         Ok(())
     }
 
-    /// Whether nothing was desired but the fastest way, which the plan is.
+    /// Whether this is a minimum-time plan: its desired states are the planned ones.
     pub fn is_fastest(&self) -> bool {
         self.states == self.desired
     }
@@ -240,12 +240,12 @@ impl Plan {
             .collect()
     }
 
-    /// Whether the plan holds what it says, between its states as at them: a search that failed,
-    /// or that ended with states that no input leads through, is no plan to fly. What the model
-    /// has no part in, that velocity and body rate lead from state to state, is checked again.
+    /// Whether the plan may be flown, at its states and between them: a failed search, or one that
+    /// ended with states that no input connects, gives no such plan. Independently of the model, it
+    /// also checks that velocity and body rate lead from state to state.
     ///
     /// # Errors
-    /// What it misses, in words.
+    /// What it violates, in words.
     pub fn check_flyable(&self) -> Result<(), NotFlyable> {
         check_violation(self.status, &self.violation)?;
         check_led(&self.states, self.period_s)
@@ -262,20 +262,20 @@ impl Plan {
 pub struct PlannedReference {
     period_s: f64,
     states: Vec<StateVector>,
-    /// The inputs with the lag's inverse before them, each at the state that it acts from.
+    /// The inputs with the inverse of the lag applied, each at the state that it acts from.
     led: Vec<CommandedInput>,
     delay_s: f64,
-    /// What the plan's model expects beside weight, thrust and the attitude loop from each state to
+    /// What the plan's model expects beyond weight, thrust and the attitude loop from each state to
     /// the next: acceleration, and attitude.
     expected: Vec<[f64; 6]>,
     start_thrust_n: f64,
     voltage_exponent: f64,
 }
 
-/// Periods whose mean thrust is taken for that of the start.
+/// Periods whose mean thrust is the thrust at the start.
 const STILL_PERIODS: usize = 20;
-/// Periods on either side that a slope is taken over. One of neighbours alone would multiply the
-/// small jumps between the inputs of plans through networks by the lag over the period.
+/// Periods on either side of a slope. Neighbours alone would amplify the small jumps between the
+/// inputs of plans through networks by the lag over the period.
 const SLOPE_PERIODS: usize = 3;
 
 /// Slopes per row of the least-squares lines through the rows around `n`.
@@ -295,9 +295,9 @@ fn slope_around<const N: usize>(rows: &[[f64; N]], n: usize) -> [f64; N] {
 }
 
 impl PlannedBody {
-    /// What leads a body from one of a plan's states to the next beside weight, thrust and the
-    /// moments of `pd`: acceleration [m/s^2], and the moments that are left as the attitude [rad]
-    /// that `pd` makes them of.
+    /// What leads a body from one of a plan's states to the next beyond weight, thrust and the
+    /// moments of `pd`: acceleration [m/s^2], and the residual moments as the attitude [rad] from
+    /// which `pd` produces them.
     fn expected(
         &self,
         pair: &[StateVector],
@@ -327,15 +327,15 @@ impl PlannedBody {
 impl PlannedReference {
     /// The plan with its inputs as they must be sent.
     ///
-    /// A wrench acts `delay_s` after its setpoint is sent and through a lag of `lag_s`, so what is
-    /// sent at t is the input of `t + delay_s` with the lag's inverse put before it: the loop's
-    /// moments M are to be `M* + lag dM*/dt`, which the attitude setpoint asks for by
-    /// `lag Kp^-1 dM*/dt`, and thrust likewise.
+    /// A wrench acts `delay_s` after its setpoint is sent and through a lag of `lag_s`. The
+    /// setpoint sent at t is therefore the input at `t + delay_s` with the inverse of the lag
+    /// applied: the loop's moments M become `M* + lag dM*/dt`, which takes a shift of the attitude
+    /// setpoint by `lag Kp^-1 dM*/dt`, and thrust likewise.
     pub fn new(plan: &Plan) -> Self {
         Self::of(&plan.states, &plan.inputs, plan.period_s, &plan.answer, &plan.body)
     }
 
-    /// The same for states and inputs, `period` seconds apart.
+    /// The same from states and inputs, `period` seconds apart.
     pub(super) fn of(
         states: &[StateVector],
         inputs: &[CommandedInput],
@@ -387,7 +387,7 @@ impl PlannedReference {
 }
 
 impl PlannedReference {
-    /// What is sent at `t` seconds, which acts the delay later. A plan's first inputs are sent
+    /// The setpoint sent at `t` seconds, which acts after the delay. A plan's first inputs are sent
     /// before it begins.
     pub(super) fn sent(&self, t: f64) -> Setpoint {
         let [thrust_n, roll, pitch, yaw, p, q, r] =
@@ -400,7 +400,7 @@ impl PlannedReference {
     }
 }
 
-/// A row at a fractional index, held at both ends.
+/// A row at a fractional index, interpolated, held at both ends.
 fn between<const N: usize>(rows: &[[f64; N]], index: f64) -> [f64; N] {
     let last = rows.len() - 1;
     let index = index.clamp(0.0, last as f64);
@@ -435,7 +435,7 @@ impl ReferenceSource for PlannedReference {
             velocity: Ned::new(vn, ve, vd),
             attitude: Euler::new(roll, pitch, wrap_angle(yaw)),
             body_rate: Frd::new(p, q, r),
-            // Before the beginning and after the end it holds.
+            // Held before the start and after the end.
             feedforward: self.sent(t.clamp(0.0, self.duration())),
         }
     }

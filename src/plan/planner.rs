@@ -1,4 +1,4 @@
-//! From a desired trajectory and a model to a plan.
+//! Plans from a desired trajectory and a model.
 
 use std::sync::Arc;
 
@@ -28,31 +28,31 @@ use crate::model::Model;
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PlanSettings {
-    /// Planned states a second.
+    /// Planned states per second, Hz.
     pub rate_hz: f64,
-    /// What solves the subproblems.
+    /// The solver of the subproblems.
     pub solver: SolverChoice,
     /// Weights of position, velocity, attitude and body rate in the distance to the desired state.
     pub weight: [f64; 4],
-    /// Weight of the inputs' distance to those that the desired trajectory would need without air.
+    /// Weight of the inputs' distance to those that the desired trajectory needs without drag.
     pub input_weight: f64,
-    /// Most subproblems.
+    /// Largest number of subproblems.
     pub subproblems_max: usize,
-    /// First trust region, in units of the inputs' typical sizes.
+    /// Initial trust region, in units of the inputs' typical sizes.
     pub trust: f64,
-    /// The search ends where four subproblems together improve the cost by less than this share.
+    /// The search ends when four subproblems together improve the cost by less than this fraction.
     pub progress: f64,
-    /// The search ends with what it has before it takes longer than this, s.
+    /// Time limit of the search, s; it returns the best plan so far.
     pub time_limit_s: f64,
-    /// Plans that are made anew in flight.
+    /// Plans that are renewed in flight.
     pub receding: RecedingSettings,
-    /// Regions that the vehicle keeps out of, relative to the take-off point.
+    /// Regions that the vehicle must avoid, relative to the take-off point.
     pub keep_out: Vec<KeepOutSetting>,
     /// Least and greatest north, east and down of the plan, relative to the take-off point, m.
     pub box_m: Option<[[f64; 3]; 2]>,
 }
 
-/// How plans follow one another.
+/// Timing and caution of plans that follow one another.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecedingSettings {
@@ -60,28 +60,28 @@ pub struct RecedingSettings {
     pub period_s: f64,
     /// Length of a plan, s.
     pub horizon_s: f64,
-    /// From the state that a plan is made from to where its first input is sent, s: the time that
-    /// planning may take.
+    /// Time from the state that a plan starts from until its first input is sent, s: the time
+    /// available for planning.
     pub lead_s: f64,
-    /// Whether plans are made as below: where the on-board loop is an autopilot's own, which a plan's
-    /// model has without its integrals and filters, and which answers through rotors that lag. A
-    /// plan that trusts such a model, and an estimate that wanders, gives every input that there is
-    /// to be rid of the last millimetre, and the vehicle swings.
+    /// Whether `knee` and `change_weight` apply. They suit vehicles whose on-board loop is the
+    /// autopilot's own: the plan's model lacks its integrators and filters, and it acts through
+    /// rotors that lag. A plan that trusts such a model, and a wandering estimate, uses every
+    /// available input to remove the last millimetre, and the vehicle oscillates.
     pub cautious: Use,
-    /// Distances to the desired state below this count by their square (also in plans that are made
-    /// before the flight, whose inputs would jump from period to period), and a vehicle that is
-    /// nearer than this to the plan before is left to feedback: the next plan goes on from there.
-    /// In units of the weighted state.
+    /// Distances to the desired state below this are squared (also in plans made before the flight,
+    /// whose inputs would otherwise jump from period to period). A vehicle nearer than this to the
+    /// previous plan is left to feedback: the next plan continues the previous one. In units of the
+    /// weighted state.
     pub knee: f64,
-    /// Weight of the inputs' distance to those of the plan before: what one plan alone asks for,
-    /// which the next will not, is hardly flown.
+    /// Weight of the inputs' distance to those of the previous plan: it suppresses what one plan
+    /// asks for and the next does not.
     pub change_weight: f64,
-    /// Most subproblems of a plan. Of the first plan as many as of one before the flight, where steps
-    /// are damped.
+    /// Largest number of subproblems of a plan. With damped steps, the first plan may take as many
+    /// as a plan before the flight.
     pub subproblems_max: usize,
-    /// Cost of the square of a subproblem's step in the inputs, each over its typical size. Above 0 it
-    /// keeps steps small in place of the trust region, so that one sweep solves most subproblems, and
-    /// one subproblem of this kind makes a plan that goes on from one a few milliseconds older.
+    /// Cost of the square of a subproblem's step in the inputs, each over its typical size. Above
+    /// 0, it keeps steps small in place of the trust region: one sweep solves most subproblems, and
+    /// one such subproblem suffices for a plan that continues one a few milliseconds older.
     pub damping: f64,
 }
 
@@ -101,34 +101,35 @@ impl Default for RecedingSettings {
 }
 
 impl RecedingSettings {
-    /// For a vehicle whose on-board loop is its autopilot's own or not.
+    /// Resolves `cautious` for a vehicle whose on-board loop is (`is_own_loop`) or is not its
+    /// autopilot's own.
     pub fn for_loop(self, is_own_loop: bool) -> Self {
         let cautious = if self.cautious.applies(is_own_loop) { Use::On } else { Use::Off };
         Self { cautious, ..self }
     }
 
-    /// The knee and the weight of changes as they act.
+    /// The knee and the weight of changes, if plans are cautious.
     pub(super) fn caution(&self) -> Option<(f64, f64)> {
         (self.cautious == Use::On).then_some((self.knee, self.change_weight))
     }
 }
 
-/// What solves the subproblems of a search.
+/// The solver of a search's subproblems.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize, Deserialize, clap::ValueEnum,
 )]
 #[serde(rename_all = "kebab-case")]
 pub enum SolverChoice {
-    /// The Riccati interior point.
+    /// The Riccati interior-point method.
     #[default]
     InteriorPoint,
-    /// Clarabel, the dynamics as equations.
+    /// Clarabel, with the dynamics as equality constraints.
     Clarabel,
-    /// Clarabel, the dynamics with an l1 penalty (Schulman et al. 2013; Bansal et al. 2016).
+    /// Clarabel, with the dynamics under an l1 penalty (Schulman et al. 2013; Bansal et al. 2016).
     Penalty,
 }
 
-/// A region to keep out of. Exactly one of the two is given.
+/// A region to avoid. Give exactly one of the two.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum KeepOutSetting {
@@ -139,7 +140,7 @@ pub enum KeepOutSetting {
         /// m
         radius_m: f64,
     },
-    /// A box along the world's axes.
+    /// A box aligned with the world's axes.
     Box {
         /// Least north, east, down, m.
         lower_m: [f64; 3],
@@ -167,7 +168,7 @@ impl Default for PlanSettings {
 }
 
 impl PlanSettings {
-    /// The corners of the box to stay in, m.
+    /// The corners of the box that bounds the plan, m.
     pub(super) fn room(&self) -> Option<(Ned, Ned)> {
         self.box_m.map(|[lower, upper]| (ned(lower), ned(upper)))
     }
@@ -183,28 +184,28 @@ impl PlanSettings {
     }
 }
 
-/// Why no plan can be searched.
+/// Why no plan can be searched for.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PlannerError {
-    /// A number of the settings is impossible.
+    /// A setting is out of range.
     #[error("[plan] {field}: expected {expected}, found {found}")]
     Setting {
         /// The field.
         field: &'static str,
-        /// What would be right.
+        /// The accepted range.
         expected: &'static str,
-        /// What is there.
+        /// The value found.
         found: f64,
     },
-    /// The trajectory has numbers that are none.
+    /// The trajectory has a desired state that is not finite.
     #[error("trajectory {trajectory}: the desired state at {at_s:.2} s is not finite")]
     NotFinite {
         /// The trajectory.
         trajectory: String,
-        /// When.
+        /// Time of the first such state, s.
         at_s: f64,
     },
-    /// The trajectory is longer than can be planned at once.
+    /// The trajectory is too long to plan in one search.
     #[error(
         "trajectory {trajectory}: expected at most {limit_s:.0} s to plan, found {found_s:.0} s; \
          {cure}plan it in parts or with a lower [plan] rate_hz, or fly it without a plan, or with \
@@ -213,19 +214,19 @@ pub enum PlannerError {
     TooLong {
         /// The trajectory.
         trajectory: String,
-        /// Longest.
+        /// The greatest length that can be planned, s.
         limit_s: f64,
-        /// Its length.
+        /// Its length, s.
         found_s: f64,
-        /// What lets it be planned, if anything does.
+        /// How to make it possible, or empty.
         cure: String,
     },
 }
 
-/// What plans are made for.
+/// The vehicle that plans are made for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlannedVehicle {
-    /// Its effective numbers.
+    /// Its effective parameters.
     pub body: PlannedBody,
     /// The on-board loop.
     pub attitude_pd: AttitudePd,
@@ -239,27 +240,27 @@ pub struct Planner {
     model: Arc<dyn Model>,
     vehicle: PlannedVehicle,
     settings: PlanSettings,
-    /// As of [`RecedingSettings`]; 0 for plans that follow none.
+    /// As in [`RecedingSettings`]; 0 for plans made before the flight.
     knee: f64,
     change_weight: f64,
     damping: f64,
 }
 
-/// First trust region of a plan that goes on from another.
+/// Initial trust region of a plan that continues another.
 const NEAR: f64 = 0.1;
-/// Trust region where steps are damped: it bounds nothing that the inputs' own bounds do not.
+/// Trust region with damped steps: wide enough that only the inputs' own bounds act.
 const TRUST_FREE: f64 = 1e2;
 
-/// Most periods of a plan: whatever time there is for the search, and with all the time.
+/// Most periods of a plan: the bound that holds for any time limit, and the absolute one.
 const PERIODS_MAX: [f64; 2] = [10_000.0, 60_000.0];
-/// Periods of a plan for each second of the search's time, beyond the first of these: a subproblem
-/// takes a tenth of a millisecond a period, and fewer than eight of them make no plan.
+/// Periods of a plan per second of the time limit, between these two bounds: a subproblem takes a
+/// tenth of a millisecond per period, and a plan takes at least eight subproblems.
 const PERIODS_IN_A_SECOND: f64 = 1250.0;
-/// How far the planned yaw and the commanded one may leave the range of the desired, rad.
+/// How far the planned and the commanded yaw may leave the range of the desired yaw, rad.
 const YAW_ROOM: f64 = 1.0;
 
 impl Planner {
-    /// A planner.
+    /// Checks the settings and builds a planner.
     ///
     /// # Errors
     /// [`PlannerError::Setting`].
@@ -272,15 +273,15 @@ impl Planner {
         Ok(Self { model, vehicle, settings, knee: 0.0, change_weight: 0.0, damping: 0.0 })
     }
 
-    /// The same with the knee of these settings, where they are cautious.
+    /// The same planner with the knee of these settings, if they are cautious.
     #[must_use]
     pub fn cautious(mut self, receding: &RecedingSettings) -> Self {
         self.knee = receding.caution().map_or(0.0, |(knee, _)| knee);
         self
     }
 
-    /// The same for plans that begin as the last one goes on: a small trust region, for they are
-    /// near already, and an end where little is gained.
+    /// The same planner for plans that continue the previous one: a small trust region, because
+    /// they start near the solution, and an end when little is gained.
     pub fn replanning(mut self, receding: &RecedingSettings) -> Self {
         self.settings.subproblems_max = receding.subproblems_max;
         self.settings.trust =
@@ -291,8 +292,8 @@ impl Planner {
         self
     }
 
-    /// The same for the first of such plans. Where one subproblem makes a plan, the first, which has
-    /// none to go on from, is searched to its end.
+    /// The same planner for the first of such plans. Where one subproblem makes a plan, the first
+    /// plan has none to continue and is searched to its end.
     pub fn first_of_replanning(self, receding: &RecedingSettings) -> Self {
         if receding.damping <= 0.0 {
             return self.replanning(receding);
@@ -301,7 +302,8 @@ impl Planner {
         self.replanning(&RecedingSettings { subproblems_max, damping: 0.0, ..*receding })
     }
 
-    /// `seen` less what of its weighted distance to `planned` is within `knee`.
+    /// `seen`, moved towards `planned` by `knee` in the weighted distance; `planned` itself within
+    /// the knee.
     pub(super) fn beyond(
         &self,
         planned: &StateVector,
@@ -324,12 +326,12 @@ impl Planner {
         weights
     }
 
-    /// What is planned through.
+    /// The model that plans go through.
     pub fn model(&self) -> &dyn Model {
         self.model.as_ref()
     }
 
-    /// The vehicle's effective numbers.
+    /// The vehicle's effective parameters.
     pub fn body(&self) -> &PlannedBody {
         &self.vehicle.body
     }
@@ -344,10 +346,10 @@ impl Planner {
         1.0 / self.settings.rate_hz
     }
 
-    /// The desired states of a trajectory.
+    /// The desired states of a whole trajectory.
     ///
     /// # Errors
-    /// A trajectory that is too long, or with numbers that are not finite.
+    /// The trajectory is too long, or has numbers that are not finite.
     pub fn desire(&self, trajectory: &Trajectory) -> Result<Desire, PlannerError> {
         let [least, most] = PERIODS_MAX;
         let limit_s =
@@ -369,10 +371,10 @@ impl Planner {
         self.desire_from(trajectory, 0.0, periods)
     }
 
-    /// The desired states of a part of a trajectory, which is held at its end.
+    /// The desired states of a part of a trajectory, held at its end.
     ///
     /// # Errors
-    /// Numbers that are not finite.
+    /// The part has numbers that are not finite.
     pub fn desire_from(
         &self,
         trajectory: &Trajectory,
@@ -398,8 +400,8 @@ impl Planner {
         }
     }
 
-    /// Where a search begins: the desired states and inputs, or where they cross a region to keep
-    /// out of, those of a path round it.
+    /// The start of a search: the desired states and inputs, or, where these cross a region to
+    /// avoid, those of a path around it.
     fn guess(&self, desire: &Desire, problem: &Problem<7>) -> Iterate<7> {
         let (mut states, period_s) = (desire.states.clone(), self.period_s());
         if !bend(&mut states, period_s, &problem.keep_out, &problem.limits) {
@@ -421,7 +423,7 @@ impl Planner {
         Iterate { states, inputs }
     }
 
-    /// The problem of following desired states from `start`.
+    /// The problem of tracking the desired states from `start`.
     pub fn problem(&self, desire: &Desire, start: StateVector) -> Problem<7> {
         Problem {
             period_s: self.period_s(),
@@ -443,7 +445,7 @@ impl Planner {
         }
     }
 
-    /// The regions to keep out of.
+    /// The regions to avoid.
     pub(super) fn keep_out(&self) -> impl Iterator<Item = KeepOut> + '_ {
         self.settings.keep_out.iter().map(|region| KeepOut::from(*region))
     }
@@ -466,9 +468,9 @@ impl Planner {
         }
     }
 
-    /// Searches the inputs that lead along desired states from `start`. `guess` is where the
-    /// search begins, of the same length; without one, the desired states, bent round the regions
-    /// to keep out of, and the desired inputs.
+    /// Searches for the inputs that track the desired states from `start`. `guess` is the starting
+    /// point, of the same length; without one, the search starts from the desired inputs and the
+    /// desired states, bent around the regions to avoid.
     pub fn plan(
         &self,
         desire: &Desire,
@@ -478,7 +480,8 @@ impl Planner {
     ) -> Outcome<7> {
         let mut problem = self.problem(desire, start);
         let mut guess = guess.unwrap_or_else(|| self.guess(desire, &problem));
-        // A first plan has none before it: what few subproblems leave of it must be flyable too.
+        // A first plan has no predecessor: the few subproblems of a replan must yield flyable
+        // inputs here too.
         if let Some(preference) = &mut problem.preference {
             preference.pull_to(&guess.inputs, self.change_weight);
         }

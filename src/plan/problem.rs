@@ -1,4 +1,4 @@
-//! What a plan is asked for: the desired states, the bounds, and what to keep out of.
+//! The planning problem: the desired states, the bounds, and the regions to avoid.
 
 use vehicle::frame::Ned;
 
@@ -10,13 +10,13 @@ pub use super::state_vector::{STATES, StateRow, StateVector};
 ///
 /// minimise `sum_{n=1..N} |W (s_n - s_d,n)|_2 + weight/2 sum_n |(u_n - preferred_n) / scale|^2`
 /// over the states and inputs with `s_0` given and `s_{n+1} = f(s_n, u_n)` (Bansal et al. 2016,
-/// eq. 12), within the bounds. With a knee `k` the distance `d` counts as `sqrt(d^2 + k^2) - k`:
-/// below the knee as `d^2 / 2k`.
+/// eq. 12), within the bounds. With a knee `k`, the distance `d` counts as `sqrt(d^2 + k^2) - k`,
+/// which is about `d^2 / 2k` below the knee.
 #[derive(Clone, Debug)]
 pub struct Problem<const INPUTS: usize> {
     /// Length of a period, s.
     pub period_s: f64,
-    /// Where the vehicle starts.
+    /// The initial state `s_0`.
     pub start: StateVector,
     /// `s_d,1 .. s_d,N`.
     pub desired: Vec<StateVector>,
@@ -26,11 +26,11 @@ pub struct Problem<const INPUTS: usize> {
     pub knee: f64,
     /// Bounds of each input.
     pub inputs: InputBounds<INPUTS>,
-    /// What is preferred among inputs that lead to the same states.
+    /// The preferred inputs among those that lead to the same states.
     pub preference: Option<InputPreference<INPUTS>>,
     /// Bounds of each state.
     pub limits: StateLimits,
-    /// Where the vehicle must not be.
+    /// Regions that the position must avoid.
     pub keep_out: Vec<KeepOut>,
 }
 
@@ -46,7 +46,7 @@ pub struct InputBounds<const INPUTS: usize> {
 }
 
 impl<const INPUTS: usize> InputBounds<INPUTS> {
-    /// The input within the bounds that is nearest.
+    /// The nearest input within the bounds.
     pub fn clamp(&self, mut input: [f64; INPUTS]) -> [f64; INPUTS] {
         for ((value, lower), upper) in input.iter_mut().zip(&self.lower).zip(&self.upper) {
             *value = value.clamp(*lower, *upper);
@@ -58,14 +58,15 @@ impl<const INPUTS: usize> InputBounds<INPUTS> {
 /// A quadratic pull of the inputs.
 #[derive(Clone, Debug)]
 pub struct InputPreference<const INPUTS: usize> {
-    /// Cost of a deviation by one scale, once.
+    /// Twice the cost of a deviation by one scale.
     pub weight: f64,
-    /// The preferred inputs, one a period.
+    /// The preferred inputs, one per period.
     pub inputs: Vec<[f64; INPUTS]>,
 }
 
 impl<const INPUTS: usize> InputPreference<INPUTS> {
-    /// A second pull, of `weight` towards `inputs`: up to a constant, the two are one.
+    /// Adds a second pull, of `weight` towards `inputs`: up to a constant, the two combine into
+    /// one.
     pub(super) fn pull_to(&mut self, inputs: &[[f64; INPUTS]], weight: f64) {
         let sum = self.weight + weight;
         let share = if sum > 0.0 { weight / sum } else { 0.0 };
@@ -78,7 +79,7 @@ impl<const INPUTS: usize> InputPreference<INPUTS> {
     }
 }
 
-/// Bounds of the state. A missing one does not act.
+/// Bounds of the state. A missing one is not enforced.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StateLimits {
     /// Angle of the thrust axis to the vertical, rad.
@@ -89,17 +90,18 @@ pub struct StateLimits {
     pub position: Option<(Ned, Ned)>,
 }
 
-/// What the bounds of a state are broken by.
+/// Violation of a state's bounds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Excess {
-    /// Sum over the bounds (m, rad, rad/s).
+    /// Sum of the violations (m, rad, rad/s).
     pub sum: f64,
-    /// How far the position, or one on the way on from it, is at most where it must not be, m.
+    /// Largest distance, m, by which the position, or the way on from it, is inside forbidden
+    /// space.
     pub trespass_m: f64,
 }
 
-/// A bound that is kept by more than this (in its unit) is not handed to the subproblem; the
-/// step's own check sees it again.
+/// A bound with more slack than this (in its unit) is left out of the subproblem; the check of the
+/// step includes it again.
 const FAR: f64 = 2.0;
 
 impl StateLimits {
@@ -114,8 +116,8 @@ impl StateLimits {
     /// Calls `visit` with each bound at `state`.
     fn visit(&self, state: &StateVector, mut visit: impl FnMut(StateRow)) {
         if let Some(tilt_max) = self.tilt_max_rad {
-            // cos(tilt) = cos(roll) cos(pitch); divided by sin(tilt_max) it counts in rad at the
-            // bound, and is smooth where the vehicle is level.
+            // cos(tilt) = cos(roll) cos(pitch); divided by sin(tilt_max), the bound is in rad near
+            // the limit, and smooth where the vehicle is level.
             let ((sin_r, cos_r), (sin_p, cos_p)) =
                 (state[ANGLE].sin_cos(), state[ANGLE + 1].sin_cos());
             let scale = 1.0 / tilt_max.sin();
@@ -147,12 +149,13 @@ impl StateLimits {
 }
 
 impl<const INPUTS: usize> Problem<INPUTS> {
-    /// N.
+    /// The horizon N, in periods.
     pub fn horizon(&self) -> usize {
         self.desired.len()
     }
 
-    /// What the distance to the desired state at the end of period `n`, `|W (s - s_d)|`, counts as.
+    /// The cost of the distance to the desired state at the end of period `n`, `|W (s - s_d)|`,
+    /// with the knee.
     pub fn distance(&self, n: usize, state: &StateVector) -> f64 {
         let desired = &self.desired[n];
         let square: f64 =
@@ -170,7 +173,7 @@ impl<const INPUTS: usize> Problem<INPUTS> {
         self.distance(n, state) + pull
     }
 
-    /// Calls `visit` with every bound of the state at the end of period `n`, and of the way on from
+    /// Calls `visit` with every bound of the state at the end of period `n`, and of the step from
     /// it: steps are Euler's, so the next position follows from this state alone.
     pub(super) fn visit_bounds(
         &self,
@@ -185,7 +188,7 @@ impl<const INPUTS: usize> Problem<INPUTS> {
         }
     }
 
-    /// What the bounds of the state at the end of period `n` are broken by.
+    /// By how much the state at the end of period `n` violates its bounds.
     pub(super) fn excess(&self, n: usize, state: &StateVector) -> Excess {
         let mut excess = Excess::default();
         self.visit_bounds(n, state, |row| {
@@ -197,7 +200,7 @@ impl<const INPUTS: usize> Problem<INPUTS> {
         excess
     }
 
-    /// The bounds that a step from the state at the end of period `n` may meet.
+    /// The bounds that a step from the state at the end of period `n` may reach.
     pub(super) fn rows_near(&self, n: usize, state: &StateVector, rows: &mut Vec<StateRow>) {
         rows.clear();
         self.visit_bounds(n, state, |row| {
@@ -210,8 +213,8 @@ impl<const INPUTS: usize> Problem<INPUTS> {
 
 #[cfg(test)]
 impl StateRow {
-    /// Whether the gradient is that of finite differences of `excess` at `state`; `None` at an
-    /// edge, where there is no one gradient.
+    /// Whether the gradient matches finite differences of `excess` at `state`; `None` at an edge,
+    /// where the gradient is not unique.
     pub(super) fn is_slope_of(
         &self,
         excess: impl Fn(&StateVector) -> f64,
@@ -263,7 +266,7 @@ mod tests {
 
     #[test]
     fn the_way_on_from_a_state_is_looked_at() {
-        // A wall of a few millimetres, far thinner than a step is long.
+        // A wall a few millimetres thick, far thinner than the length of a step.
         let wall =
             KeepOut::Box { lower: Ned::new(0.0, -1.0, -1.0), upper: Ned::new(0.004, 1.0, 1.0) };
         let mut problem = problem(StateLimits::default(), vec![wall]);
@@ -271,7 +274,7 @@ mod tests {
         let mut state = [0.0; STATES];
         (state[0], state[3]) = (-0.01, 0.4);
         assert!((problem.excess(0, &state).trespass_m - 0.002).abs() < 1e-12);
-        // Nothing follows the last.
+        // No step follows the last state.
         assert_eq!(problem.excess(1, &state).trespass_m, 0.0);
     }
 

@@ -1,10 +1,11 @@
-//! The flights that a model of the vehicle is learned from, after Bansal et al. 2016, section V-A:
+//! The flights for learning a model of the vehicle, after Bansal et al. 2016, section V-A:
 //! sinusoids in the XY, XZ and YZ planes without yaw, yaw rotations at a fixed position, and
-//! unstructured flight, in the shares of the paper's data set.
+//! unstructured flight, in the proportions of the paper's data set.
 //!
-//! Every flight asks for as much as its limits give: the periods are drawn, the amplitudes are the
-//! largest within the box, the speed, the tilt and the thrust that it may use. Smaller and faster
-//! waves, up to the bandwidth of the attitude loop, keep the rotational dynamics above the noise.
+//! Every flight uses its limits to the full: the periods are random, and the amplitudes are the
+//! largest within the box, the speed, the tilt and the thrust that the flight may use. Smaller and
+//! faster waves, up to the bandwidth of the attitude loop, keep the rotational dynamics above the
+//! noise.
 
 mod composer;
 mod kind;
@@ -25,34 +26,34 @@ use super::trajectory::Trajectory;
 /// One flight of a programme.
 #[derive(Clone, Debug)]
 pub struct ProgrammeFlight {
-    /// Its number and kind, such as `01-sinusoid-xy`; flights of one kind follow one another.
+    /// Its number and kind, such as `01-sinusoid-xy`; flights of one kind are consecutive.
     pub name: String,
-    /// What it moves.
+    /// The axes and the pattern of its motion.
     pub kind: FlightKind,
-    /// Seed of its own, for whoever simulates it.
+    /// The flight's own random seed, for a simulation of it.
     pub seed: u64,
     /// The trajectory file.
     pub text: String,
-    /// What that file says.
+    /// The trajectory in that file.
     pub trajectory: Trajectory,
-    /// The most that it asks for.
+    /// The largest speed, acceleration and other demands of the trajectory.
     pub demands: Feasibility,
 }
 
-/// Why there is no programme.
+/// Why no programme can be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ProgrammeError {
-    /// A length that makes no flights.
+    /// A length that is too short or too long.
     #[error(
         "a programme of {seconds:?} s: expected at least {least} s, so that each kind of flight has \
          room, and at most {most} s"
     )]
     Length {
-        /// What was asked for.
+        /// The length requested, s.
         seconds: f64,
-        /// What there must be.
+        /// The shortest accepted, s.
         least: f64,
-        /// What there may be.
+        /// The longest accepted, s.
         most: f64,
     },
     /// Settings that leave no room to fly in.
@@ -60,27 +61,26 @@ pub enum ProgrammeError {
         "[collect] with [envelope] and the vehicle leaves {quantity} of {found:.3}: {expected}"
     )]
     NoRoom {
-        /// What there is too little of.
+        /// The quantity with too little room.
         quantity: &'static str,
-        /// What there is.
+        /// Its value.
         found: f64,
-        /// What there must be.
+        /// The requirement.
         expected: &'static str,
     },
-    /// A flight that its own file or the envelope refuses.
+    /// The trajectory parser rejected a flight.
     #[error(transparent)]
     Trajectory(#[from] TrajectoryError),
-    /// As above.
+    /// The envelope rejected a flight.
     #[error(transparent)]
     Infeasible(#[from] InfeasibleTrajectory),
 }
 
-/// The programme: `seconds` of trajectory in the kinds that are learned from, then
-/// `combined_seconds` of those that combine both motions. The same arguments give the same
-/// flights, and the first part does not depend on the second.
+/// The programme: `seconds` of trajectory in the kinds for training, then `combined_seconds` in the
+/// kinds that combine both motions. The same arguments give the same flights, and the first part
+/// does not depend on the second.
 ///
-/// # Errors
-/// [`ProgrammeError`]; every flight that is returned is within the envelope.
+/// [`ProgrammeError`]; every returned flight is within the envelope.
 pub fn programme(
     settings: &ProgrammeSettings,
     envelope: &FlightEnvelope,
@@ -118,7 +118,7 @@ pub fn programme(
     Ok(flights)
 }
 
-/// A seed of 32 bits, so that it survives every JSON reader (splitmix64's mixing).
+/// A seed of 32 bits, which every JSON reader preserves (splitmix64's mixing).
 fn mixed(seed: u64, index: u64) -> u64 {
     let mut x = seed.wrapping_add((index + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15));
     x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -239,8 +239,8 @@ mod tests {
                 prop_assert!(demands.speed_m_s <= settings.speed_max_m_s + 1e-3);
                 prop_assert!(demands.tilt_deg <= tilt_max_deg);
                 prop_assert!(demands.height_m <= height_max_m + 2e-3);
-                // Not timid: it moves or turns quickly, or as hard as its tilt allows. A fast wave is slow
-                // where little tilt accelerates it.
+                // Bold enough: it moves or turns quickly, or as hard as its tilt allows. A fast
+                // wave is slow where a small tilt accelerates it.
                 let is_bold = demands.speed_m_s > 0.2
                     || demands.yaw_rate_deg_s > 20.0
                     || demands.tilt_deg > 0.4 * tilt_max_deg;

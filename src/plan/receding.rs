@@ -1,9 +1,8 @@
-//! A plan that is made anew while it is flown: from where the vehicle is, over a horizon that
-//! recedes.
+//! Receding-horizon planning: plans renewed in flight from the vehicle's present state.
 //!
-//! The control tick only ever reads the newest plan that is ready and hands over where the vehicle
-//! is; it never waits. A plan that is late is used as far as it still reaches, one that fails is
-//! not used, and where none reaches to, the desired trajectory itself is the reference.
+//! The control tick only reads the newest plan that is ready and hands over the vehicle's state; it
+//! never waits. A late plan is used as far as it still reaches, a failed plan is discarded, and
+//! where no plan reaches, the desired trajectory itself is the reference.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -27,10 +26,10 @@ use super::scp::Outcome;
 use super::trajectory::Trajectory;
 use crate::setpoint::{Expected, Reference};
 
-/// A plan from a time on.
+/// A plan and the time at which it starts.
 #[derive(Clone, Debug)]
 struct Stretch {
-    /// Seconds into the trajectory at which it begins.
+    /// Seconds into the trajectory at which it starts.
     from_s: f64,
     reference: PlannedReference,
     iterate: Iterate<7>,
@@ -41,15 +40,15 @@ impl Stretch {
         (self.from_s..self.from_s + self.reference.duration()).contains(&t)
     }
 
-    /// The plan at a time, between its states on a line.
+    /// The planned state at a time, interpolated linearly.
     fn state(&self, t: f64, period: f64) -> Option<StateVector> {
         let (first, share) = self.place(t, period);
         let (before, after) = (self.iterate.states.get(first)?, self.iterate.states.get(first + 1));
         Some(between(before, after.unwrap_or(before), share))
     }
 
-    /// `of` from a time on, where this plan reaches to; a plan that is made more often than it has
-    /// states begins between two of the one before.
+    /// `of` from a time on, replaced by this plan as far as it reaches. A plan that is renewed more
+    /// often than it has states starts between two states of its predecessor.
     fn carried_into(&self, of: &Desire, from_s: f64, period: f64) -> Iterate<7> {
         let mut guess = Iterate { states: of.states.clone(), inputs: of.inputs.clone() };
         let at = |n: usize| from_s + n as f64 * period;
@@ -65,36 +64,36 @@ impl Stretch {
         guess
     }
 
-    /// The state before a time, and how much of the way to the next is gone.
+    /// The index of the last state up to a time, and the fraction of the way to the next.
     fn place(&self, t: f64, period: f64) -> (usize, f64) {
         let periods = ((t - self.from_s) / period).max(0.0) + ON_THE_GRID;
         (periods as usize, (periods.fract() - ON_THE_GRID).max(0.0))
     }
 }
 
-/// A time on a state is a rounding error before or after it, in periods.
+/// Tolerance for times on a state, in periods: rounding puts them before or after it.
 const ON_THE_GRID: f64 = 1e-6;
 
-/// `share` of the way from `a` to `b`.
+/// Linear interpolation from `a` to `b` at `share`.
 fn between<const N: usize>(a: &[f64; N], b: &[f64; N], share: f64) -> [f64; N] {
     std::array::from_fn(|i| a[i] + share * (b[i] - a[i]))
 }
 
-/// Stretches that are kept.
+/// Number of stretches kept.
 const SLOTS: usize = 8;
 
-/// What is to be followed, and the stretches that were planned.
+/// The trajectory to follow, and the planned stretches.
 struct Board {
     goal: Mutex<Arc<Trajectory>>,
-    /// The newest stretch is at `newest`, the ones before it in the slots before, round and round:
-    /// while the vehicle is slow to answer, several are on their way. A reader never waits for a
-    /// writer: while one slot is written, the others are read.
+    /// Ring buffer: the newest stretch is at `newest`, the older ones in the slots before it. While
+    /// the vehicle responds slowly, several are in use. A reader never waits for a writer: while
+    /// one slot is being written, the others can be read.
     slots: [Mutex<Option<Arc<Stretch>>>; SLOTS],
     newest: AtomicUsize,
 }
 
 impl Board {
-    /// The newest stretch that reaches to `t`.
+    /// The newest stretch that reaches `t`.
     fn at(&self, t: f64) -> Option<Arc<Stretch>> {
         let newest = self.newest.load(Ordering::Acquire);
         (0..SLOTS).find_map(|back| {
@@ -104,8 +103,9 @@ impl Board {
         })
     }
 
-    /// The newest stretch that reaches to `t`, of those that have a state there the newest: plans that
-    /// are made more often than they have states take turns, each going on from one on its own states.
+    /// The newest stretch that reaches `t` and has a state there, or the newest that reaches it:
+    /// plans that are renewed more often than they have states interleave, and each continues a
+    /// plan on its own time grid.
     fn going_on(&self, t: f64, period: f64) -> Option<Arc<Stretch>> {
         let newest = self.newest.load(Ordering::Acquire);
         let reaching = |back: usize| {
@@ -116,7 +116,7 @@ impl Board {
         (0..SLOTS).filter_map(reaching).find(is_on_a_state).or_else(|| self.at(t))
     }
 
-    /// The reference at `t`, and the setpoint that acts `delay_s` later.
+    /// The reference at `t`, with the setpoint that acts `delay_s` later.
     fn reference(&self, t: f64, delay_s: f64) -> Option<Reference> {
         let state = self.at(t)?;
         let mut reference = state.reference.sample(t - state.from_s);
@@ -147,17 +147,17 @@ impl Board {
     }
 }
 
-/// Makes plans from states; the work behind a [`RecedingReference`].
+/// Plans from the vehicle's states; the worker behind a [`RecedingReference`].
 struct Replanner {
     planner: Planner,
-    /// For a plan that follows none.
+    /// For a plan without a predecessor.
     first: Planner,
     answer: Answer,
     settings: RecedingSettings,
     board: Arc<Board>,
 }
 
-/// Where the vehicle was seen.
+/// A state of the vehicle and its time.
 #[derive(Clone, Copy, Debug)]
 struct Sighting {
     /// Seconds into the trajectory.
@@ -165,14 +165,14 @@ struct Sighting {
     state: StateVector,
 }
 
-/// A plan to be searched.
+/// A plan to search for.
 #[derive(Clone, Debug)]
 struct Task {
-    /// Seconds into the trajectory at which it begins.
+    /// Seconds into the trajectory at which it starts.
     from_s: f64,
     desire: Desire,
     start: StateVector,
-    /// The plan before, as far as it reaches into this one.
+    /// The previous plan, as far as it overlaps this one.
     guess: Option<Iterate<7>>,
 }
 
@@ -186,7 +186,7 @@ struct Due {
 impl Due {
     fn is_due(&mut self, t: f64, replanner: &Replanner) -> bool {
         if t < self.last_s {
-            // Another flight begins.
+            // Time went backwards: another flight starts.
             replanner.board.clear();
             self.next_s = t;
         }
@@ -222,7 +222,7 @@ impl Replanner {
         Self { planner, first, answer, settings, board }
     }
 
-    /// What is to be planned from a state.
+    /// The planning task from a state.
     fn task(&self, seen: &Sighting) -> Result<Task, ReplanError> {
         let goal = self.board.goal().ok_or(ReplanError::NoGoal)?;
         let period = self.planner.period_s();
@@ -233,7 +233,7 @@ impl Replanner {
         let before = self.board.going_on(from_s, period);
         let mut start = self.foreseen(seen, from_s, &desire.states[0]);
         if let Some((knee, _)) = self.settings.caution() {
-            // The first plan goes on from where the vehicle is to be.
+            // Without a predecessor, the plan starts near the desired state.
             let planned = match &before {
                 None => desire.states.first().copied(),
                 Some(stretch) => stretch.state(from_s, period),
@@ -246,10 +246,10 @@ impl Replanner {
         Ok(Task { from_s, desire, start, guess })
     }
 
-    /// Plans from a state, and publishes the plan if it holds.
+    /// Plans from a state, and publishes the plan if it passes the checks.
     fn replan(&self, seen: &Sighting) -> Result<(), ReplanError> {
         let Task { from_s, desire, start, guess } = self.task(seen)?;
-        // The first has none to go on from: it is searched to its end.
+        // The first plan has no predecessor: it is searched to its end.
         let planner = if guess.is_some() { &self.planner } else { &self.first };
         let outcome = planner.plan(&desire, start, guess, &|_| false);
         check_in_flight(&outcome, self.planner.keep_out())?;
@@ -261,9 +261,9 @@ impl Replanner {
         Ok(())
     }
 
-    /// When a plan from a state that was seen at `t` begins: until then acts what the last plan has sent.
-    /// The beginnings lie on one grid of times, so that each plan's states are those of the one that it
-    /// goes on from.
+    /// Start of the plan made from a state at `t`; until then, the inputs of the last plan act. All
+    /// starts are on one time grid, so that a plan shares its states with the one that it
+    /// continues.
     fn beginning(&self, t: f64) -> f64 {
         let period = self.planner.period_s();
         let grid = period / (period / self.settings.period_s).round().max(1.0);
@@ -272,8 +272,8 @@ impl Replanner {
         ((t + lead) / grid).round().max(earliest) * grid
     }
 
-    /// The state at `from_s`, by the model and the inputs that act until then. Yaw is brought to the
-    /// turn of the desired one.
+    /// The state at `from_s`, predicted by the model under the inputs that act until then. Yaw is
+    /// unwrapped to the turn of the desired yaw.
     fn foreseen(&self, seen: &Sighting, from_s: f64, desired: &StateVector) -> StateVector {
         let mut state = seen.state;
         let turn = std::f64::consts::TAU;
@@ -304,16 +304,16 @@ impl Replanner {
     }
 }
 
-/// Who makes the plans.
+/// Where planning runs.
 enum Work {
-    /// The caller, when a plan is due: for flights on a virtual clock, where planning takes no
+    /// In the caller, when a plan is due: for flights on a virtual clock, where planning takes no
     /// time.
     Inline { replanner: Box<Replanner>, due: Mutex<Due> },
-    /// A thread of its own, which gets the vehicle's state.
+    /// On a separate thread, which receives the vehicle's states.
     Thread(SyncSender<Sighting>),
 }
 
-/// A reference that follows a desired trajectory by plans that are made anew in flight.
+/// A reference that tracks a desired trajectory through plans renewed in flight.
 pub struct RecedingReference {
     board: Arc<Board>,
     work: Work,
@@ -329,7 +329,7 @@ pub struct Goal {
 }
 
 impl Goal {
-    /// From the next plan on, another trajectory is followed, at the same time along it.
+    /// Sets another trajectory, which the next plan follows from the same time along it.
     pub fn move_to(&self, trajectory: Trajectory) {
         if let Ok(mut goal) = self.board.goal.lock() {
             *goal = Arc::new(trajectory);
@@ -338,10 +338,10 @@ impl Goal {
 }
 
 impl RecedingReference {
-    /// Plans on a thread of its own, which ends with the reference.
+    /// Plans on a separate thread, which ends with the reference.
     ///
     /// # Errors
-    /// Where the system gives no thread.
+    /// Returns the error of the system if it cannot start the thread.
     pub fn threaded(
         goal: Trajectory,
         planner: Planner,
@@ -351,7 +351,7 @@ impl RecedingReference {
         let hover_thrust_n = planner.hover_thrust_n();
         let replanner = Replanner::new(goal, planner, answer, settings);
         let board = Arc::clone(&replanner.board);
-        // Room for one: while a plan is made, what else is seen is dropped.
+        // A queue of one: states that arrive while a plan is being made are dropped.
         let (sender, receiver) = sync_channel(1);
         thread::Builder::new()
             .name("replanning".to_owned())
@@ -360,7 +360,7 @@ impl RecedingReference {
         Ok(Self { board, work: Work::Thread(sender), hover_thrust_n, voltage_exponent, delay_s })
     }
 
-    /// Plans inside of [`ReferenceSource::observe`], on the clock that the times are of.
+    /// Plans within [`ReferenceSource::observe`], on the clock of the times that it receives.
     pub fn inline(
         goal: Trajectory,
         planner: Planner,
@@ -378,14 +378,14 @@ impl RecedingReference {
         }
     }
 
-    /// What moves the goal in flight.
+    /// A handle that moves the goal in flight.
     pub fn goal(&self) -> Goal {
         Goal { board: Arc::clone(&self.board) }
     }
 }
 
-/// Makes plans from what is seen, until nobody sees any more. Between two plans is at least the
-/// period, in the vehicle's time.
+/// Plans from the received states until the sender is gone. At least one period of the vehicle's
+/// time passes between two plans.
 fn work(replanner: &Replanner, seen: &Receiver<Sighting>) {
     let mut due = Due::default();
     while let Ok(sighting) = seen.recv() {
@@ -438,8 +438,8 @@ impl ReferenceSource for RecedingReference {
                 }
             }
             Work::Thread(sender) => match sender.try_send(sighting) {
-                // Full: the planner is at work. Gone: it can only have panicked; the desired
-                // trajectory is what is left.
+                // Full: the planner is busy. Disconnected: it can only have panicked; the desired
+                // trajectory then remains.
                 Ok(()) | Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {}
             },
         }
@@ -500,7 +500,7 @@ mod tests {
         Replanner::new(goal, planner.expect("a planner"), answer, settings)
     }
 
-    /// What one subproblem leaves undone the next plan does, while the vehicle is shaken.
+    /// The next plans complete what one subproblem leaves, while the vehicle is shaken.
     #[test]
     fn one_subproblem_a_plan_stays_near_the_plan_that_is_searched_to_its_end() {
         let replanner = quick();

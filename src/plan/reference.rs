@@ -1,4 +1,4 @@
-//! What the controller follows: a state and its input, over time.
+//! The reference that the controller follows: a state and its input, over time.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use vehicle::frame::Ned;
 
 use crate::setpoint::{Expected, Reference, State};
 
-/// What an acceleration is fed forward with.
+/// Parameters for feeding an acceleration forward.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForward {
     /// kg
@@ -15,11 +15,11 @@ pub struct FeedForward {
     pub gravity: f64,
     /// Drag over speed along front and right, and along down, kg/s.
     pub drag_kg_s: [f64; 2],
-    /// The attitude is taken no further from level than this, rad.
+    /// Largest tilt of the attitude, rad.
     pub tilt_max_rad: f64,
-    /// From a desired attitude's sending to its use, lag of the rotors included, s.
+    /// Delay from sending a desired attitude to its use, rotor lag included, s.
     pub attitude_delay_s: f64,
-    /// The same of thrust, s.
+    /// Delay of thrust, likewise, s.
     pub thrust_delay_s: f64,
 }
 
@@ -31,20 +31,20 @@ pub trait ReferenceSource {
     /// The reference at `t` seconds.
     fn sample(&self, t: f64) -> Reference;
 
-    /// Where the vehicle is wanted at `t` seconds. A reference that begins where the vehicle is seen
-    /// leads there, and is no measure of how near it comes.
+    /// The desired position at `t` seconds. A receding plan starts at the vehicle's own state, so
+    /// its reference is no measure of the tracking error.
     fn desired(&self, t: f64) -> Ned {
         self.sample(t).position
     }
 
-    /// What its model expects of the vehicle at `t` seconds beside thrust, weight and the attitude
+    /// What the model expects of the vehicle at `t` seconds beyond thrust, weight and the attitude
     /// loop; `None` while no model leads.
     fn expected(&self, _t: f64) -> Option<Expected> {
         None
     }
 
-    /// The same with the trajectory's own acceleration fed forward; `None` where the input is a
-    /// plan's already.
+    /// The same reference with the trajectory's own acceleration fed forward; `None` if the input
+    /// is already a plan's.
     fn with_feed_forward(
         &self,
         _feed_forward: &FeedForward,
@@ -57,14 +57,14 @@ pub trait ReferenceSource {
         self.sample(0.0).feedforward.thrust_n
     }
 
-    /// Power of the pack's voltage, over that of a full one, that thrust is proportional to: what is sent is
-    /// more than the feed-forward by as much. 0 where the feed-forward is not of a model that
-    /// knows.
+    /// Exponent of the thrust in the pack's voltage, relative to a full pack: the thrust sent
+    /// exceeds the feed-forward by this much. 0 if no model provides it.
     fn voltage_exponent(&self) -> f64 {
         0.0
     }
 
-    /// Told at each tick where the vehicle is, relative to the trajectory's origin. Never waits.
+    /// Receives the vehicle's state at each tick, relative to the trajectory's origin. Must not
+    /// block.
     fn observe(&self, _t: f64, _state: &State) {}
 }
 

@@ -1,15 +1,15 @@
 //! Sequential convex programming: a feasible plan near a desired trajectory, through a model.
 //!
-//! Around an iterate the dynamics are linear and the subproblem convex; its solution is tried, and
-//! a trust region grows or shrinks by how well the prediction came true (Schulman et al. 2013,
-//! "Finding locally optimal, collision-free trajectories with sequential convex optimization").
-//! Two ways to try a solution:
+//! Around an iterate, the dynamics are linear and the subproblem is convex. The search tries its
+//! solution, and a trust region grows or shrinks with the accuracy of the prediction (Schulman et
+//! al. 2013, "Finding locally optimal, collision-free trajectories with sequential convex
+//! optimization"). There are two ways to try a solution:
 //!
-//! - where the solver gives feedback gains, the inputs are rolled out through the model under that
-//!   feedback, so that every iterate obeys the dynamics to rounding, also where the vehicle is
-//!   unstable in open loop;
-//! - where it does not, states and inputs are taken as they are, and what they miss of the dynamics
-//!   costs an l1 penalty that is raised until nothing is missed: the paper's form.
+//! - if the solver provides feedback gains, the inputs are rolled out through the model under that
+//!   feedback: every iterate obeys the dynamics to rounding, even if the vehicle is unstable in
+//!   open loop;
+//! - otherwise, states and inputs are used as they are, and their defects of the dynamics cost an
+//!   l1 penalty, which is raised until they vanish: the paper's form.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -21,23 +21,23 @@ use super::subproblem::{
     DynamicsForm, Solution, Stage, Subproblem, SubproblemError, SubproblemSolver, TRUST_SHAPE,
 };
 
-/// How a plan is searched.
+/// Settings of a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScpSettings {
-    /// Most subproblems.
+    /// Largest number of subproblems.
     pub subproblems_max: usize,
     /// Size of the first trust region, in scaled inputs.
     pub trust: f64,
-    /// Cost of the square of a scaled input's step, which keeps steps small where the trust region does
-    /// not: a solution that no bound acts on takes one sweep.
+    /// Cost of the square of a scaled input's step. It keeps steps small in place of the trust
+    /// region: a solution without active bounds takes one sweep.
     pub damping: f64,
-    /// The search ends where a subproblem promises less than this share of the cost,
+    /// The search ends when a subproblem promises less than this fraction of the cost,
     pub tolerance: f64,
-    /// or where four subproblems together improve by less than this share.
+    /// or when four subproblems together improve it by less than this fraction.
     pub progress: f64,
-    /// Largest defect of the dynamics, in any state, of a plan that is called feasible.
+    /// Largest defect of the dynamics, in any state, of a feasible plan.
     pub defect_max: f64,
-    /// Largest overrun of a bound of the state (m, rad, rad/s) of such a plan.
+    /// Largest overrun of a bound of the state (m, rad, rad/s) of a feasible plan.
     pub overrun_max: f64,
 }
 
@@ -61,19 +61,19 @@ impl Default for ScpSettings {
 pub enum Status {
     /// No subproblem promises to improve the plan.
     Converged,
-    /// No step improves the plan, though the subproblem promises it: the best this search finds.
-    /// Plans through networks end so, at the kinks of their units.
+    /// No step improves the plan, though the subproblem promises it: the best that this search
+    /// finds. Plans through networks end this way, at the kinks of their units.
     Stalled,
-    /// The most subproblems were solved.
+    /// The limit on subproblems was reached.
     SubproblemLimit,
-    /// It was told to stop.
+    /// The caller stopped it.
     Stopped,
     /// A subproblem could not be solved.
     Failed,
 }
 
 impl Status {
-    /// For people.
+    /// A description for people.
     pub fn in_words(self) -> &'static str {
         match self {
             Self::Converged => "converged",
@@ -96,15 +96,15 @@ pub struct Record {
     pub trust: f64,
     /// Improvement that the subproblem promised, penalties included.
     pub promised: f64,
-    /// Improvement that was found.
+    /// Actual improvement, penalties included.
     pub found: f64,
-    /// Share of the step that was taken; 0 where it was refused.
+    /// Fraction of the step that was taken; 0 if it was rejected.
     pub share: f64,
     /// Iterations of the subproblem's solver.
     pub solver_iterations: usize,
 }
 
-/// The result of a search: an outcome, not an error.
+/// The result of a search; a failed search is an outcome too, not an error.
 #[derive(Clone, Debug)]
 pub struct Outcome<const INPUTS: usize> {
     /// Why it ended.
@@ -119,30 +119,29 @@ pub struct Outcome<const INPUTS: usize> {
     pub records: Vec<Record>,
 }
 
-/// Shares of a step that are tried under feedback.
+/// Fractions of a step that are tried under feedback.
 const SHARES: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
-/// A step counts as good from this share of the promised improvement on.
+/// A step is good from this fraction of the promised improvement on.
 const GOOD: f64 = 0.5;
-/// A step is taken from this share of the promised improvement on.
+/// A step is accepted from this fraction of the promised improvement on.
 const ENOUGH: f64 = 1e-2;
-/// Share of the last slopes that is kept where they did not promise well: at a kink of a network's
-/// unit the slopes of either side promise what their mean does not (the idea of bundle methods).
+/// Weight of the last slopes where they predicted poorly: at the kink of a network's unit, the
+/// slopes of one side promise what the mean of both does not (the idea of bundle methods).
 const MEMORY: f64 = 0.5;
-/// Subproblems whose improvements are judged together.
+/// Number of subproblems whose improvements are judged together.
 const PATIENCE: usize = 4;
-/// Change of the trust region where a step is refused.
+/// Factor on the trust region when a step is rejected.
 const SHRINK: f64 = 0.25;
-/// The search ends where the trust region is smaller.
+/// The search ends when the trust region is smaller.
 const TRUST_MIN: f64 = 1e-6;
 const TRUST_MAX: f64 = 1e3;
 /// Trust region below which a subproblem that cannot be solved ends the search.
 const GIVE_UP: f64 = 1e-3;
-/// Least trust region after the penalties were raised.
+/// Least trust region after the penalties are raised.
 const AFRESH: f64 = 1e-2;
-/// Cost of a unit of overrun at first, and below what it is raised to at most.
+/// Initial cost of a unit of overrun; it is raised until it reaches the maximum below.
 const ROW_PENALTY: f64 = 10.0;
-/// The same where there are regions to keep out of: to cut through a thin one must cost more than
-/// to go round it.
+/// The same with regions to avoid: cutting through a thin one must cost more than going around it.
 const REGION_PENALTY: f64 = 100.0;
 const ROW_PENALTY_MAX: f64 = 1e5;
 
@@ -152,16 +151,16 @@ struct Search<'a, const INPUTS: usize, D> {
     dynamics: &'a D,
     iterate: Iterate<INPUTS>,
     cost: f64,
-    /// Sum of overruns, and of defects, with their penalties.
+    /// Sums of overruns and of defects, without their penalties.
     overrun: f64,
     defect: f64,
     row_penalty: f64,
     defect_penalty: f64,
 }
 
-/// Searches a plan from `guess`.
+/// Searches for a plan, starting from `guess`.
 ///
-/// `stop` is shown the subproblems so far before each new one, and ends the search.
+/// `stop` sees the subproblems so far before each new one; if it returns true, the search ends.
 pub fn search<const INPUTS: usize, D: Dynamics<INPUTS>>(
     problem: &Problem<INPUTS>,
     dynamics: &D,
@@ -177,7 +176,7 @@ pub fn search<const INPUTS: usize, D: Dynamics<INPUTS>>(
     let mut trust = settings.trust;
     let mut status = Status::SubproblemLimit;
     let (mut moved, mut memory) = (true, 0.0);
-    // Subproblems before the penalties were last raised.
+    // Number of subproblems before the penalties were last raised.
     let mut earlier = 0;
     while records.len() < settings.subproblems_max {
         if stop(&records) {
@@ -241,14 +240,14 @@ fn slow(records: &[Record], least: f64) -> bool {
     last.is_some_and(|last| last.iter().map(taken).sum::<f64>() < least)
 }
 
-/// What came of a subproblem's solution.
+/// The outcome of trying a subproblem's solution.
 #[derive(Clone, Copy, Debug, Default)]
 struct Attempt {
     /// Improvement of the merit that the subproblem promised.
     promised: f64,
-    /// And that was found.
+    /// Actual improvement of the merit.
     found: f64,
-    /// Share of the step that was taken; 0 where it was refused.
+    /// Fraction of the step that was taken; 0 if it was rejected.
     share: f64,
 }
 
@@ -265,7 +264,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
             overrun,
             defect,
             row_penalty: if problem.keep_out.is_empty() { ROW_PENALTY } else { REGION_PENALTY },
-            // Above the largest multiplier: a defect of the first step is paid in every later one.
+            // Above the largest multiplier: every later step pays for a defect of the first.
             defect_penalty: 2.0 * problem.horizon() as f64,
         }
     }
@@ -291,8 +290,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
         }
     }
 
-    /// Puts the subproblem around the iterate. `memory` is the share of the last slopes that is
-    /// kept.
+    /// Linearises the subproblem around the iterate. `memory` is the weight of the last slopes.
     fn linearize(&self, subproblem: &mut Subproblem<INPUTS>, memory: f64, damping: f64) {
         let Iterate { states, inputs } = &self.iterate;
         let scale = &self.problem.inputs.scale;
@@ -327,7 +325,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
     }
 
     /// Sets the trust region and the penalties. `last` is the improvement of the last subproblem:
-    /// the next need not be solved to much less.
+    /// the next need not be solved much more accurately.
     fn bound(
         &self,
         subproblem: &mut Subproblem<INPUTS>,
@@ -352,7 +350,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
         self.cost + self.row_penalty * self.overrun + self.defect_penalty * self.defect
     }
 
-    /// Tries a solution, and moves there if it is an improvement.
+    /// Tries a solution, and moves there if it improves the merit.
     fn attempt(&mut self, subproblem: &Subproblem<INPUTS>, solution: &Solution<INPUTS>) -> Attempt {
         let promised = self.defect_penalty * (self.defect - subproblem.defect(solution))
             - subproblem.change(solution);
@@ -377,7 +375,8 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
             };
             let found = self.merit() - candidate.merit();
             most = most.max(found);
-            // A promise below 0 is the quadratic model's fault: what was found then decides.
+            // A promise below 0 is an error of the quadratic model: the achieved improvement then
+            // decides.
             if found > ENOUGH * share * promised.max(0.0) && found.is_finite() {
                 *self = candidate;
                 return Attempt { promised, found, share: *share };
@@ -386,7 +385,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
         Attempt { promised, found: most.max(f64::MIN), share: 0.0 }
     }
 
-    /// The solution taken as it is, inputs within their bounds.
+    /// The solution as it is, with inputs clamped to their bounds.
     fn shifted(&self, solution: &Solution<INPUTS>) -> Iterate<INPUTS> {
         let mut iterate = self.iterate.clone();
         for (state, d) in iterate.states[1..].iter_mut().zip(&solution.states) {
@@ -401,8 +400,8 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
         iterate
     }
 
-    /// The inputs of a share of the solution, rolled out through the dynamics under its feedback;
-    /// nothing where the states leave every measure.
+    /// The inputs of a fraction of the solution, rolled out through the dynamics under its
+    /// feedback; `None` if the states diverge.
     fn rolled_out(&self, solution: &Solution<INPUTS>, share: f64) -> Option<Iterate<INPUTS>> {
         let bounds = &self.problem.inputs;
         let mut states = Vec::with_capacity(self.iterate.states.len());
@@ -438,7 +437,7 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
         defect > settings.defect_max || overrun.most > settings.overrun_max
     }
 
-    /// Raises the penalties; false where they are as high as is of use.
+    /// Raises the penalties; false once they are at their maximum.
     fn raise(&mut self) -> bool {
         if self.row_penalty >= ROW_PENALTY_MAX {
             return false;
@@ -455,14 +454,14 @@ impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {
     }
 }
 
-/// Moves values to `share` of others.
+/// Moves values towards others by `share`.
 fn blend<const N: usize>(values: &mut [f64; N], others: &[f64; N], share: f64) {
     for (value, other) in values.iter_mut().zip(others) {
         *value += share * (other - *value);
     }
 }
 
-/// A roll-out with a state beyond this (m, m/s, rad, rad/s) is given up.
+/// A roll-out is abandoned if a state exceeds this (m, m/s, rad, rad/s).
 const BEYOND_MEASURE: f64 = 1e4;
 
 /// Size of a step, in units of the trust region.

@@ -1,13 +1,13 @@
-//! The trajectory files that the program brings along.
+//! The trajectory files embedded in the program.
 
 use std::path::Path;
 
-/// A trajectory file by its name.
+/// An embedded trajectory file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ShippedTrajectory {
-    /// Name.
+    /// Its name on the command line.
     pub name: &'static str,
-    /// What it is.
+    /// A short description.
     pub about: &'static str,
     /// Text of the file, TOML.
     pub text: &'static str,
@@ -23,7 +23,7 @@ macro_rules! shipped {
     };
 }
 
-/// All of them.
+/// All embedded trajectory files.
 pub const SHIPPED_TRAJECTORIES: [ShippedTrajectory; 11] = shipped! {
     "hover": "holds a place",
     "figure-8": "an eight in the plane",
@@ -38,7 +38,7 @@ pub const SHIPPED_TRAJECTORIES: [ShippedTrajectory; 11] = shipped! {
     "race": "gates and waypoints as fast as it goes, to be planned first",
 };
 
-/// The shipped trajectory that `path` names: by its bare name, where no such file is there.
+/// The shipped trajectory that `path` names: by its bare name, if no such file exists.
 pub(super) fn shipped(path: &Path) -> Option<&'static ShippedTrajectory> {
     let found = SHIPPED_TRAJECTORIES.iter().find(|shipped| path == Path::new(shipped.name))?;
     (!path.exists()).then_some(found)

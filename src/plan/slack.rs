@@ -1,4 +1,4 @@
-//! A slack and its multiplier, and the bounds that have them.
+//! A slack and its multiplier, and the soft bounds built from them.
 
 use super::problem::StateRow;
 
@@ -10,7 +10,7 @@ const START: f64 = 0.1;
 pub(super) struct Pair {
     pub slack: f64,
     pub multiplier: f64,
-    /// Of the current Newton direction.
+    /// Steps of the current Newton direction.
     pub slack_step: f64,
     pub multiplier_step: f64,
 }
@@ -26,33 +26,33 @@ impl Pair {
         self.multiplier / self.slack
     }
 
-    /// The multiplier that complementarity `target` asks for, before the slack moves.
+    /// The multiplier at complementarity `target`, before the slack moves.
     #[inline(always)]
     pub fn aim(&self, target: f64) -> f64 {
         target / self.slack
     }
 
-    /// Sets the direction: the slack moves by `step`, the multiplier as complementarity asks.
+    /// Sets the direction: the slack moves by `step`, the multiplier follows from complementarity.
     #[inline(always)]
     pub fn point(&mut self, step: f64, target: f64) {
         self.slack_step = step;
         self.multiplier_step = self.aim(target) - self.ratio() * step - self.multiplier;
     }
 
-    /// Longest share of the direction that keeps both above 0.
+    /// Largest fraction of the direction that keeps both above 0.
     #[inline(always)]
     pub fn reach(&self) -> f64 {
         let share = |value: f64, step: f64| if step < 0.0 { -value / step } else { f64::INFINITY };
         share(self.slack, self.slack_step).min(share(self.multiplier, self.multiplier_step))
     }
 
-    /// Complementarity after a share of the direction.
+    /// Complementarity after a fraction of the direction.
     #[inline(always)]
     pub fn after(&self, share: f64) -> f64 {
         (self.slack + share * self.slack_step) * (self.multiplier + share * self.multiplier_step)
     }
 
-    /// What the corrector aims at: `centre` less the predictor's second-order term.
+    /// The corrector's target: `centre` less the predictor's second-order term.
     #[inline(always)]
     pub fn corrected(&self, centre: f64) -> f64 {
         centre - self.slack_step * self.multiplier_step
@@ -71,33 +71,33 @@ pub(super) struct SoftRow {
     pub row: StateRow,
     /// Room below the bound, and the bound's force.
     pub room: Pair,
-    /// The overrun, and what is left of the penalty.
+    /// The overrun, and the rest of the penalty.
     pub overrun: Pair,
     pub room_target: f64,
     pub overrun_target: f64,
 }
 
 impl SoftRow {
-    /// By how much more the two multipliers' targets ask than the penalty gives, over the sum of
-    /// their ratios: the overrun's step where the state does not move.
+    /// The overrun's step for a fixed state: the excess of the two target multipliers over the
+    /// penalty, divided by the sum of their ratios.
     pub fn relaxation(&self) -> f64 {
         let penalty = self.room.multiplier + self.overrun.multiplier;
         let aimed = self.room.aim(self.room_target) + self.overrun.aim(self.overrun_target);
         (aimed - penalty) / (self.room.ratio() + self.overrun.ratio())
     }
 
-    /// Newton's multiplier where the state does not move.
+    /// The Newton multiplier for a fixed state.
     pub fn force(&self) -> f64 {
         self.room.aim(self.room_target) - self.room.ratio() * self.relaxation()
     }
 
-    /// Change of Newton's multiplier with the excess.
+    /// Derivative of the Newton multiplier with respect to the excess.
     pub fn curvature(&self) -> f64 {
         let (room, overrun) = (self.room.ratio(), self.overrun.ratio());
         room * overrun / (room + overrun)
     }
 
-    /// Sets the directions for a change of the excess.
+    /// Sets the directions for a change of the excess by `moved`.
     pub fn point(&mut self, moved: f64) {
         let (room, overrun) = (self.room.ratio(), self.overrun.ratio());
         let step = self.relaxation() + room / (room + overrun) * moved;

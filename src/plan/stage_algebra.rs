@@ -1,12 +1,12 @@
-//! Small dense matrices of known size, for the stages of a horizon.
+//! Small dense matrices of constant size, for the stages of a horizon.
 //!
-//! Everything is inlined into a caller that is compiled for the machine's vector instructions;
-//! `FUSED` says that it has a fused multiply-add.
+//! Every function is inlined into callers compiled for the machine's vector instructions; `FUSED`
+//! states that the machine has a fused multiply-add.
 
-// Matrix algebra reads by its indices.
+// Matrix algebra reads best with explicit indices.
 #![allow(clippy::needless_range_loop)]
 
-/// Rows of columns.
+/// A matrix as an array of rows.
 pub(super) type Matrix<const R: usize, const C: usize> = [[f64; C]; R];
 
 /// A matrix is not positive definite.
@@ -35,7 +35,7 @@ pub(super) fn add_scaled<const FUSED: bool, const C: usize>(
     }
 }
 
-/// Rows whose sums stay in registers together.
+/// Rows whose sums share registers.
 const BLOCK: usize = 4;
 
 /// `X Y`.

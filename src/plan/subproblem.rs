@@ -1,19 +1,19 @@
-//! The convex subproblem around an iterate, and what solves it.
+//! The convex subproblem around an iterate, and the interface of its solvers.
 
 use super::discretisation::LinearStep;
 use super::problem::{STATES, StateRow, StateVector};
 
-/// What happens over one period, in deviations from the iterate: `d` of the states, `w` of the
-/// inputs in units of their scales.
+/// One period, in deviations from the iterate: `d` of the states, `w` of the inputs in units of
+/// their scales.
 #[derive(Clone, Debug)]
 pub struct Stage<const INPUTS: usize> {
     /// `d+ = A d + B w + c`; `next` holds c, and B is per scaled input.
     pub step: LinearStep<INPUTS>,
     /// `W (s_bar - s_d)` at the end of the period.
     pub error: StateVector,
-    /// Slope of the cost by each scaled input.
+    /// Gradient of the cost with respect to each scaled input.
     pub input_gradient: [f64; INPUTS],
-    /// Curvature of the cost by each scaled input.
+    /// Curvature of the cost with respect to each scaled input.
     pub input_curvature: f64,
     /// Least `w`: the trust region within the bounds. At most 0.
     pub lower: [f64; INPUTS],
@@ -23,13 +23,13 @@ pub struct Stage<const INPUTS: usize> {
     pub rows: Vec<StateRow>,
 }
 
-/// How the dynamics enter.
+/// How the dynamics enter the subproblem.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum DynamicsForm {
-    /// As equations.
+    /// As equality constraints.
     Equations,
-    /// With slacks of any sign that cost this much a unit, and states that keep to a box about
-    /// the iterate of this size times [`TRUST_SHAPE`] (Schulman et al. 2013).
+    /// With slacks of either sign at this cost per unit, and states in a box around the iterate of
+    /// this size times [`TRUST_SHAPE`] (Schulman et al. 2013).
     Penalised {
         /// Cost of a unit of defect.
         penalty: f64,
@@ -38,25 +38,25 @@ pub enum DynamicsForm {
     },
 }
 
-/// How large each state's trust region is against that of the scaled inputs.
+/// Size of each state's trust region relative to that of the scaled inputs.
 pub const TRUST_SHAPE: StateVector = [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 5.0, 5.0, 5.0];
 
 /// The subproblem: minimise
-/// `sum sqrt(|error + W d|^2 + knee^2) + input_gradient . w + input_curvature/2 |w|^2 + row_penalty sum max(0,
-/// rows)`.
+/// `sum sqrt(|error + W d|^2 + knee^2) + input_gradient . w + input_curvature/2 |w|^2 +
+/// row_penalty sum max(0, rows)`.
 #[derive(Clone, Debug)]
 pub struct Subproblem<const INPUTS: usize> {
-    /// One a period.
+    /// One per period.
     pub stages: Vec<Stage<INPUTS>>,
     /// The diagonal of W.
     pub state_weight: StateVector,
     /// The knee of the distance.
     pub knee: f64,
-    /// Cost of a unit by which a bound of the state is broken.
+    /// Cost of a unit by which a bound of the state is exceeded.
     pub row_penalty: f64,
     /// How the dynamics enter.
     pub dynamics: DynamicsForm,
-    /// How far from its optimum, in units of the cost, a solution may be.
+    /// Largest distance of a solution from the optimum, in units of the cost.
     pub tolerance: f64,
 }
 
@@ -67,8 +67,8 @@ pub struct Solution<const INPUTS: usize> {
     pub states: Vec<StateVector>,
     /// `w` of each period.
     pub inputs: Vec<[f64; INPUTS]>,
-    /// Best change of `w` with a change of `d` at the period's start. Empty where the solver
-    /// gives none.
+    /// Optimal change of `w` per change of `d` at the period's start. Empty if the solver provides
+    /// none.
     pub gains: Vec<[StateVector; INPUTS]>,
     /// Iterations of the solver.
     pub iterations: usize,
@@ -77,20 +77,20 @@ pub struct Solution<const INPUTS: usize> {
 /// Why a subproblem has no solution.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SubproblemError {
-    /// Numbers that are not finite came in or out.
+    /// Inputs or results that are not finite.
     #[error("the subproblem's numbers are not finite")]
     NotFinite,
     /// The solver gave up.
     #[error("the solver stopped with {0}")]
     Solver(String),
-    /// The solver does not know this form.
+    /// The solver does not support this form.
     #[error("this solver takes the dynamics as equations only")]
     Form,
 }
 
-/// What solves subproblems, one after the other, of the same size.
+/// A solver of successive subproblems of the same size.
 pub trait SubproblemSolver<const INPUTS: usize> {
-    /// Solves `problem` into `solution`.
+    /// Solves `problem` and writes the result to `solution`.
     ///
     /// # Errors
     /// [`SubproblemError`]; `solution` is then meaningless.
@@ -100,29 +100,29 @@ pub trait SubproblemSolver<const INPUTS: usize> {
         solution: &mut Solution<INPUTS>,
     ) -> Result<(), SubproblemError>;
 
-    /// The form of the dynamics it is to be given, for a penalty and a trust region.
+    /// The form of the dynamics that the solver takes, for a penalty and a trust region.
     fn dynamics(&self, penalty: f64, trust: f64) -> DynamicsForm;
 }
 
-/// Least knee, below which the norm counts as the parabola with the same curvature: a millimetre, a
-/// milliradian.
+/// Least knee; below it, the norm is approximated by the parabola with the same curvature: a
+/// millimetre, a milliradian.
 const KINK: f64 = 1e-3;
-/// Curvature along the error, where a norm has none, keeps a quadratic program bounded.
+/// Curvature along the error, where a norm has none; it keeps the quadratic program bounded.
 const LEAST_CURVATURE: f64 = 1e-6;
 
 /// The distance to second order: `gradient . d + d' (diag(diagonal) - ray ray') d / 2`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct QuadraticNorm {
-    /// Slope by `d`.
+    /// Gradient with respect to `d`.
     pub gradient: StateVector,
-    /// What a norm curves by across the error.
+    /// Curvature of the norm across the error.
     pub diagonal: StateVector,
-    /// And does not along it.
+    /// Removes the curvature along the error.
     pub ray: StateVector,
 }
 
 impl QuadraticNorm {
-    /// Of `sqrt(|error + W d|^2 + knee^2)` about `d = 0`.
+    /// Expands `sqrt(|error + W d|^2 + knee^2)` about `d = 0`.
     pub fn new(error: &StateVector, weight: &StateVector, knee: f64) -> Self {
         let square: f64 = error.iter().map(|e| e * e).sum();
         let distance = (square + knee.max(KINK).powi(2)).sqrt();
@@ -137,7 +137,7 @@ impl QuadraticNorm {
 }
 
 impl<const INPUTS: usize> Subproblem<INPUTS> {
-    /// The objective at a solution less that at no deviation, defects not counted.
+    /// The objective at a solution less that at zero deviation, without defects.
     pub fn change(&self, solution: &Solution<INPUTS>) -> f64 {
         let mut change = 0.0;
         for ((stage, d), w) in self.stages.iter().zip(&solution.states).zip(&solution.inputs) {
@@ -159,7 +159,7 @@ impl<const INPUTS: usize> Subproblem<INPUTS> {
         change
     }
 
-    /// Sum of what a solution misses of the linear dynamics.
+    /// Sum of a solution's defects of the linear dynamics.
     pub fn defect(&self, solution: &Solution<INPUTS>) -> f64 {
         let mut sum = 0.0;
         let mut before = &[0.0; STATES];

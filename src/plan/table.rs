@@ -1,4 +1,4 @@
-//! A trajectory given as rows of a CSV file.
+//! A trajectory from the rows of a CSV file.
 
 use std::f64::consts::PI;
 
@@ -21,22 +21,21 @@ struct Row {
     yaw: f64,
 }
 
-/// A column a CSV trajectory may have; `t_s` and the position must be there.
+/// The columns of a CSV trajectory; `t_s` and the position are required.
 const COLUMNS: [&str; 8] = ["t_s", "n_m", "e_m", "d_m", "yaw_rad", "v_n_mps", "v_e_mps", "v_d_mps"];
 
-/// Rows nearer to the one before are left out, s: a vehicle does not follow what is shorter, and of
-/// positions that were written to a micrometre, nearer rows would make accelerations out of the
-/// rounding.
+/// Rows closer to the previous one are dropped, s: a vehicle cannot follow anything shorter, and at
+/// positions rounded to a micrometre, closer rows would turn the rounding into accelerations.
 const ROW_SPACING_S: f64 = 0.01;
 
 /// Rounding of a written angle, rad.
 const WRAPPED_SLACK: f64 = 1e-3;
 
 impl Table {
-    /// Parses CSV with a header of the names in [`COLUMNS`], in any order. Without velocity columns
-    /// the velocity is the slope of the neighbouring rows, and zero at both ends. Rows nearer than
-    /// [`ROW_SPACING_S`] to the one before are left out, except the first and the last. The error is
-    /// a text that names the line.
+    /// Parses CSV with a header of the names in [`COLUMNS`], in any order. Without velocity
+    /// columns, the velocity is the slope between the neighbouring rows, and zero at both ends.
+    /// Rows closer than [`ROW_SPACING_S`] to the previous one are dropped, except the first and the
+    /// last. The error text names the line.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
         let (_, header) = lines.next().ok_or("expected a header line, found an empty file")?;
@@ -149,9 +148,9 @@ impl Table {
     }
 }
 
-/// The rows without those that are too near to the one before. The first and the last stay.
+/// The rows without those too close to the previous one. The first and the last stay.
 fn spaced(rows: Vec<Row>) -> Vec<Row> {
-    // Times that were written to a microsecond are off by as much.
+    // Tolerance for times that were written to a microsecond.
     let least = ROW_SPACING_S - 1e-6;
     let mut kept: Vec<Row> = Vec::new();
     let last = rows.last().copied();
@@ -169,8 +168,8 @@ fn spaced(rows: Vec<Row>) -> Vec<Row> {
     kept
 }
 
-/// Makes a yaw that was written within half a turn of north go on where it jumps from one side to
-/// the other. One that was written beyond goes on already, and may turn by any angle in a row.
+/// Unwraps a yaw that was written within half a turn of north, where it jumps from one side to the
+/// other. A yaw written beyond that range is already continuous, and may turn by any angle per row.
 fn unwrap_yaw(rows: &mut [Row]) {
     if rows.iter().any(|row| row.yaw.abs() > PI + WRAPPED_SLACK) {
         return;
@@ -231,7 +230,7 @@ mod tests {
         for rate in yaw_rates([3.0, -3.0, -2.7]) {
             assert!((rate - 0.29).abs() < 0.02, "{rate}");
         }
-        // What is written continuously may turn by any angle.
+        // A continuous yaw may turn by any angle.
         assert_eq!(yaw_rates([0.0, 4.0, 8.0]), [4.0; 2]);
     }
 

@@ -1,11 +1,10 @@
-//! The time that a search may take.
+//! The time limit of a search.
 
 use std::cell::Cell;
 use std::time::Duration;
 
-/// Ends a search so that it does not take longer than a limit: before a subproblem that would
-/// likely end after it. The first subproblem is always begun where there is any time: without one
-/// there is no plan.
+/// Ends a search before a subproblem that would likely exceed the time limit. If the limit is above
+/// 0, the first subproblem always runs: without it there is no plan.
 #[derive(Debug)]
 pub struct TimeLimit {
     limit: Duration,
@@ -14,14 +13,14 @@ pub struct TimeLimit {
 }
 
 impl TimeLimit {
-    /// A limit, s. What no clock counts to is none.
+    /// A limit in s. A value that no duration can hold means no limit.
     pub fn new(limit_s: f64) -> Self {
         let limit = Duration::try_from_secs_f64(limit_s).unwrap_or(Duration::MAX);
         Self { limit, before: Cell::default(), longest: Cell::default() }
     }
 
-    /// Whether the search ends before its next subproblem, which begins `passed` after the search
-    /// did. To be asked before each of them.
+    /// Whether the search must end before its next subproblem, which starts `passed` after the
+    /// search did. Call it before each subproblem.
     pub fn is_over(&self, passed: Duration) -> bool {
         self.longest.set(self.longest.get().max(passed.saturating_sub(self.before.get())));
         self.before.set(passed);

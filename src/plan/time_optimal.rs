@@ -1,4 +1,4 @@
-//! Plans that take the least time: through waypoints and gates, within each rotor's thrust.
+//! Minimum-time plans through waypoints and gates, within each rotor's thrust.
 
 mod bounds;
 mod course;

@@ -1,4 +1,4 @@
-//! A desired trajectory: position and yaw over time, relative to where it is anchored.
+//! A desired trajectory: position and yaw over time, relative to its anchor.
 
 use super::curve::{Envelope, HarmonicCurve};
 pub use super::desired_point::DesiredPoint;
@@ -14,7 +14,7 @@ pub struct Trajectory {
 
 #[derive(Clone, Debug)]
 pub(super) enum Shape {
-    /// Harmonics in each axis, run through an envelope so that they start and end at rest.
+    /// Harmonics in each axis, run through an envelope: they start and end at rest.
     Harmonic { curve: HarmonicCurve, envelope: Envelope },
     /// Rest-to-rest segments between waypoints.
     Path(MinimumJerkPath),
@@ -29,7 +29,7 @@ impl Trajectory {
         Self { name: name.into(), shape }
     }
 
-    /// What it is called in logs and reports.
+    /// Its name in logs and reports.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -44,7 +44,7 @@ impl Trajectory {
         }
     }
 
-    /// The desired point at `t` seconds, held at the ends outside of 0..duration.
+    /// The desired point at `t` seconds, held at the ends outside 0..duration.
     pub fn sample(&self, t: f64) -> DesiredPoint {
         let t = t.clamp(0.0, self.duration());
         match &self.shape {

@@ -1,44 +1,44 @@
-//! Recursive least squares of the physics' few parameters, on the velocity that they predict.
+//! Recursive least squares of the physics' few parameters, on the predicted velocity.
 
 use nalgebra::{SMatrix, SVector};
 use vehicle::frame::Ned;
 
-/// Parameters of the specific force, in this order: share of thrust over mass beyond the believed
-/// one, bend of the thrust map, drag over mass, wind's push north and east, push in axes that turn
-/// with yaw, front and right.
+/// Parameters of the specific force, in this order: relative excess of thrust over mass, bend of
+/// the thrust map, drag over mass, wind's push north and east, push in axes that turn with yaw,
+/// front and right.
 pub(in crate::control) const PARAMETERS: usize = 7;
-/// Those that act along the thrust.
+/// The parameters that act along the thrust.
 const THRUST: std::ops::Range<usize> = 0..2;
-/// How long what was learned of thrust is remembered, over the rest: packs sag as they fly.
+/// Memory of the thrust parameters, relative to the others': packs sag in flight.
 const THRUST_MEMORY: f64 = 0.25;
 /// Axes of the velocity.
 const AXES: usize = 3;
 const STATES: usize = AXES + PARAMETERS;
 
-/// Slope of the acceleration by the parameters.
+/// Derivative of the acceleration with respect to the parameters.
 pub(in crate::control) type Regressor = SMatrix<f64, AXES, PARAMETERS>;
 
 /// Acceleration that no parameter explains, m/s^2 over the root of its bandwidth in Hz.
 const UNMODELLED: f64 = 0.03;
-/// Least standard deviation of a measured velocity, m/s, and the one that is believed at first.
+/// Least standard deviation of a measured velocity, m/s, and the initial one.
 const NOISE_MIN_M_S: f64 = 0.005;
 const NOISE_FIRST_M_S: f64 = 0.03;
 /// Time over which the noise is learned, s.
 const NOISE_S: f64 = 5.0;
-/// Innovations beyond this many standard deviations say nothing of the noise.
+/// Innovations beyond this many standard deviations do not count for the noise.
 const NOISE_CUT: f64 = 3.0;
-/// Time over which innovations must agree for a change, s, and by how many standard deviations of
-/// their mean.
+/// Time over which innovations must agree to indicate a change, s, and the threshold in standard
+/// deviations of their mean.
 const SURPRISE_S: f64 = 0.1;
 const SURPRISE_MIN: f64 = 4.0;
 
-/// Estimates `theta` of `dv/dt = known + Phi theta` from velocities `z = v + noise`: least squares on
-/// the predicted velocity, with exponential forgetting of what was learned about `theta`.
+/// Estimates `theta` of `dv/dt = known + Phi theta` from velocities `z = v + noise`: least squares
+/// on the predicted velocity, with exponential forgetting of `theta`.
 ///
-/// The covariance never exceeds the prior one, so that what is not excited is not forgotten without
-/// end (the wind-up of forgetting); a step of `theta` is within a trust region, and `theta` within
-/// its bounds. Innovations that agree for a tenth of a second say that something changed: then the
-/// prior covariance holds again, and the next samples count for more than all those before.
+/// The covariance never exceeds the prior, so forgetting does not wind up without excitation. Each
+/// step of `theta` stays within a trust region, and `theta` within its bounds. Innovations that
+/// agree for a tenth of a second indicate a change: the prior covariance then applies again, and
+/// the next samples outweigh all earlier ones.
 #[derive(Clone, Debug)]
 pub(in crate::control) struct Recursion {
     prior: [f64; PARAMETERS],
@@ -49,21 +49,21 @@ pub(in crate::control) struct Recursion {
     theta: SVector<f64, PARAMETERS>,
     covariance: SMatrix<f64, STATES, STATES>,
     noise_variance: f64,
-    /// Mean of the normalised innovations over the last moments.
+    /// Filtered mean of the recent normalised innovations.
     surprise: [f64; AXES],
 }
 
-/// What one sample did.
+/// The outcome of one sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::control) struct Learned {
-    /// Innovations agreed: something changed.
+    /// Innovations agreed, which indicates a change.
     pub is_change: bool,
     /// A parameter is at its bound.
     pub at_bound: bool,
 }
 
 impl Recursion {
-    /// Of parameters with these standard deviations and bounds, 0 at first.
+    /// Starts at 0, with these prior standard deviations and bounds.
     pub fn new(
         prior: [f64; PARAMETERS],
         bound: [f64; PARAMETERS],
@@ -85,12 +85,12 @@ impl Recursion {
         recursion
     }
 
-    /// The parameters.
+    /// The parameter estimates.
     pub fn theta(&self) -> [f64; PARAMETERS] {
         self.theta.into()
     }
 
-    /// The velocity, of prediction and measurements, m/s.
+    /// The velocity estimate, from prediction and measurements, m/s.
     pub fn velocity(&self) -> Ned {
         let velocity: [f64; AXES] = self.velocity.into();
         velocity.into()
@@ -101,13 +101,13 @@ impl Recursion {
         self.covariance[(AXES + parameter, AXES + parameter)].max(0.0).sqrt()
     }
 
-    /// Moves a parameter without evidence: another model leads, which has a part of it.
+    /// Shifts a parameter without evidence: a new leading model accounts for part of it.
     pub fn shift(&mut self, parameter: usize, by: f64) {
         let bound = self.bound[parameter];
         self.theta[parameter] = (self.theta[parameter] + by).clamp(-bound, bound);
     }
 
-    /// Begins again at this velocity: what is between it and the last one is not known.
+    /// Restarts at this velocity, where the step from the last one is unknown.
     pub fn restart(&mut self, velocity: Ned) {
         self.velocity = velocity.to_array().into();
         self.surprise = [0.0; AXES];
@@ -122,7 +122,7 @@ impl Recursion {
         self.covariance[(axis, axis)] = self.noise_variance;
     }
 
-    /// What was learned of these parameters is no longer sure.
+    /// Resets these parameters to the prior covariance.
     fn doubt(&mut self, parameters: std::ops::Range<usize>) {
         for parameter in parameters {
             let at = AXES + parameter;
@@ -132,19 +132,19 @@ impl Recursion {
         }
     }
 
-    /// The velocity after `dt` seconds, m/s.
+    /// The predicted velocity after `dt` seconds, m/s.
     pub fn foreseen(&self, regressor: &Regressor, known: Ned, dt: f64) -> Ned {
         let acceleration = SVector::from(known.to_array()) + regressor * self.theta;
         let velocity: [f64; AXES] = (self.velocity + acceleration * dt).into();
         velocity.into()
     }
 
-    /// Takes the velocity `measured` after `dt` seconds under `known + regressor theta`.
+    /// Updates with the velocity `measured` after `dt` seconds under `known + regressor theta`.
     pub fn learn(&mut self, regressor: &Regressor, known: Ned, measured: Ned, dt: f64) -> Learned {
         self.predict(regressor, known, dt);
         let before = self.theta;
         let share = (dt / SURPRISE_S).min(1.0);
-        // Standard deviation of the mean of white innovations that are weighed so.
+        // Standard deviation of the mean of white innovations with these weights.
         let unsurprised = (share / (2.0 - share)).sqrt();
         let mut learned = Learned::default();
         let mut is_surprised = [false; AXES];
@@ -175,7 +175,7 @@ impl Recursion {
             learned.at_bound |= theta.abs() >= bound;
             *theta = theta.clamp(-bound, bound);
         }
-        // Thrust that changed says nothing of pushes, whereas a push changes what is carried upwards.
+        // A change of thrust does not affect the pushes, whereas a push changes the vertical load.
         let [north, east, down] = is_surprised;
         if north || east {
             self.doubt(0..PARAMETERS);
@@ -208,7 +208,7 @@ impl Recursion {
         }
     }
 
-    /// Takes back of a step what is beyond the trust region.
+    /// Cuts a step back to the trust region.
     fn trust(&mut self, before: &SVector<f64, PARAMETERS>, dt: f64) {
         let step = self.theta - before;
         let largest =
@@ -252,7 +252,7 @@ mod tests {
         slopes
     }
 
-    /// Whether a change was seen at each tick, under parameters `truth` of the tick.
+    /// Whether each tick detected a change, under parameters `truth` of the tick.
     fn taught(
         recursion: &mut Recursion,
         ticks: std::ops::Range<usize>,
@@ -264,7 +264,7 @@ mod tests {
         for tick in ticks {
             let slopes = regressor(tick);
             velocity += slopes * SVector::from(truth(tick)) * DT;
-            // A noise that repeats itself after a prime number of ticks.
+            // A noise with a period of a prime number of ticks.
             let noise = 0.01 * ((tick * 7919 % 101) as f64 / 50.0 - 1.0);
             let seen: [f64; 3] = velocity.into();
             let seen = Ned::from(seen) + Ned::new(noise, -noise, noise);

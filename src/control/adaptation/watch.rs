@@ -1,4 +1,4 @@
-//! When adaptation is no longer to be believed.
+//! When adaptation loses trust.
 
 use crate::setpoint::State;
 use std::fmt;
@@ -6,17 +6,17 @@ use std::fmt;
 /// Why adaptation switched itself off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Distrust {
-    /// A number of the state or of the estimate was none.
+    /// A number of the state or of the estimate was not finite.
     NotFinite,
     /// The state did not change.
     Frozen,
-    /// The state jumped again and again.
+    /// The state jumped repeatedly.
     Jumping,
-    /// Setpoints met limits: they are not what was asked for, for long.
+    /// Setpoints met limits for too long: the vehicle did not get what the law commanded.
     Saturated,
     /// A parameter stayed at its bound.
     Bound,
-    /// What was learned explained nothing: change followed upon change.
+    /// The learned values explained nothing: changes kept following each other.
     Diverging,
 }
 
@@ -33,19 +33,19 @@ impl fmt::Display for Distrust {
     }
 }
 
-/// A state that stays the same, bit by bit, is frozen after this time, s.
+/// A state that is bitwise unchanged for this time is frozen, s.
 const FROZEN_S: f64 = 0.15;
-/// Setpoints may meet limits for this long, s; a gust that is caught takes less.
+/// Longest time for which setpoints may meet limits, s; recovery from a gust takes less.
 const SATURATED_S: f64 = 1.0;
-/// A parameter may stay at its bound for this long, s.
+/// Longest time for which a parameter may stay at its bound, s.
 const BOUND_S: f64 = 1.0;
-/// Jumps and changes are forgotten at one in this time, s.
+/// Time in which the count of jumps or changes falls by one, s.
 const CALMED_S: f64 = 1.0;
-/// So many jumps, or changes, are too many.
+/// Counts above which there are too many jumps, or changes.
 const JUMPS_MAX: f64 = 3.0;
 const CHANGES_MAX: f64 = 8.0;
 
-/// Counts what speaks against the estimate.
+/// Collects the evidence against the estimate.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Watch {
     last: Option<State>,
@@ -57,14 +57,14 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    /// Looks at a state `dt` after the last, and at whether the last setpoint met a limit.
+    /// Checks a state `dt` after the last, and whether the last setpoint met a limit.
     pub fn sees(&mut self, state: &State, is_limited: bool, dt: f64) -> Option<Distrust> {
         if !state.is_finite() {
             return Some(Distrust::NotFinite);
         }
         let is_same = self.last.replace(*state) == Some(*state);
         self.frozen_s = if is_same { self.frozen_s + dt } else { 0.0 };
-        // Limits that are met and left by turns count as well.
+        // Limits that are met intermittently count as well.
         let more = if is_limited { dt } else { -dt };
         self.saturated_s = (self.saturated_s + more).max(0.0);
         self.jumps = (self.jumps - dt / CALMED_S).max(0.0);
@@ -78,13 +78,13 @@ impl Watch {
         }
     }
 
-    /// The state is not where the last ones led.
+    /// Counts a state that does not continue the last ones.
     pub fn jumped(&mut self) -> Option<Distrust> {
         self.jumps += 1.0;
         (self.jumps > JUMPS_MAX).then_some(Distrust::Jumping)
     }
 
-    /// A sample was learned from.
+    /// Checks the outcome of learning from a sample.
     pub fn learned(&mut self, is_change: bool, at_bound: bool, dt: f64) -> Option<Distrust> {
         self.bound_s = if at_bound { self.bound_s + dt } else { 0.0 };
         if is_change {

@@ -11,31 +11,33 @@ use crate::control::attitude_loop::angle_error;
 use crate::control::hover_model::HoverVehicle;
 use crate::setpoint::{Expected, State};
 
-/// The least that sent thrust is believed to count for.
+/// Lower bound on the effectiveness of sent thrust.
 const THRUST_SLOPE_MIN: f64 = 0.3;
 
-/// Learning by the parameters of the physics, in place of constant disturbances.
+/// Learning of the physics' parameters, in place of constant disturbances.
 #[derive(Clone, Debug)]
 pub(super) struct Adapting {
     pub adaptation: Adaptation,
-    /// Whether constant disturbances are learned where adaptation is distrusted; otherwise nothing is.
+    /// Whether the observer learns constant disturbances once adaptation is distrusted; otherwise
+    /// it learns nothing.
     pub observes: bool,
-    /// By how much less noisy the velocity is believed to be than the one seen, m/s.
+    /// Filtered less measured velocity, m/s.
     pub smoothed: Ned,
-    /// Whether nothing of what was learned is left.
+    /// Whether the learned values have faded completely.
     pub is_faded: bool,
-    /// When it last faded.
+    /// Time of the last fading step.
     pub faded: Option<VehicleTime>,
 }
 
-/// Below this share what was learned is gone.
+/// Below this size the learned values count as faded.
 const FADED_SHARE: f64 = 1e-3;
-/// With parameters adapted, the reported velocity is followed in all that is quicker than this, s.
+/// With adapted parameters, the shortest time constant of the velocity offset, s: the feedback
+/// follows quicker changes of the reported velocity.
 pub(super) const ADAPTING_VELOCITY_S: f64 = 0.25;
 
 impl DisturbanceObserver {
-    /// Learns the parameters of the physics instead. If these come to be distrusted, it goes on with
-    /// constant disturbances where it `observes`, and with nothing otherwise.
+    /// Learns the parameters of the physics instead. If adaptation loses trust, the observer
+    /// continues with constant disturbances if `observes`, and with nothing otherwise.
     pub fn adapting(self, adaptation: Adaptation, observes: bool) -> Self {
         Self {
             adapting: Some(Adapting {
@@ -49,18 +51,18 @@ impl DisturbanceObserver {
         }
     }
 
-    /// Whether there is nothing that it moves, or will move until it is reset.
+    /// Whether the observer shifts nothing, and will not until it is reset.
     pub fn is_idle(&self) -> bool {
         self.adapting.as_ref().is_some_and(|it| it.is_faded)
     }
 
-    /// The parameters, while they are adapted and trusted.
+    /// The parameters, while adaptation is on and trusted.
     pub fn parameters(&self) -> Option<Parameters> {
         let adapting = self.adapting.as_ref()?;
         adapting.adaptation.is_on().then(|| adapting.adaptation.parameters())
     }
 
-    /// What the velocity seen is beside the one that is believed, m/s.
+    /// Measured less filtered velocity, m/s.
     pub(super) fn velocity_noise(&self) -> Ned {
         match &self.adapting {
             Some(adapting) if adapting.adaptation.is_on() && self.motion.is_some() => {
@@ -70,18 +72,18 @@ impl DisturbanceObserver {
         }
     }
 
-    /// Whether a change was found whose size is known now, once.
+    /// Whether the size of a change has become known; true once for each change.
     pub(in crate::control) fn take_change(&mut self) -> bool {
         self.adapting.as_mut().is_some_and(|it| it.adaptation.take_change())
     }
 
-    /// `state` with the velocity that is believed.
+    /// `state` with the filtered velocity.
     pub(in crate::control) fn believed(&self, state: &State) -> State {
         let velocity = state.velocity + self.disturbance.velocity - self.velocity_noise();
         State { velocity, ..*state }
     }
 
-    /// How late a setpoint acts, s.
+    /// Latency of an attitude setpoint, s.
     pub(in crate::control) fn lead_s(&self) -> f64 {
         self.chain.actuation.attitude_delay_s(&self.chain.attitude_loop)
     }
@@ -91,19 +93,19 @@ impl DisturbanceObserver {
         &self.chain.vehicle
     }
 
-    /// What adaptation has to tell, once.
+    /// Takes the pending notice of adaptation.
     pub fn take_notice(&mut self) -> Option<AdaptationNotice> {
         self.adapting.as_mut()?.adaptation.take_notice()
     }
 
-    /// Whether the last setpoint met a limit of thrust or tilt.
+    /// Records whether the last setpoint met a limit of thrust or tilt.
     pub fn limited(&mut self, is_limited: bool) {
         if let Some(adapting) = &mut self.adapting {
             adapting.adaptation.limited(is_limited);
         }
     }
 
-    /// The estimate jumped.
+    /// Records a jump of the estimate and restarts the comparison.
     pub fn jumped(&mut self) {
         self.pause();
         if let Some(adapting) = &mut self.adapting {
@@ -111,8 +113,8 @@ impl DisturbanceObserver {
         }
     }
 
-    /// The thrust to send, N, for one of `wanted_n` to act by the adapted thrust map: the positive
-    /// root of `T (1 + s + k (T/T_h - 1)) = wanted`.
+    /// The thrust to send, N, for `wanted_n` to act under the adapted thrust map: the positive root
+    /// of `T (1 + s + k (T/T_h - 1)) = wanted`.
     pub fn thrust_n(&self, wanted_n: f64) -> f64 {
         let Some(Parameters { thrust_share, thrust_bend, .. }) = self.parameters() else {
             return wanted_n;
@@ -123,8 +125,8 @@ impl DisturbanceObserver {
         2.0 * wanted_n / (linear + root).max(THRUST_SLOPE_MIN)
     }
 
-    /// Whether a state may be learned from. What a distrusted adaptation has learned becomes constant
-    /// disturbances, which are learned on or fade.
+    /// Whether a state may be learned from. After adaptation loses trust, its learned values become
+    /// constant disturbances, which the observer keeps learning or lets fade.
     pub(super) fn is_sound(&mut self, at: VehicleTime, state: &State, dt: f64) -> bool {
         let Some(Adapting { adaptation, observes, is_faded, faded, .. }) = &mut self.adapting
         else {
@@ -141,7 +143,7 @@ impl DisturbanceObserver {
         adaptation.sees(state, dt) || self.distrusted()
     }
 
-    /// From here on there are constant disturbances.
+    /// Switches to constant disturbances.
     pub(super) fn distrusted(&mut self) -> bool {
         let d = &mut self.disturbance;
         if let Some(adapting) = &self.adapting {
@@ -155,7 +157,7 @@ impl DisturbanceObserver {
         false
     }
 
-    /// Learns the physics' parameters, and takes the disturbances from them.
+    /// Learns the physics' parameters, and derives the disturbances from them.
     pub(super) fn adapt(
         &mut self,
         motion: &Motion,
@@ -236,7 +238,7 @@ mod tests {
         Setpoint { thrust_n: thrust_share * QUAD.hover_thrust_n(), ..Setpoint::default() }
     }
 
-    /// At rest, with a noise that repeats itself after a prime number of ticks.
+    /// At rest, with a noise that has a period of a prime number of ticks.
     fn resting(tick: u32) -> State {
         let noise = f64::from(tick * 7919 % 101) / 50.0 - 1.0;
         State {
@@ -260,7 +262,7 @@ mod tests {
         notices
     }
 
-    /// Has learned that the vehicle is a fifth heavier.
+    /// An observer that has learned that the vehicle is a fifth heavier.
     fn taught(observes: bool) -> DisturbanceObserver {
         let mut observer = observer(observes);
         watch(&mut observer, 0..500, &hover(1.2), resting);

@@ -1,4 +1,4 @@
-//! Disturbances that are constant, and the equilibrium that they leave.
+//! Constant disturbances, and the equilibrium under them.
 
 use vehicle::frame::{Euler, Frd, Ned};
 
@@ -8,22 +8,23 @@ use crate::setpoint::{Reference, Setpoint};
 /// Constant disturbances, each bounded.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Disturbance {
-    /// By how much more than reported the position moves, m/s.
+    /// Velocity of the position less the reported one, m/s.
     pub velocity: Ned,
     /// Horizontal drag over speed and mass, 1/s.
     pub drag_per_s: f64,
     /// Horizontal acceleration fixed in the world, m/s^2: wind.
     pub world: [f64; 2],
-    /// Horizontal acceleration in axes that turn with yaw, m/s^2: the attitude's own error.
+    /// Horizontal acceleration in axes that turn with yaw, m/s^2: the attitude estimate's error.
     pub body: [f64; 2],
-    /// Acceleration along the body's down axis, m/s^2: a weight or a thrust other than believed.
+    /// Acceleration along the body's down axis, m/s^2: a weight or a thrust that differs from the
+    /// file's.
     pub along_thrust: f64,
-    /// Attitude beside the one that the loop is sent, rad: moments that its gains give way to.
+    /// Offset of the attitude from the one sent, rad: moments that the loop's gains yield to.
     pub attitude: [f64; 3],
 }
 
 impl Disturbance {
-    /// Leaves this share of each.
+    /// Scales each disturbance by `share`.
     pub fn fade(&mut self, share: f64) {
         self.velocity = self.velocity * share;
         self.drag_per_s *= share;
@@ -39,7 +40,8 @@ impl Disturbance {
         all.all(|number| number.abs() < size) && self.velocity.norm() < size
     }
 
-    /// How the disturbances move what leads a vehicle at the heading `yaw` along `reference`.
+    /// How the disturbances shift the reference and input for a vehicle at the heading `yaw` along
+    /// `reference`.
     pub fn shift(&self, vehicle: &HoverVehicle, reference: &Reference, yaw: f64) -> Shift {
         let Disturbance {
             velocity,
@@ -60,7 +62,8 @@ impl Disturbance {
         // A tilted thrust must carry the same weight.
         let tilted_n =
             reference.feedforward.thrust_n * ((ahead.hypot(aside) / gravity).hypot(1.0) - 1.0);
-        // Drag turns with the velocity; of what is fixed in the world the body makes no turn.
+        // Drag turns with the velocity; what is fixed in the world is not fed forward as a body
+        // rate.
         let thrust = reference.feedforward.thrust_n / vehicle.mass_kg;
         let push = reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -thrust));
         let [more_ahead, more_aside] =
@@ -77,13 +80,13 @@ impl Disturbance {
     }
 }
 
-/// How an equilibrium lies beside the undisturbed one.
+/// The offset of an equilibrium from the undisturbed one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shift {
-    /// Reported while the position rests, m/s.
+    /// Velocity reported while the position rests, m/s.
     pub velocity: Ned,
-    /// Roll, pitch and yaw that hold against the disturbances, rad.
+    /// Roll, pitch and yaw that compensate the disturbances, rad.
     pub attitude: Euler,
-    /// Thrust against them, and the setpoint for which the loop gives that attitude.
+    /// Thrust that compensates them, and the setpoint at which the loop reaches that attitude.
     pub input: Setpoint,
 }

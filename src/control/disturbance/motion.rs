@@ -11,14 +11,14 @@ use crate::setpoint::{Setpoint, State};
 /// Longest step of the attitude loop's model, s.
 const STEP_MAX_S: f64 = 2.5e-3;
 
-/// What the loop and the rotors have made of the setpoints so far, by the model.
+/// The model's response to the setpoints so far.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     pub at: VehicleTime,
     pub position: Ned,
     pub velocity: Ned,
     pub seen: Attitude,
-    /// The setpoint behind the delay.
+    /// The setpoint after the delay.
     pub delayed: Setpoint,
     pub thrust_n: f64,
     pub attitude: Euler,
@@ -50,7 +50,7 @@ impl Motion {
     }
 }
 
-/// The model of what lies between a setpoint and the motion.
+/// The model between a setpoint and the motion.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chain {
     pub vehicle: HoverVehicle,
@@ -60,7 +60,7 @@ pub(super) struct Chain {
 }
 
 impl Chain {
-    /// The model's motion `dt` later: delay and lag are first-order, as the regulator's.
+    /// The model's motion `dt` later; delay and lag are first-order, as in the regulator's model.
     pub fn moved(&self, before: Motion, sent: &Setpoint, dt: f64) -> Motion {
         let mut now = before;
         let steps = (dt / STEP_MAX_S).ceil().max(1.0);

@@ -1,29 +1,29 @@
-//! What may be set of feedback that leaves no steady error.
+//! Settings of feedback without steady-state error.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Feedback that leaves no steady error.
+/// Feedback without steady-state error.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OffsetFreeSettings {
-    /// Whether disturbances are estimated and taken out.
+    /// Whether disturbances are estimated and rejected.
     pub observer: Use,
     /// Whether a desired trajectory's own acceleration is fed forward.
     pub feed_forward: Use,
-    /// Time constant after which the velocity that is fed back is the position's own slope, s. The
-    /// two disagree where an estimator corrects its position without saying so in its velocity; the
-    /// position is what is tracked.
+    /// Time constant with which the velocity in the feedback becomes the slope of the position, s.
+    /// The two disagree where an estimator corrects its position but not its velocity; the
+    /// controller tracks the position.
     pub velocity_time_constant_s: f64,
     /// Time constant of the other estimates, s. Wind and an estimate's wander change over several
-    /// seconds; the velocity's noise over this time is an acceleration that is flown.
+    /// seconds; velocity noise over this time becomes an acceleration that the vehicle flies.
     pub time_constant_s: f64,
-    /// Largest difference that is taken to be between the velocity that is reported and that of the
-    /// position, m/s.
+    /// Largest difference between the reported velocity and the slope of the position that is
+    /// corrected, m/s.
     pub velocity_max_m_s: f64,
-    /// Largest acceleration that is taken for a disturbance, m/s^2.
+    /// Largest acceleration that is attributed to a disturbance, m/s^2.
     pub acceleration_max_m_s2: f64,
-    /// Largest error that is taken for the attitude loop's, or for the attitude's own, rad.
+    /// Largest error that is attributed to the attitude loop or to the attitude estimate, rad.
     pub attitude_max_rad: f64,
 }
 
@@ -45,7 +45,7 @@ impl Default for OffsetFreeSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Use {
-    /// With autopilots whose loop is their own; the bundled vehicle is flown as in the paper.
+    /// On with autopilots that have their own loop; the bundled vehicle flies as in the paper.
     #[default]
     Auto,
     /// Always.
@@ -55,7 +55,8 @@ pub enum Use {
 }
 
 impl Use {
-    /// Whether it is used with a vehicle whose attitude loop is its autopilot's own or not.
+    /// Whether the feature is on for a vehicle whose attitude loop is (`is_own_loop`) or is not its
+    /// autopilot's own.
     pub fn applies(self, is_own_loop: bool) -> bool {
         match self {
             Self::Auto => is_own_loop,

@@ -1,4 +1,4 @@
-//! Geometric tracking on SE(3): the wanted force, as a vector, gives thrust and attitude.
+//! Geometric tracking on SE(3): the wanted force vector determines thrust and attitude.
 
 use vehicle::frame::{Euler, Frd, Ned};
 use vehicle::rigid_body::State;
@@ -15,7 +15,7 @@ pub(super) static SPEC: LawSpec = LawSpec {
     design: |problem| Ok(Box::new(Geometric::design(problem)?)),
 };
 
-/// Gains that every law on this one has.
+/// Gains shared by every law built on this one.
 pub(super) const POSITION: Gain = Gain {
     key: "gains.position_per_s2",
     unit: "1/s^2",
@@ -29,8 +29,8 @@ pub(super) const VELOCITY: Gain = Gain {
     meaning: "acceleration over velocity error, horizontal and vertical: kv/m",
 };
 
-/// The wanted force points up by at least this share of the weight, or its direction would not be
-/// an attitude (the paper's assumption `|A| > 0`).
+/// Least upward part of the wanted force, relative to the weight; below it, its direction would
+/// define no attitude (the paper's assumption `|A| > 0`).
 const LIFT_MIN: f64 = 0.1;
 
 /// The tracking law of Lee, Leok and McClamroch ("Geometric tracking control of a quadrotor UAV on
@@ -44,17 +44,17 @@ const LIFT_MIN: f64 = 0.1;
 /// omega = R^T R* omega*                           desired body rate, turned into the body's axes
 /// ```
 ///
-/// `f* = -(u1*/m) R* e3` is the force of the reference, so that whatever a plan or a feed-forward
-/// holds against (acceleration, drag, wind) is held here too; what the reference's attitude setpoint
-/// adds to its attitude, to lead the loop, is added to `R_d`. The turn that the errors themselves
-/// ask of `R_d` is left to the attitude loop: it takes a derivative of the measured velocity.
+/// `f* = -(u1*/m) R* e3` is the force of the reference, so the law also compensates what a plan or
+/// a feed-forward compensates (acceleration, drag, wind). The lead of the reference's attitude
+/// setpoint over its attitude is added to `R_d`. The law leaves the turn of `R_d` that the errors
+/// themselves cause to the attitude loop: computing it takes a derivative of the measured velocity.
 ///
-/// Thrust is that part of the force which the body's axis can give now: upside down it is none,
-/// where the LQR goes on pushing its hover thrust into the ground. Where the wanted force is beyond the tilt limit, the
-/// law shortens its horizontal part, and so holds the height.
+/// Thrust is the projection of the force on the body's axis: upside down it is zero, where the LQR
+/// would keep pushing with hover thrust towards the ground. Where the wanted force exceeds the tilt
+/// limit, the law shortens its horizontal part, which keeps the height.
 ///
-/// The gains are those of the LQR for the same vehicle ([`Lqr::translational`]) unless set: the same
-/// bandwidth near hover, and what is known of lag and delay is in them.
+/// The gains default to those of the LQR for the same vehicle ([`Lqr::translational`]): the
+/// bandwidth near hover is the same, and accounts for the known lag and delay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geometric {
     mass_kg: f64,
@@ -70,7 +70,7 @@ impl Geometric {
     /// Designs the law for a vehicle.
     ///
     /// # Errors
-    /// As [`Lqr::design_for`], whose bandwidth it takes over.
+    /// As [`Lqr::design_for`], whose bandwidth it adopts.
     pub fn design(problem: &ControlProblem) -> Result<Self, DesignError> {
         let ControlProblem { vehicle, limits, settings, .. } = problem;
         let (stiffness, damping) = Lqr::for_problem(problem)?.translational(vehicle);
@@ -96,12 +96,12 @@ impl Geometric {
         self.velocity_per_s
     }
 
-    /// `f` with a direction that can be flown: upwards, and within the tilt limit.
+    /// `f` in a direction that can be flown: upwards, and within the tilt limit.
     fn flyable(&self, force: Ned) -> Ned {
         let [north, east, down] = force.to_array();
         let down = down.min(-LIFT_MIN * self.gravity);
         let most = -down * self.tilt_max_rad.tan();
-        // Beyond a quarter turn the tangent bounds nothing.
+        // Beyond a quarter turn, the tangent is no bound.
         let scale = if most > 0.0 { (most / north.hypot(east)).min(1.0) } else { 1.0 };
         Ned::new(north * scale, east * scale, down)
     }
@@ -120,7 +120,7 @@ impl Geometric {
         reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -specific))
     }
 
-    /// The command of the law with `more` force over mass (world axes, m/s^2) added to its own.
+    /// The law's command with `more` force over mass (world axes, m/s^2) added to its own.
     pub(super) fn pushing(&self, state: &State, reference: &Reference, more: Ned) -> Command {
         let Reference { attitude: wanted, feedforward, .. } = *reference;
         let (error, is_cut) = self.reach.bounded(state.position - reference.position);
@@ -180,7 +180,7 @@ mod tests {
         designed(&Actuation::IMMEDIATE, &ControlSettings::default())
     }
 
-    /// What carries the vehicle at this acceleration and heading.
+    /// The reference that gives the vehicle this acceleration and heading.
     fn carrying(acceleration: Ned, yaw: f64) -> Reference {
         let force = acceleration - Ned::new(0.0, 0.0, QUAD.gravity);
         let [roll, pitch] = tilt_towards(-force, yaw);
@@ -190,7 +190,7 @@ mod tests {
         Reference { attitude, feedforward, ..Reference::default() }
     }
 
-    /// The vehicle where the reference wants it.
+    /// The vehicle at the reference.
     fn on(reference: &Reference) -> State {
         State {
             position: reference.position,
@@ -226,7 +226,8 @@ mod tests {
         let mut reference = carrying(Ned::zero(), 0.5);
         reference.feedforward.body_rate = Frd::new(0.0, 0.0, 1.5);
         reference.body_rate = reference.feedforward.body_rate;
-        // A quarter behind: the heading is asked for at once, and the thrust stays upright.
+        // A heading error of 0.25 rad: the heading setpoint steps at once, and the thrust stays
+        // upright.
         let state = State { attitude: Euler::new(0.0, 0.0, 0.25).attitude(), ..on(&reference) };
         let sent = setpoint(&state, &reference);
         assert!(is_near(sent.attitude, Euler::new(0.0, 0.0, 0.5), 1e-12));
@@ -293,14 +294,14 @@ mod tests {
                 feedforward: Setpoint { thrust_n: QUAD.hover_thrust_n(), ..Setpoint::default() },
                 ..Reference::default()
             };
-            // Both ask for the same thrust for height, and settle at the same tilt for distance.
+            // Both command the same thrust for height, and settle at the same tilt for distance.
             let below = State { position: Ned::new(0.0, 0.0, 0.1), ..State::default() };
             let (by_lqr, _) = lqr.feedback(&below, &hover);
             let by_force = geometric.clone().command(&below, &hover, 0.0).feedback;
             assert!((by_lqr.thrust_n - by_force.thrust_n).abs() < 1e-6 * by_lqr.thrust_n);
             let ahead = State { position: Ned::new(0.1, 0.0, 0.0), ..State::default() };
             let AttitudeLoop::Pd { kp, kd } = PD else { unreachable!() };
-            // The loop's moment at a pitch, by the LQR, is linear and 0 where the pitch settles.
+            // The loop's moment at a pitch, under the LQR, is linear and 0 where the pitch settles.
             let turning = |pitch: f64| {
                 let attitude = Euler::new(0.0, pitch, 0.0).attitude();
                 let (asked, _) = lqr.feedback(&State { attitude, ..ahead }, &hover);
@@ -354,7 +355,7 @@ mod tests {
             prop_assert!(sent.is_finite() && sent.thrust_n >= 0.0);
             let tilt = Euler { yaw: 0.0, ..sent.attitude }.attitude().tilt();
             prop_assert!(tilt <= Limits::default().tilt_max_rad + 1e-9);
-            // The thrust is at most what the wanted force is, whose errors are bounded except for speed.
+            // The thrust is at most the wanted force, whose errors are bounded except for speed.
             let speed = (state.velocity - reference.velocity).norm();
             let ([kx, kz], [dx, dz]) = (law().position_per_s2(), law().velocity_per_s());
             let most = reference.feedforward.thrust_n / 1.2 + kx + kz + (dx + dz) * speed + 9.81;

@@ -1,4 +1,5 @@
-//! Geometric tracking with an adaptive term: what pushes the vehicle is learned by its errors.
+//! Geometric tracking with an adaptive term, which learns the external force from the tracking
+//! errors.
 
 use vehicle::frame::Ned;
 use vehicle::rigid_body::State;
@@ -30,24 +31,24 @@ pub(super) static SPEC: LawSpec = LawSpec {
     design: |problem| Ok(Box::new(GeometricAdaptive::design(problem)?)),
 };
 
-/// The largest force over mass that is learned along each axis, m/s^2: the paper's `B_theta`.
+/// The largest learned force over mass along each axis, m/s^2: the paper's `B_theta`.
 const FORCE_MAX_M_S2: f64 = 6.0;
-/// `gamma c1`, over what would make the loop swing on: `kx kv`.
+/// `gamma c1` over `kx kv`, the value at which the loop would oscillate.
 const INTEGRAL_SHARE: f64 = 0.15;
 
 /// The position part of Goodarzi, Lee and Lee ("Geometric adaptive tracking control of a quadrotor
-/// unmanned aerial vehicle on SE(3) for agile maneuvers", ASME J. Dyn. Sys. Meas. Control 137, 2015):
-/// [`Geometric`] with the uncertainty `W theta`, `W = I`, cancelled:
+/// unmanned aerial vehicle on SE(3) for agile maneuvers", ASME J. Dyn. Sys. Meas. Control 137,
+/// 2015): [`Geometric`] with the uncertainty `W theta`, `W = I`, cancelled:
 ///
 /// ```text
 /// f         = f* - kx e_p - kv e_v - theta            wanted force over mass [m/s^2]
 /// dtheta/dt = gamma (e_v + c1 e_p), |theta_i| <= B    world axes
 /// ```
 ///
-/// About an equilibrium that is a PID whose integral learns by the mixed error. Its attitude part
-/// adapts moments, which are the on-board loop's here. Gains that are not set follow the geometric
-/// law's: `c1` is its natural frequency, and `gamma c1` a share of `kx kv`, at which the linear loop
-/// would swing on.
+/// About an equilibrium this is a PID controller whose integral acts on the mixed error. The
+/// paper's attitude part adapts moments, which belong to the on-board loop here. Gains that are not
+/// set follow from the geometric law's: `c1` is its natural frequency, and `gamma c1` a fraction of
+/// `kx kv`, at which the linear loop would oscillate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GeometricAdaptive {
     law: Geometric,

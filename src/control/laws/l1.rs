@@ -34,13 +34,14 @@ pub(super) static SPEC: LawSpec = LawSpec {
 const PREDICTOR_PER_S: f64 = 5.0;
 /// Cut-off of the filter, over the natural frequency of the geometric law's position loop.
 const FILTER_SHARE: f64 = 0.5;
-/// The largest uncertainty that is acted upon along each axis, m/s^2.
+/// The largest uncertainty that is cancelled along each axis, m/s^2.
 const UNCERTAINTY_MAX_M_S2: f64 = 6.0;
-/// A longer time between samples leaves nothing to predict, s.
+/// The predictor restarts after a longer time between samples, s.
 const GAP_MAX_S: f64 = 0.2;
 
-/// The translation of Wu, Cheng, Ackerman, Gahlawat, Lakshmanan, Zhao and Hovakimyan ("L1 adaptive
-/// augmentation for geometric tracking control of quadrotors", ICRA 2022), around [`Geometric`]:
+/// The translational part of Wu, Cheng, Ackerman, Gahlawat, Lakshmanan, Zhao and Hovakimyan ("L1
+/// adaptive augmentation for geometric tracking control of quadrotors", ICRA 2022), around
+/// [`Geometric`]:
 ///
 /// ```text
 /// de_hat/dt = -(T/m) R e3 - f* + sigma + A_s (e_hat - e)      state predictor, A_s = -a I
@@ -51,11 +52,12 @@ const GAP_MAX_S: f64 = 0.2;
 ///
 /// `e = v - v*`, and `f*` is the reference's own force.
 ///
-/// Where it differs from the paper: the velocity's error is predicted in place of the velocity, so that
-/// what the reference's force holds against already is not learned again; moments are the on-board loop's, so that the angular part is left
-/// out; and all of `C sigma` is taken from the wanted force, the part across the thrust too, as the
-/// attitude turns to it. The cut-off is a share of the position loop's natural frequency, because an
-/// attitude loop, delay and rotors' lag are between.
+/// Differences from the paper: the predictor predicts the velocity error in place of the velocity,
+/// so it does not learn again what the reference's force already compensates; the angular part is
+/// left out, because the on-board loop makes the moments; and all of `C sigma` is subtracted from
+/// the wanted force, including the part across the thrust, since the attitude turns to it. The
+/// cut-off is a fraction of the position loop's natural frequency, because an attitude loop, delay
+/// and rotor lag lie between.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct L1 {
     law: Geometric,
@@ -66,15 +68,15 @@ pub struct L1 {
     memory: Option<Memory>,
 }
 
-/// From one sample to the next.
+/// State carried from one sample to the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Memory {
-    /// Errors of the velocity.
+    /// Velocity error, predicted; `velocity` is the measured one.
     predicted: Ned,
     velocity: Ned,
     sigma: Ned,
     filtered: Ned,
-    /// Acceleration of the last command beside the reference's.
+    /// Acceleration of the last command less the reference's.
     acceleration: Ned,
 }
 
@@ -97,11 +99,11 @@ impl L1 {
         })
     }
 
-    /// The filtered uncertainty after `dt` seconds that ended at `velocity`.
+    /// The predictor, uncertainty and filter after a step of `dt` seconds that ended at `velocity`.
     fn learn(&self, memory: &Memory, velocity: Ned, dt: f64) -> Memory {
         let pole = -self.predictor_per_s;
         let decay = (pole * dt).exp();
-        // The predictor over the step, exactly.
+        // The exact solution of the predictor over the step.
         let drive = memory.acceleration + memory.sigma - memory.velocity * pole;
         let predicted = memory.predicted * decay + drive * ((decay - 1.0) / pole);
         let sigma = (predicted - velocity) * (-pole * decay / (decay - 1.0));

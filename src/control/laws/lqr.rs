@@ -35,15 +35,15 @@ const fn gain(key: &'static str, unit: &'static str, values: usize, meaning: &'s
     Gain { key, unit, values, meaning }
 }
 
-/// Errors that the gain is made for where lag and delay leave a choice: north, east, down;
-/// velocity; roll, pitch, yaw; body rate, in SI units. What the approach and a gust leave.
+/// Errors that the gain is optimised for where lag and delay leave a choice: north, east, down;
+/// velocity; roll, pitch, yaw; body rate, in SI units. Typical of an approach and of a gust.
 const ERRORS: [f64; STATES] = [0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.5, 0.5, 0.5];
-/// Attempts at a gain that settles the loop, each weaker than the last.
+/// Most attempts at a gain that settles the loop, each weaker than the last.
 const ATTEMPTS: usize = 24;
-/// By how much roll's and pitch's acceptable correction is widened at a time, and how often.
+/// Factor of the roll and pitch corrections per step of quickening, and the most steps.
 const QUICKENED: f64 = 1.15;
 const QUICKENINGS: usize = 20;
-/// Inputs.
+/// Indices of inputs.
 const ROLL: usize = 1;
 const PITCH: usize = 2;
 
@@ -59,7 +59,7 @@ pub struct Lqr {
 }
 
 impl Lqr {
-    /// Designs the gain for a vehicle: [`Lqr::design_for`] with what a problem says of it.
+    /// Designs the gain for a vehicle: [`Lqr::design_for`] with the problem's data.
     ///
     /// # Errors
     /// As [`Lqr::design_for`].
@@ -68,11 +68,11 @@ impl Lqr {
         Self::design_for(actuation, vehicle, attitude_loop, settings)
     }
 
-    /// Designs the gain on the near-hover model of `vehicle` with `attitude_loop` inside, which
-    /// answers at once.
+    /// Designs the gain on the near-hover model of `vehicle` with `attitude_loop` inside, without
+    /// delay or lag.
     ///
     /// # Errors
-    /// [`DesignError`] where a number of the vehicle or the settings is not positive, or no
+    /// [`DesignError`] if a number of the vehicle or the settings is not positive, or no
     /// stabilising gain exists.
     pub fn design(
         vehicle: &HoverVehicle,
@@ -92,13 +92,14 @@ impl Lqr {
         })
     }
 
-    /// The same where the vehicle is known to answer late. Delayed setpoints and the rotors'
-    /// moments are states that are not measured, so that of all gains `K` on the measured ones the
-    /// best by the same weights is taken. It is that of [`Lqr::design`] as delay and lag go to
-    /// zero, and the slower the vehicle, the less it asks for, of attitude feedback first.
+    /// Designs the gain for a vehicle with known delay and lag. Delayed setpoints and the rotors'
+    /// moments are unmeasured states, so the design takes the optimal gain `K` on the measured
+    /// states under the same weights. It approaches that of [`Lqr::design`] as delay and lag go to
+    /// zero; the slower the vehicle, the lower the gains, attitude feedback first.
     ///
-    /// Where [`ControlSettings::quicken`] is on, roll and pitch are then corrected by more than the
-    /// settings call acceptable, as far as [`ControlSettings::margin_min`] is kept.
+    /// Where [`ControlSettings::quicken`] is on, the gain then corrects roll and pitch by more than
+    /// the acceptable corrections in the settings, as far as [`ControlSettings::margin_min`]
+    /// allows.
     ///
     /// # Errors
     /// As [`Lqr::design`], and [`DesignError::TooSlow`].
@@ -140,16 +141,16 @@ impl Lqr {
         Ok(Self { gain, spectral_radius: spectral_radius(&closed_loop), ..prompt })
     }
 
-    /// `K`, minus what SciPy or MATLAB return: rows thrust, (roll, pitch, yaw), body rate; columns
-    /// position, velocity, (roll, pitch, yaw), body rate.
+    /// `K`, the negative of SciPy's and MATLAB's: rows thrust, (roll, pitch, yaw), body rate;
+    /// columns position, velocity, (roll, pitch, yaw), body rate.
     pub fn gain(&self) -> &SMatrix<f64, INPUTS, STATES> {
         &self.gain
     }
 
-    /// Stiffness and damping of the position that the feedback gives with the attitude loop inside:
-    /// `dv/dt = -stiffness e - damping v` along north, east and down, 1/s^2 and 1/s. The attitude is
-    /// taken to be where the loop settles (its states' slopes are set to 0 and eliminated), so these
-    /// are the slow part of the closed loop.
+    /// Stiffness and damping of the position under the feedback, with the attitude loop inside:
+    /// `dv/dt = -stiffness e - damping v` along north, east and down, 1/s^2 and 1/s. The attitude
+    /// is taken to have settled (its states' derivatives are set to 0 and eliminated), so these
+    /// describe the slow part of the closed loop.
     pub fn translational(&self, vehicle: &HoverVehicle) -> ([f64; 3], [f64; 3]) {
         const MOVES: usize = 6;
         let hover = HoverModel::continuous(vehicle, &self.attitude_loop);
@@ -161,7 +162,7 @@ impl Lqr {
         (gain(0), gain(3))
     }
 
-    /// The loop that it is designed around.
+    /// The attitude loop in the design model.
     pub fn attitude_loop(&self) -> &AttitudeLoop {
         &self.attitude_loop
     }
@@ -171,9 +172,9 @@ impl Lqr {
         self.spectral_radius
     }
 
-    /// The correction `K T_R (s - s*)` to the reference's input, and whether its position error
-    /// was cut. `T_R` turns the horizontal errors of position and velocity by the present yaw
-    /// (Bansal et al., eq. 12-14); the yaw error is wrapped.
+    /// The correction `K T_R (s - s*)` to the reference's input, and whether its position error was
+    /// cut. `T_R` turns the horizontal errors of position and velocity by the present yaw (Bansal
+    /// et al., eq. 12-14); the yaw error is wrapped.
     pub fn feedback(&self, state: &State, reference: &Reference) -> (Setpoint, bool) {
         let attitude = state.attitude.euler();
         let (error, is_cut) = self.reach.bounded(state.position - reference.position);
@@ -192,7 +193,7 @@ impl Lqr {
     }
 }
 
-/// What the gain of a vehicle that answers late is best for.
+/// The output feedback problem of a vehicle with delay and lag.
 fn late_problem(model: &DelayedModel, settings: &ControlSettings, hover_thrust_n: f64) -> Late {
     let (q, r) = settings.weights(hover_thrust_n);
     let mut problem = OutputFeedback {
@@ -209,7 +210,7 @@ fn late_problem(model: &DelayedModel, settings: &ControlSettings, hover_thrust_n
     problem
 }
 
-/// The best gain, from `start` or the first weaker one that settles the loop.
+/// The optimal gain, started from `start` or the first weaker gain that settles the loop.
 fn settled(
     problem: &Late,
     mut start: SMatrix<f64, INPUTS, STATES>,
@@ -218,7 +219,8 @@ fn settled(
         if let Some(gain) = problem.improve(start) {
             return Some(gain);
         }
-        // Slower and slower: position by the square of velocity, as damping stays then.
+        // Slower each time: position scales by the square of velocity, which keeps the damping
+        // ratio.
         for (columns, factor) in [(0, 0.64), (3, 0.8), (6, 0.5), (9, 0.5)] {
             start.fixed_columns_mut::<3>(columns).scale_mut(factor);
         }
@@ -459,7 +461,7 @@ mod tests {
         let settings = ControlSettings::default();
         let lqr = Lqr::design_for(&slow(0.005, 0.04), &NANO, &attitude_loop, &settings);
         let gain = *lqr.expect("a gain").gain();
-        // Found with SciPy on one axis alone, the delay in whole.
+        // Found with SciPy on one axis alone, with a pure delay.
         for (column, expected) in [(0, 0.735), (3, 0.457)] {
             assert!((gain[(2, column)] / expected - 1.0).abs() < 0.1, "{}", gain[(2, column)]);
         }

@@ -1,5 +1,5 @@
-//! Control laws: from state and reference to a setpoint. One law, one file; [`LAWS`] names them all,
-//! and whatever flies takes its law from there.
+//! Control laws: from state and reference to a setpoint. Each law has its own file, and [`LAWS`]
+//! lists them all; every caller takes its law from there.
 
 mod geometric;
 mod geometric_adaptive;
@@ -32,22 +32,24 @@ pub const LAWS: [&LawSpec; 4] =
 
 /// A control law.
 ///
-/// The vehicle's attitude loop, on board or closed by the link's encoder, tracks what it returns.
-/// Roll and pitch of a setpoint tilt the vehicle about its present heading, yaw is the heading that
-/// it is to turn to: so the thrust points where it is wanted while the vehicle still turns.
-/// The controller around it applies limits and takes out disturbances; a law does neither.
+/// The vehicle's attitude loop, on board or closed by the link's encoder, tracks the setpoint that
+/// a law returns. Its roll and pitch tilt the vehicle about its present heading; its yaw is the
+/// heading to turn to. The thrust therefore points in the wanted direction while the vehicle still
+/// turns. The controller around the law applies limits and rejects disturbances; a law does
+/// neither.
 pub trait ControlLaw: CloneLaw + fmt::Debug + Send + Sync {
-    /// The setpoint at `state`, which `reference` wants elsewhere. `dt_s` is the time since the law
-    /// was last asked, s; 0 the first time and after a [`reset`](Self::reset).
+    /// The setpoint that moves the vehicle from `state` to `reference`. `dt_s` is the time since
+    /// the last call, s; 0 on the first call and after a [`reset`](Self::reset).
     fn command(&mut self, state: &State, reference: &Reference, dt_s: f64) -> Command;
 
-    /// Forgets what it has integrated: the vehicle is on the ground, or others flew it.
+    /// Clears the integrated state: the vehicle is on the ground, or something else flew it.
     fn reset(&mut self) {}
 }
 
-/// What every law that is [`Clone`] has: each flight begins with a copy of what was designed once.
+/// Cloning of boxed laws, implemented for every law that is [`Clone`]: each flight starts from a
+/// copy of the designed law.
 pub trait CloneLaw {
-    /// A copy.
+    /// A boxed copy of the law and its state.
     fn boxed(&self) -> Box<dyn ControlLaw>;
 }
 
@@ -63,24 +65,24 @@ impl Clone for Box<dyn ControlLaw> {
     }
 }
 
-/// What a law answers.
+/// The output of a law.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Command {
     /// `u_hat`, before any limit.
     pub setpoint: Setpoint,
-    /// What of it is not the reference's feed-forward.
+    /// The setpoint less the reference's feed-forward.
     pub feedback: Setpoint,
-    /// Whether the law saw less than the whole position error.
+    /// Whether the position error was cut before the law saw it.
     pub is_cut: bool,
 }
 
 impl Command {
-    /// The reference's input, corrected by `feedback`.
+    /// The reference's input plus `feedback`.
     pub fn correcting(reference: &Reference, feedback: Setpoint, is_cut: bool) -> Self {
         Self { setpoint: reference.feedforward.plus(feedback), feedback, is_cut }
     }
 
-    /// `setpoint`, whatever the reference's input is.
+    /// `setpoint` itself, whatever the reference's input is; the feedback is their difference.
     pub fn absolute(reference: &Reference, setpoint: Setpoint, is_cut: bool) -> Self {
         let Setpoint { thrust_n, attitude, body_rate } = reference.feedforward;
         let mut feedback = setpoint;
@@ -93,29 +95,29 @@ impl Command {
     }
 }
 
-/// A law as [`LAWS`] lists it.
+/// An entry of [`LAWS`].
 #[derive(Debug)]
 pub struct LawSpec {
     /// Its name in settings and flags.
     pub id: &'static str,
-    /// One sentence for people.
+    /// A one-sentence description for people.
     pub summary: &'static str,
-    /// What of it can be set.
+    /// The gains that can be set.
     pub gains: &'static [Gain],
-    /// Designs it for a vehicle.
+    /// Designs the law for a vehicle.
     pub design: fn(&ControlProblem) -> Result<Box<dyn ControlLaw>, DesignError>,
 }
 
-/// A number of a law that can be set.
+/// A settable number of a law.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gain {
     /// Its key below `control`; keys that begin with `gains.` belong to one law alone.
     pub key: &'static str,
     /// Its unit.
     pub unit: &'static str,
-    /// How many values it has.
+    /// Number of values.
     pub values: usize,
-    /// What it does.
+    /// Its effect.
     pub meaning: &'static str,
 }
 
@@ -124,45 +126,47 @@ pub struct Gain {
 pub struct ControlProblem<'a> {
     /// Mass, inertia and gravity.
     pub vehicle: &'a HoverVehicle,
-    /// How late the vehicle answers.
+    /// The vehicle's command delay and rotor lag.
     pub actuation: &'a Actuation,
     /// The loop that tracks the attitude.
     pub attitude_loop: &'a AttitudeLoop,
-    /// What bounds the setpoint after the law.
+    /// The limits applied to the setpoint after the law.
     pub limits: &'a Limits,
     /// Rate, acceptable errors and gains.
     pub settings: &'a ControlSettings,
 }
 
-/// Which law flies: an entry of [`LAWS`], or a law of another crate. Laws are equal by their ids.
+/// The law in use: an entry of [`LAWS`], or a law of another crate. Laws are equal if their ids
+/// are.
 #[derive(Clone, Copy)]
 pub struct Law(&'static LawSpec);
 
 impl Law {
-    /// The yaw-rotated LQR, which flies unless another is chosen.
+    /// The yaw-rotated LQR, the default.
     pub const LQR: Self = Self(&lqr::SPEC);
     /// The geometric tracking law.
     pub const GEOMETRIC: Self = Self(&geometric::SPEC);
 
-    /// A law that [`LAWS`] need not list.
+    /// A law that need not be in [`LAWS`].
     pub const fn new(spec: &'static LawSpec) -> Self {
         Self(spec)
     }
 
-    /// The law of this id, if it is listed.
+    /// The listed law with this id.
     pub fn named(id: &str) -> Option<Self> {
         LAWS.into_iter().find(|spec| spec.id == id).map(Self)
     }
 
-    /// What it is.
+    /// Its name, description, gains and design function.
     pub fn spec(self) -> &'static LawSpec {
         self.0
     }
 
-    /// Designs the law for a vehicle, by its own gains where `control.gains` has them.
+    /// Designs the law for a vehicle, with the gains of `control.gains` where these are set.
     ///
     /// # Errors
-    /// [`DesignError`] where a gain is not one of the law's or not positive, or the law finds none.
+    /// [`DesignError`] if a gain is not one of the law's, has the wrong number of values or is not
+    /// positive, or if the design fails.
     pub fn design(self, problem: &ControlProblem) -> Result<Box<dyn ControlLaw>, DesignError> {
         problem.settings.gains.check(self.0)?;
         (self.0.design)(problem)
@@ -209,18 +213,18 @@ impl<'de> Deserialize<'de> for Law {
     }
 }
 
-/// Gains of the law that flies, by name. A law derives what is not here from the vehicle.
+/// Gains of the active law, by name. A law derives the missing ones from the vehicle.
 #[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Gains(BTreeMap<String, Vec<f64>>);
 
 impl Gains {
-    /// The values of a gain, where it is set with as many.
+    /// The values of a gain, if it is set with `N` values.
     pub fn get<const N: usize>(&self, name: &str) -> Option<[f64; N]> {
         self.0.get(name).and_then(|values| values.as_slice().try_into().ok())
     }
 
-    /// Sets a gain.
+    /// Sets a gain; the design checks it.
     pub fn set(&mut self, name: &str, values: &[f64]) {
         self.0.insert(name.to_owned(), values.to_vec());
     }
@@ -247,26 +251,26 @@ impl Gains {
     }
 }
 
-/// How the vehicle is controlled. The acceptable errors weigh the LQR by Bryson's rule: each weight
-/// is 1 / (acceptable deviation)^2. Other laws derive from that LQR what bandwidth the vehicle bears.
-/// Thrust counts in units of hover thrust and everything else is kinematic, so that one set flies a
-/// 30 g nano and a 1.2 kg quadrotor.
+/// How the vehicle is controlled. The acceptable errors set the LQR's weights by Bryson's rule:
+/// each weight is 1 / (acceptable deviation)^2. Other laws derive their bandwidth from that LQR.
+/// Thrust is in units of hover thrust and everything else is kinematic, so one set flies a 30 g
+/// nano and a 1.2 kg quadrotor.
 ///
-/// The defaults ask next to nothing of velocity, attitude and body rate: the attitude loop holds
-/// the last two, and what is fed back of them meets its resonance with the rotors' lag after the
-/// link's delay. [`Lqr::design_for`] takes back more of it where lag and delay are known; with what
-/// is not known, these fly with 30 ms of delay and 60 ms of lag.
+/// The defaults weigh velocity, attitude and body rate very little: the attitude loop holds the
+/// last two, and their feedback excites its resonance with the rotors' lag after the link's delay.
+/// [`Lqr::design_for`] lowers the gains further where lag and delay are known; where they are not,
+/// the defaults fly with 30 ms of delay and 60 ms of lag.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ControlSettings {
-    /// Which law flies.
+    /// The law that flies.
     #[schemars(with = "String")]
     pub law: Law,
     /// Rate of the feedback, Hz.
     pub rate_hz: f64,
     /// Acceptable position error north, east, down in axes turned by yaw, m.
     pub position_m: [f64; 3],
-    /// Acceptable velocity error, likewise, m/s.
+    /// Acceptable velocity error in the same axes, m/s.
     pub velocity_m_s: [f64; 3],
     /// Acceptable error of roll, pitch and yaw, rad.
     pub attitude_rad: [f64; 3],
@@ -278,27 +282,26 @@ pub struct ControlSettings {
     pub attitude_command_rad: [f64; 3],
     /// Acceptable correction of the desired body rate, rad/s.
     pub body_rate_command_rad_s: [f64; 3],
-    /// How quickly the vehicle's own attitude loop answers about roll, pitch and yaw: the natural
-    /// frequency of its response, taken to be critically damped, rad/s. For a vehicle that is sent
-    /// attitude and thrust and whose file has no gains; none takes the slowest that its autopilot
-    /// is expected to fly with.
+    /// Natural frequency of the vehicle's own attitude loop about roll, pitch and yaw, taken to be
+    /// critically damped, rad/s. For a vehicle that takes attitude and thrust and whose file has no
+    /// gains; unset, the slowest response expected of its autopilot applies.
     pub attitude_response_rad_s: Option<[f64; 3]>,
     /// Whether the LQR corrects roll and pitch by more than `attitude_command_rad` where the loop's
-    /// margin leaves room: an autopilot's own loop is slower than the paper's, and an estimate that
-    /// wanders moves the vehicle by what feedback lags.
+    /// margin allows it: an autopilot's own loop is slower than the paper's, and the lag of the
+    /// feedback turns a wandering estimate into motion.
     // `for_loop` resolves `Use::Auto`.
     pub quicken: Use,
-    /// How near -1 the opened loop may so come, 0..1.
+    /// Smallest distance of the opened loop from -1 that `quicken` keeps, 0..1.
     pub margin_min: f64,
-    /// The feedback sees at most this horizontal position error, so that a reference far away is
-    /// approached at a bounded speed, m.
+    /// Largest horizontal position error that the feedback sees, m: the vehicle approaches a
+    /// distant reference at a bounded speed.
     pub horizontal_error_max_m: f64,
-    /// The same for height, m.
+    /// Largest vertical position error that the feedback sees, m.
     pub vertical_error_max_m: f64,
-    /// Whether the physics' parameters are adapted in flight, around whichever law flies. Off, the
-    /// feedback is that of the law, and of `offboard.offset_free.observer` where that is on.
+    /// Whether the physics' parameters are adapted in flight, around any law. Off, the feedback is
+    /// the law's, plus that of `offboard.offset_free.observer` where that is on.
     pub adaptive: bool,
-    /// How.
+    /// Speed and bounds of the adaptation.
     pub adaptation: AdaptationSettings,
     /// The law's own gains.
     pub gains: Gains,
@@ -329,7 +332,8 @@ impl Default for ControlSettings {
 }
 
 impl ControlSettings {
-    /// For a loop that was read from its autopilot, or not: of another too little is known.
+    /// Resolves `quicken`'s `auto`: on for a loop whose parameters were read from its autopilot.
+    /// Too little is known of any other.
     pub fn for_loop(&self, is_read: bool) -> Self {
         let quicken = if self.quicken.applies(is_read) { Use::On } else { Use::Off };
         Self { quicken, ..self.clone() }
@@ -353,8 +357,8 @@ impl From<&ControlSettings> for Reach {
 }
 
 impl Reach {
-    /// The position error with its horizontal part and its height within bounds, and whether that
-    /// cut it.
+    /// The position error with its horizontal part and its height bounded, and whether a bound
+    /// applied.
     pub fn bounded(&self, error: Ned) -> (Ned, bool) {
         let horizontal = (error.north().powi(2) + error.east().powi(2)).sqrt();
         let scale = (self.horizontal_m / horizontal).min(1.0);
@@ -374,7 +378,7 @@ pub enum DesignError {
     /// A number that must be positive is not.
     #[error("controller design: {quantity} is {found}, expected a positive finite number")]
     NotPositive {
-        /// Which.
+        /// The quantity.
         quantity: &'static str,
         /// Its value.
         found: f64,
@@ -382,11 +386,11 @@ pub enum DesignError {
     /// A gain has too few or too many values.
     #[error("controller design: control.{quantity} has {found} values, expected {expected}")]
     Values {
-        /// Which.
+        /// The gain.
         quantity: &'static str,
-        /// How many it has.
+        /// Number of values that the gain takes.
         expected: usize,
-        /// How many there are.
+        /// Number of values found.
         found: usize,
     },
     /// The law has no such gain.
@@ -396,15 +400,15 @@ pub enum DesignError {
     UnknownGain {
         /// The law.
         law: &'static str,
-        /// What was set.
+        /// The name that was set.
         name: String,
-        /// The law's own.
+        /// The names of the law's gains.
         known: String,
     },
     /// The Riccati equation has no usable solution.
     #[error("controller design: {0}; check the vehicle's inertia and attitude gains")]
     Riccati(#[from] RiccatiError),
-    /// The loop with the vehicle's delay and lag does not settle under any gain that was tried.
+    /// No gain that was tried settles the loop with the vehicle's delay and lag.
     #[error(
         "controller design: no feedback settles the vehicle with a command delay of {delay_s} s \
          and a motor lag of {lag_s} s; check both, and its inertia and attitude gains"

@@ -1,4 +1,4 @@
-//! The quadrotor of the laws' tests.
+//! The quadrotor that the laws' tests fly.
 
 use super::{ControlProblem, ControlSettings};
 use crate::control::{Actuation, AttitudeLoop, HoverVehicle, Limits};
@@ -7,7 +7,7 @@ pub const QUAD: HoverVehicle =
     HoverVehicle { mass_kg: 1.2, inertia: [0.0112, 0.0123, 0.0206], gravity: 9.81 };
 pub const PD: AttitudeLoop = AttitudeLoop::Pd { kp: [1.46, 1.6, 0.355], kd: [0.19, 0.22, 0.163] };
 
-/// What `design` makes for it, where setpoints act at once.
+/// Calls `design` for this quadrotor, with setpoints that act at once.
 pub fn designed<L>(design: impl FnOnce(&ControlProblem) -> L) -> L {
     design(&ControlProblem {
         vehicle: &QUAD,

@@ -1,4 +1,4 @@
-//! A model file survives being written and read; anything else is refused.
+//! A model file survives being written and read; anything else is rejected.
 
 use proptest::prelude::*;
 use serde_json::{Value, json};
@@ -42,12 +42,12 @@ fn is_damaged(bytes: &[u8]) -> bool {
     matches!(refusal(bytes), ModelFileError::Damaged { .. })
 }
 
-/// Where the tensors begin.
+/// Offset of the first tensor.
 fn body(bytes: &[u8]) -> usize {
     8 + u64::from_le_bytes(*bytes.first_chunk().expect("a length")) as usize
 }
 
-/// The file with its metadata changed and nothing else, hash included.
+/// The file with changed metadata and everything else as before, hash included.
 fn with_metadata(bytes: &[u8], change: impl FnOnce(&mut Value)) -> Vec<u8> {
     let start = body(bytes);
     let mut header: Value = serde_json::from_slice(&bytes[8..start]).expect("JSON");
@@ -72,7 +72,7 @@ fn a_model_survives_its_file() {
 
 #[test]
 fn the_same_model_gives_the_same_bytes() {
-    // A fresh hash map, whose order differs from run to run, is made for each.
+    // Each run creates a new hash map, whose order differs.
     let first = bytes(Features::World);
     assert!((0..20).all(|_| bytes(Features::World) == first));
 }
@@ -199,7 +199,7 @@ proptest! {
     #[test]
     fn no_bytes_make_the_reader_panic(noise in prop::collection::vec(any::<u8>(), 0..400)) {
         prop_assert!(ModelFile::from_bytes(&noise, name()).is_err());
-        // With a plausible length in front.
+        // With a plausible length prefix.
         let length = (noise.len() as u64 / 2).to_le_bytes();
         prop_assert!(ModelFile::from_bytes(&[&length[..], &noise].concat(), name()).is_err());
     }
@@ -213,7 +213,8 @@ proptest! {
             let at = place.index(spoiled.len());
             spoiled[at] = byte;
         }
-        // What still reads, as a blank changed for a blank does, is the same model.
+        // A file that still parses, for example with one blank replaced by another, is the same
+        // model.
         if let Ok(read) = ModelFile::from_bytes(&spoiled, name()) {
             prop_assert_eq!(read, model(Features::World));
         }

@@ -1,4 +1,4 @@
-//! A change as it is reported: when, which cause, how large.
+//! The report of a change: onset, cause, size.
 
 use super::Detector;
 use crate::onset::cells::CELL_S;
@@ -7,14 +7,14 @@ use crate::onset::columns::{COLUMNS, Cause};
 use crate::onset::likelihood::{Numbers, Place, Profile, Scale, Window, along};
 use crate::onset::noise::ORDER;
 
-/// Errors go on for some cells: neighbouring beginnings differ by this factor less evidence, the square
-/// root of how long.
+/// Errors are correlated over several cells: the differences in evidence between neighbouring
+/// onsets shrink by this factor, the square root of the correlation length.
 const SHARED: f64 = 3.2;
-/// The detector reports no cause that is less probable than this.
+/// Causes less probable than this are not reported.
 const REPORTED: f64 = 0.02;
 
 impl Detector {
-    /// The change by what is known now, if it still is one.
+    /// The change according to the present data, if it still exceeds the threshold.
     pub(super) fn change(&self, alarmed_s: f64) -> Option<Change> {
         let profiles = self.profiles(true);
         let top = profiles.iter().filter_map(peak).map(|place| place.evidence);
@@ -40,7 +40,7 @@ impl Detector {
         });
         Some(Change {
             at_s: start(middle)?,
-            // A cell that the change begins within is half of either.
+            // A change that starts within a cell affects half of it, on either side.
             interval_s: [start(low)? - CELL_S, start(high)? + CELL_S],
             alarmed_s,
             cause: profile.cause,
@@ -52,8 +52,8 @@ impl Detector {
             values: numbers.iter().map(|n| Value::of(n, self.cells.sizes())).collect(),
         })
     }
-    /// The numbers of a change, with what lies far off parted from the vehicle after it: a second fit to
-    /// what the first leaves.
+    /// The parameters of a change. A second fit to the residual of the first separates distant data
+    /// from the vehicle after the change.
     fn numbers_of(&self, cause: Cause, cell: usize, scale: Scale) -> Option<Vec<Numbers>> {
         let first = self.window.numbers(cause, cell, scale)?;
         let mut kept = self.kept.clone();
@@ -76,14 +76,14 @@ pub(super) fn peak(profile: &Profile) -> Option<&Place> {
     profile.places.iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence))
 }
 
-/// Cells at which 5, 50 and 95 % of the mass lie before, from the earliest on.
+/// Cells before which 5, 50 and 95 % of the mass lie, from the earliest on.
 fn quantiles(profile: &Profile) -> [usize; 3] {
     let top = profile.places.iter().map(|place| place.sharp).fold(f64::NEG_INFINITY, f64::max);
     let mass = |place: &Place| ((place.sharp - top) / SHARED).exp();
     let total: f64 = profile.places.iter().map(mass).sum();
     let mut sum = 0.0;
     let mut found = [None; 3];
-    // Places go from the latest to the earliest.
+    // The places are in order from the latest to the earliest.
     for place in profile.places.iter().rev() {
         sum += mass(place) / total;
         for (found, share) in found.iter_mut().zip([0.05, 0.5, 0.95]) {

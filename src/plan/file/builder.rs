@@ -1,4 +1,4 @@
-//! From what a trajectory file says to a trajectory, every value checked.
+//! Converts the content of a trajectory file to a trajectory, with every value checked.
 
 use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
@@ -12,10 +12,10 @@ use crate::plan::curve::{Envelope, Harmonic, HarmonicCurve};
 use crate::plan::path::{MinimumJerkPath, Pace, Waypoint};
 use crate::plan::trajectory::{DesiredPoint, Shape, Trajectory};
 
-/// More random waypoints than this are a slip of the keyboard.
+/// Most random waypoints; a larger count is a typing error.
 const WAYPOINTS_MAX: usize = 10_000;
 
-/// Checks values on the way from file to shape; knows the file's name for the errors.
+/// Checks values during the conversion; holds the file's name for errors.
 pub(super) struct Builder<'a> {
     pub(super) origin: &'a Path,
 }
@@ -198,7 +198,7 @@ impl Builder<'_> {
     fn steps(&self, f: &Steps) -> Result<Shape, TrajectoryError> {
         let hover = -self.positive("altitude_m", f.altitude_m)?;
         let dwell_s = self.positive("dwell_s", f.dwell_s)?;
-        // It starts with a dwell at the hover point, so that the first step is seen whole.
+        // The first dwell is at the hover point, so that the whole first step can be observed.
         let still = DesiredPoint { position: Ned::new(0.0, 0.0, hover), ..Default::default() };
         let mut points = vec![still];
         for offset in &f.offsets {

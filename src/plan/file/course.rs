@@ -1,4 +1,4 @@
-//! From a time-optimal trajectory file to a task, every value checked.
+//! Converts a time-optimal trajectory file to a task, with every value checked.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -11,9 +11,9 @@ use super::family::{
 };
 use crate::plan::time_optimal::{Finish, Gate, Margin, Passage, Start, Task, Wishes};
 
-/// More passages than this are a slip of the keyboard.
+/// Most passages; a larger count is a typing error.
 const PASSAGES_MAX: usize = 1000;
-/// Places nearer to one another than this are one, m.
+/// Places closer than this count as one, m.
 const APART_M: f64 = 1e-3;
 
 impl Builder<'_> {
@@ -49,7 +49,7 @@ impl Builder<'_> {
         Ok(task)
     }
 
-    /// Whether every place is another than the one before.
+    /// Whether every place differs from the previous one.
     fn check_apart(&self, task: &Task) -> Result<(), TrajectoryError> {
         let places = task.places();
         for pair in places.windows(2) {

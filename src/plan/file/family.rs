@@ -1,4 +1,4 @@
-//! What a trajectory file may say.
+//! The content of a trajectory file.
 
 use std::path::PathBuf;
 
@@ -12,7 +12,7 @@ use super::multisine::{Multisine, two_seconds};
 #[derive(Debug, JsonSchema, Deserialize)]
 #[serde(tag = "family", rename_all = "kebab-case")]
 pub(super) enum Family {
-    /// One place, held.
+    /// A constant position.
     Hover(Hover),
     /// Two sinusoids, north and east, at one height.
     SinusoidXy(Sinusoid),
@@ -31,13 +31,13 @@ pub(super) enum Family {
     Multisine(Multisine),
     /// Steps of position and yaw.
     Steps(Steps),
-    /// Waypoints drawn in a box, flown in straight lines.
+    /// Random waypoints in a box, flown in straight lines.
     RandomWaypoints(RandomWaypoints),
     /// Waypoints, flown in straight lines.
     Waypoints(Waypoints),
     /// A table of times and points.
     Csv(Csv),
-    /// Waypoints and gates, flown as fast as the vehicle can: `downwash plan` finds when.
+    /// Waypoints and gates, flown in minimum time: `downwash plan` determines the times.
     TimeOptimal(TimeOptimal),
 }
 
@@ -46,7 +46,7 @@ pub(super) enum Family {
 pub(super) struct Hover {
     /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
-    /// How long it lasts.
+    /// Duration.
     pub duration_s: f64,
 }
 
@@ -55,15 +55,15 @@ pub(super) struct Hover {
 pub(super) struct Sinusoid {
     /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
-    /// How long it lasts without the ramp, which adds `ramp_s`.
+    /// Duration without the ramp, which adds `ramp_s`.
     pub duration_s: f64,
-    /// Of the plane's first and second axis.
+    /// Amplitudes along the plane's first and second axis.
     pub amplitude_m: [f64; 2],
     pub period_s: [f64; 2],
-    /// At the start, of each.
+    /// Phases at the start, along each axis.
     #[serde(default)]
     pub phase_deg: [f64; 2],
-    /// How long it takes to come to full speed, and to rest.
+    /// Time to reach full speed, and to come to rest.
     #[serde(default = "two_seconds")]
     pub ramp_s: f64,
 }
@@ -73,18 +73,18 @@ pub(super) struct Sinusoid {
 pub(super) struct YawRotation {
     /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
-    /// How long it lasts without the ramp, which adds `ramp_s`.
+    /// Duration without the ramp, which adds `ramp_s`.
     pub duration_s: f64,
-    /// Constant turning.
+    /// Constant part of the yaw rate.
     #[serde(default)]
     pub yaw_rate_deg_s: f64,
-    /// Swing on top of it.
+    /// Amplitude of the swing on top of it.
     #[serde(default)]
     pub yaw_amplitude_deg: f64,
-    /// Of the swing.
+    /// Period of the swing.
     #[serde(default = "four_seconds")]
     pub yaw_period_s: f64,
-    /// How long it takes to come to full speed, and to rest.
+    /// Time to reach full speed, and to come to rest.
     #[serde(default = "two_seconds")]
     pub ramp_s: f64,
 }
@@ -94,13 +94,13 @@ pub(super) struct YawRotation {
 pub(super) struct SinusoidYaw {
     /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
-    /// How long it lasts without the ramp, which adds `ramp_s`.
+    /// Duration without the ramp, which adds `ramp_s`.
     pub duration_s: f64,
     pub amplitude_m: f64,
     pub period_s: f64,
-    /// Of the swing.
+    /// Time of one full turn in yaw.
     pub yaw_period_s: f64,
-    /// How long it takes to come to full speed, and to rest.
+    /// Time to reach full speed, and to come to rest.
     #[serde(default = "two_seconds")]
     pub ramp_s: f64,
 }
@@ -110,17 +110,17 @@ pub(super) struct SinusoidYaw {
 pub(super) struct FigureEight {
     /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
-    /// How long it lasts without the ramp, which adds `ramp_s`.
+    /// Duration without the ramp, which adds `ramp_s`.
     pub duration_s: f64,
     /// Along north, from end to end.
     pub length_m: f64,
     /// Along east, from side to side.
     pub width_m: f64,
     pub period_s: f64,
-    /// Gained by the middle of the period, and lost again.
+    /// Height gained by the middle of the period, and lost again.
     #[serde(default)]
     pub climb_m: f64,
-    /// How long it takes to come to full speed, and to rest.
+    /// Time to reach full speed, and to come to rest.
     #[serde(default = "two_seconds")]
     pub ramp_s: f64,
 }
@@ -130,9 +130,9 @@ pub(super) struct FigureEight {
 pub(super) struct Steps {
     /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
-    /// How long each step is held.
+    /// Time for which each step is held.
     pub dwell_s: f64,
-    /// North, east, up in m and yaw in degrees, relative to the hover point; each held for the
+    /// North, east, up in m and yaw in degrees, relative to the hover point; each is held for the
     /// dwell.
     pub offsets: Vec<[f64; 4]>,
 }
@@ -142,16 +142,16 @@ pub(super) struct Steps {
 pub(super) struct RandomWaypoints {
     /// Height of the hover point above the take-off floor.
     pub altitude_m: f64,
-    /// What the waypoints are drawn from.
+    /// Seed of the random waypoints.
     pub seed: u64,
-    /// How many waypoints.
+    /// Number of waypoints.
     pub count: usize,
-    /// Of the box about the hover point: north, east, up.
+    /// Half size of the box around the hover point: north, east, up.
     pub half_size_m: [f64; 3],
-    /// How long a waypoint is held.
+    /// Time at each waypoint.
     #[serde(default)]
     pub hold_s: f64,
-    /// How fast.
+    /// Speed, acceleration and yaw rate of the segments.
     #[serde(default)]
     pub pace: PaceFields,
 }
@@ -159,9 +159,9 @@ pub(super) struct RandomWaypoints {
 #[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Waypoints {
-    /// In the order of flight.
+    /// Waypoints in the order of flight.
     pub points: Vec<WaypointFields>,
-    /// How fast.
+    /// Speed, acceleration and yaw rate of the segments.
     #[serde(default)]
     pub pace: PaceFields,
 }
@@ -169,11 +169,11 @@ pub(super) struct Waypoints {
 #[derive(Debug, JsonSchema, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct PaceFields {
-    /// Between waypoints.
+    /// Largest speed between waypoints.
     pub speed_m_s: f64,
-    /// Out of a waypoint and into it.
+    /// Largest acceleration out of a waypoint and into it.
     pub acceleration_m_s2: f64,
-    /// While turning to the next yaw.
+    /// Largest yaw rate while turning to the next yaw.
     pub yaw_rate_deg_s: f64,
 }
 
@@ -190,12 +190,12 @@ pub(super) struct WaypointFields {
     pub north_m: f64,
     /// Relative to the take-off point.
     pub east_m: f64,
-    /// Height of the hover point above the take-off floor.
+    /// Height above the take-off floor.
     pub altitude_m: f64,
     /// Clockwise from north, seen from above.
     #[serde(default)]
     pub yaw_deg: f64,
-    /// How long a waypoint is held.
+    /// Time at this waypoint.
     #[serde(default)]
     pub hold_s: f64,
 }
@@ -203,25 +203,25 @@ pub(super) struct WaypointFields {
 #[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Csv {
-    /// Relative to the trajectory file.
+    /// Path of the table, relative to the trajectory file.
     pub file: PathBuf,
 }
 
-/// Waypoints and gates, passed in order as fast as the vehicle can.
+/// Waypoints and gates, passed in order in minimum time.
 #[derive(Debug, JsonSchema, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TimeOptimal {
-    /// Where it begins, level.
+    /// The start; the vehicle is level there.
     pub start: StartFields,
-    /// In the order of flight.
+    /// Waypoints and gates in the order of flight.
     #[serde(default)]
     pub passages: Vec<PassageFields>,
-    /// Where it ends.
+    /// The end of the flight.
     pub finish: FinishFields,
-    /// Narrower limits than those of the vehicle, of `[offboard.limits]` and of `[envelope]`.
+    /// Limits narrower than those of the vehicle, of `[offboard.limits]` and of `[envelope]`.
     #[serde(default)]
     pub limits: LimitFields,
-    /// What of the limits is kept back for feedback.
+    /// Fractions of the limits reserved for feedback.
     #[serde(default)]
     pub margin: MarginFields,
 }
@@ -259,18 +259,18 @@ pub(super) struct FinishFields {
     /// North, east, up.
     #[serde(default)]
     pub velocity_m_s: [f64; 3],
-    /// Whether it ends level and without turning, as a vehicle that goes on hovering.
+    /// Whether the flight ends level and without rotation, for a vehicle that then hovers.
     #[serde(default = "yes")]
     pub level: bool,
 }
 
-/// Exactly one of the two is given.
+/// Give exactly one of the two.
 #[derive(Debug, JsonSchema, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub(super) enum PassageFields {
-    /// A ball that is touched.
+    /// A ball to touch.
     Waypoint(BallFields),
-    /// An opening that is passed in one direction.
+    /// An opening to pass in one direction.
     Gate(GateFields),
 }
 
@@ -283,7 +283,7 @@ pub(super) struct BallFields {
     pub east_m: f64,
     /// Height above the take-off floor.
     pub altitude_m: f64,
-    /// Distance at which it counts as passed.
+    /// Distance from the centre at which it counts as passed.
     pub tolerance_m: f64,
 }
 
@@ -301,11 +301,11 @@ pub(super) struct GateFields {
     /// Direction of passage, up from level.
     #[serde(default)]
     pub climb_deg: f64,
-    /// Of the opening.
+    /// Width of the opening.
     pub width_m: f64,
-    /// Of the opening.
+    /// Height of the opening.
     pub height_m: f64,
-    /// Distance of the vehicle's centre from the frame, at least.
+    /// Least distance of the vehicle's centre from the frame.
     #[serde(default)]
     pub clearance_m: f64,
 }
@@ -313,24 +313,24 @@ pub(super) struct GateFields {
 #[derive(Debug, Default, JsonSchema, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct LimitFields {
-    /// Least and greatest thrust of each rotor, as shares of its greatest.
+    /// Least and greatest thrust of each rotor, as fractions of its greatest.
     pub rotor_thrust: Option<[f64; 2]>,
-    /// About front, right and down.
+    /// Largest rates about front, right and down.
     pub body_rate_deg_s: Option<[f64; 3]>,
-    /// From level.
+    /// Largest angle from level.
     pub tilt_deg: Option<f64>,
-    /// Of flight.
+    /// Largest speed.
     pub speed_m_s: Option<f64>,
 }
 
 #[derive(Debug, JsonSchema, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct MarginFields {
-    /// Share of each rotor's range that is left at either end.
+    /// Fraction of each rotor's range reserved at either end.
     pub thrust: f64,
-    /// Share of the body rates.
+    /// Fraction of the body rates.
     pub body_rate: f64,
-    /// Share of the tilt.
+    /// Fraction of the tilt.
     pub tilt: f64,
 }
 

@@ -1,4 +1,5 @@
-//! The multisine: sums of sinusoids of their own amplitude, period and phase in position and yaw.
+//! The multisine: sums of sinusoids, each with its own amplitude, period and phase, in position and
+//! yaw.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -13,18 +14,18 @@ use crate::plan::trajectory::{DesiredPoint, Shape};
 pub(in crate::plan) struct Multisine {
     /// Height of the start above the take-off floor.
     pub altitude_m: f64,
-    /// North and east of the take-off point.
+    /// North and east offset of the start from the take-off point.
     #[serde(default)]
     pub offset_m: [f64; 2],
     /// Yaw at the start.
     #[serde(default)]
     pub heading_deg: f64,
-    /// Constant turning.
+    /// Constant part of the yaw rate.
     #[serde(default)]
     pub yaw_rate_deg_s: f64,
-    /// Without the ramp: the trajectory lasts longer by `ramp_s`.
+    /// Duration without the ramp, which adds `ramp_s`.
     pub duration_s: f64,
-    /// How long it takes to come to full speed, and to rest.
+    /// Time to reach full speed, and to come to rest.
     #[serde(default = "two_seconds")]
     pub ramp_s: f64,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -58,14 +59,14 @@ pub(in crate::plan) struct YawWave {
 }
 
 impl Multisine {
-    /// The text of the trajectory file.
+    /// The content of the trajectory file.
     pub fn to_toml(&self) -> String {
-        // A struct of numbers and lists always is a table.
+        // A struct of numbers and lists always serialises to a table.
         let body = toml::to_string(self).unwrap_or_default();
         format!("family = \"multisine\"\n{body}")
     }
 
-    /// Its curve, and how it comes to full speed and to rest.
+    /// Its curve and its envelope.
     pub(super) fn shape(&self) -> Shape {
         Shape::Harmonic { curve: self.curve(), envelope: self.envelope() }
     }
@@ -90,7 +91,7 @@ impl Multisine {
         };
         let start = [north, east, -self.altitude_m].map(Harmonic::constant);
         let mut curve = HarmonicCurve::of_one(start, yaw);
-        // A wave upwards is one downwards with the other sign.
+        // A wave upwards is one downwards with the opposite sign.
         let axes = [(&self.north, 1.0), (&self.east, 1.0), (&self.up, -1.0)];
         for (harmonics, (waves, sign)) in curve.position.iter_mut().zip(axes) {
             harmonics.extend(
@@ -108,7 +109,7 @@ impl Multisine {
     }
 }
 
-/// How long a ramp takes where the file does not say.
+/// Default of `ramp_s`.
 pub(super) fn two_seconds() -> f64 {
     2.0
 }

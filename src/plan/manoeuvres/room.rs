@@ -1,40 +1,40 @@
-//! Where manoeuvres are flown, and how boldly.
+//! Volume and dynamics for the manoeuvres.
 
 use crate::plan::feasibility::FlightEnvelope;
 use crate::plan::programme::{Capability, ProgrammeSettings};
 
-/// Part of the envelope that is used: feedback overshoots.
+/// Fraction of the envelope in use: feedback overshoots.
 const MARGIN: f64 = 0.9;
-/// Part of the vehicle's thrust that a manoeuvre may need.
+/// Fraction of the vehicle's thrust that a manoeuvre may need.
 const THRUST_SHARE: f64 = 0.72;
-/// Most vertical acceleration, in units of gravity.
+/// Largest vertical acceleration, in units of gravity.
 const CLIMB_MAX_G: f64 = 0.35;
-/// Lowest hover over the envelope's least height.
+/// Lowest hover relative to the envelope's least height.
 const LOWEST: f64 = 1.25;
 
-/// Where manoeuvres are flown: around the take-off point, and within the vehicle's means.
+/// Volume around the take-off point and limits of the motion, within the vehicle's capability.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Room {
     /// m/s^2
     pub gravity: f64,
     /// Half of the box's side, m.
     pub half_size_m: f64,
-    /// Lowest and greatest height of motion, m.
+    /// Lowest and greatest height of the motion, m.
     pub height_m: [f64; 2],
     /// Lowest height of a slow flight over the floor, m.
     pub lowest_m: f64,
-    /// Speed, m/s.
+    /// Largest speed, m/s.
     pub speed_m_s: f64,
-    /// Horizontal acceleration, m/s^2.
+    /// Largest horizontal acceleration, m/s^2.
     pub lateral_m_s2: f64,
-    /// Vertical acceleration, m/s^2.
+    /// Largest vertical acceleration, m/s^2.
     pub climb_m_s2: f64,
-    /// Yaw rate, degrees/s.
+    /// Largest yaw rate, degrees/s.
     pub yaw_rate_deg_s: f64,
 }
 
 impl Room {
-    /// The room that data are collected in.
+    /// The room of a data collection programme.
     pub fn new(
         settings: &ProgrammeSettings,
         envelope: &FlightEnvelope,
@@ -47,7 +47,7 @@ impl Room {
             .min(1.0 + MARGIN * (envelope.thrust_max_g - 1.0))
             - 1.0;
         let climb_g = spare_g.clamp(0.05, CLIMB_MAX_G);
-        // Tilted thrust must hold the vehicle up as well.
+        // Tilted thrust must also carry the weight.
         let lateral_g = ((1.0 + spare_g.max(0.05)).powi(2) - 1.0).sqrt();
         let ceiling = settings.height_max_m.min(MARGIN * envelope.height_max_m);
         let lowest_m = LOWEST * envelope.height_min_m;
@@ -63,7 +63,7 @@ impl Room {
         }
     }
 
-    /// The middle of the heights, m.
+    /// The middle of the height range, m.
     pub(super) fn middle(&self) -> f64 {
         0.5 * (self.height_m[0] + self.height_m[1])
     }
@@ -73,7 +73,7 @@ impl Room {
         0.5 * (self.height_m[1] - self.height_m[0])
     }
 
-    /// So many heights from the lowest to the greatest, m.
+    /// `count` heights, evenly spaced from the lowest to the greatest, m.
     pub(super) fn levels(&self, count: usize) -> Vec<f64> {
         let [low, high] = self.height_m;
         (0..count).map(|i| low + (high - low) * i as f64 / (count - 1) as f64).collect()

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::Room;
 
-/// A trajectory file of the family `waypoints` that is being written.
+/// Builder of a trajectory file of the family `waypoints`.
 pub(super) struct Script {
     speed_m_s: f64,
     acceleration_m_s2: f64,
@@ -14,7 +14,7 @@ pub(super) struct Script {
 }
 
 impl Script {
-    /// No waypoint yet; the pace is for level flight.
+    /// Starts without waypoints; the pace is for level flight.
     pub fn new(room: &Room) -> Self {
         Self {
             speed_m_s: room.speed_m_s,
@@ -25,12 +25,12 @@ impl Script {
         }
     }
 
-    /// At the pace of climbs.
+    /// Changes to the pace of climbs.
     pub fn climbing(self) -> Self {
         Self { acceleration_m_s2: self.climb_m_s2, ..self }
     }
 
-    /// Goes to a place (north, east, up) and a heading, and stays there.
+    /// Adds a waypoint: position (north, east, up), heading and hold time.
     pub fn at(mut self, [north, east, up]: [f64; 3], yaw_deg: f64, hold_s: f64) -> Self {
         // Writing to a string does not fail.
         let _ = write!(
@@ -41,7 +41,7 @@ impl Script {
         self
     }
 
-    /// The text of the file.
+    /// The content of the file.
     pub fn to_toml(&self) -> String {
         format!(
             "family = \"waypoints\"\n\n[pace]\nspeed_m_s = {:.3}\nacceleration_m_s2 = {:.3}\n\

@@ -1,4 +1,4 @@
-//! Draws the flights of a programme.
+//! Random generation of a programme's flights.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -11,20 +11,20 @@ use crate::plan::trajectory::DesiredPoint;
 
 /// Slowest period, s.
 const PERIOD_MAX_S: f64 = 10.0;
-/// Fastest main frequency, and range of the small fast waves, over the loop's bandwidth.
+/// Highest main frequency, and range of the small fast waves, relative to the loop's bandwidth.
 const MAIN_BAND: f64 = 0.22;
 const FAST_BAND: [f64; 2] = [0.3, 0.8];
-/// What the small fast waves have of the limits; the main waves have the rest. Feedback follows
-/// fast waves by a part only, so that their tilts are smaller than what they ask for.
+/// Share of the limits for the small fast waves; the main waves have the rest. Feedback follows
+/// fast waves only partly, so their tilts are smaller than commanded.
 const FAST_SHARE: Share = Share { speed: 0.12, acceleration: 0.4 };
-/// Fast and slow end of a flight's ramp from and to rest, s.
+/// Duration of a flight's ramps from and to rest, s; shorter flights have shorter ramps.
 const RAMP_S: f64 = 2.0;
-/// Spacing of the samples that limits are checked on, s.
+/// Sampling interval of the limit checks, s.
 const SPACING_S: f64 = 0.02;
 /// Waves of north, east and up, without an offset.
 type Waves = [Vec<Wave>; 3];
 
-/// Draws one flight.
+/// Composes one flight.
 pub(super) struct Composer<'a> {
     limits: &'a Limits,
     rng: Pcg64Mcg,
@@ -32,7 +32,7 @@ pub(super) struct Composer<'a> {
     ramp_s: f64,
 }
 
-/// The part of the height that a flight keeps to.
+/// The range of heights that a flight uses.
 #[derive(Clone, Copy)]
 enum Level {
     Low,
@@ -41,16 +41,16 @@ enum Level {
 }
 
 impl<'a> Composer<'a> {
-    /// A composer of the flight in `slot`, from a seed of its own.
+    /// A composer for the flight in `slot`, with its own random seed.
     pub fn new(limits: &'a Limits, slot: &'a Slot, seed: u64) -> Self {
         let rng = Pcg64Mcg::seed_from_u64(seed);
         Self { limits, rng, slot, ramp_s: RAMP_S.min(0.25 * slot.length_s) }
     }
 
-    /// The flight, as large as its share of the limits allows.
+    /// Composes the flight, as large as its share of the limits allows.
     pub fn compose(&mut self, heading_deg: f64) -> Multisine {
         let axes = self.slot.kind.axes();
-        // Bold and gentle flights, from 0.55 to 1 of the limits.
+        // Bold and gentle flights: 0.55 to 1 of the limits.
         let share = self.rng.random_range(0.55..=1.0);
         let level = match self.slot.number % 3 {
             0 => Level::Whole,
@@ -92,7 +92,7 @@ impl<'a> Composer<'a> {
         }
         let [north, east, down] = extents(&self.samples(&waves));
         let centre = |[least, most]: [f64; 2]| -0.5 * (least + most);
-        // Heights over time lie within -down of the start.
+        // Heights over time are at most -down above the start.
         let (lowest, highest) = (-down[1], -down[0]);
         let altitude_m = match level {
             Level::Low => floor - lowest,
@@ -119,7 +119,7 @@ impl<'a> Composer<'a> {
         }
     }
 
-    /// Heights that the flight keeps to.
+    /// The range of heights that the flight uses, m.
     fn band(&self, level: Level) -> [f64; 2] {
         let [floor, ceiling] = self.limits.height;
         let part = 0.4 * (ceiling - floor);
@@ -130,13 +130,13 @@ impl<'a> Composer<'a> {
         }
     }
 
-    /// The shape of the flight, its axes of size 1 m.
+    /// The main waves before scaling, each axis of size 1 m.
     fn main_waves(&mut self, axes: [bool; 3]) -> Waves {
         let fastest = std::f64::consts::TAU / (MAIN_BAND * self.limits.tilt_bandwidth);
-        // A flight must hold its slowest wave.
+        // A flight must contain its slowest wave.
         let slowest = PERIOD_MAX_S.min(0.7 * self.slot.length_s).max(1.5 * fastest);
         let at = |x: f64| fastest * (slowest / fastest).powf(x);
-        // From slow to fast over the flights of a kind, so that both ends are there.
+        // From slow to fast over the flights of a kind, so that both ends occur.
         let place =
             (self.slot.number as f64 + self.rng.random_range(0.2..0.8)) / self.slot.of as f64;
         let wave = |amplitude_m: f64, period: f64, phase: f64| Wave {
@@ -152,7 +152,7 @@ impl<'a> Composer<'a> {
                 waves[1] = vec![wave(1.0, 0.5 * period, 0.0)];
             }
             FlightKind::Unstructured | FlightKind::CombinedUnstructured => {
-                // Amplitudes from equal speeds to equal accelerations over the band.
+                // Amplitudes between equal speeds and equal accelerations over the band.
                 let slope = 1.0 + place;
                 for axis in (0..3).filter(|axis| axes[*axis]) {
                     for _ in 0..WAVES_UNSTRUCTURED {
@@ -177,7 +177,7 @@ impl<'a> Composer<'a> {
         waves
     }
 
-    /// Small waves near the attitude loop's bandwidth, of equal speeds.
+    /// Small waves near the attitude loop's bandwidth, with equal speeds.
     fn fast_waves(&mut self, axes: [bool; 3]) -> Waves {
         let mut waves: Waves = Default::default();
         for axis in (0..3).filter(|axis| axes[*axis]) {
@@ -194,13 +194,13 @@ impl<'a> Composer<'a> {
         waves
     }
 
-    /// Turning: flights with a constant rate to either side, and flights that swing.
+    /// Yaw motion: a constant rate to either side with a small swing, or a large swing alone.
     fn yaw(&mut self, share: f64) -> (f64, Vec<YawWave>) {
         let most = share * self.limits.yaw_rate;
         let sign = if (self.slot.number / 2).is_multiple_of(2) { 1.0 } else { -1.0 };
         let turning = self.slot.number.is_multiple_of(2);
         let (constant, swing) = if turning { (0.6, 0.2) } else { (0.0, 0.8) };
-        // Yaw rates of the waves add up to the rest of the limit.
+        // The yaw rates of the waves add up to the rest of the limit.
         let mut yaw = Vec::new();
         let mut wave = |rng: &mut Pcg64Mcg, rate: f64, omega: f64| {
             yaw.push(YawWave {
@@ -223,14 +223,14 @@ impl<'a> Composer<'a> {
         (rounded(sign * constant * most.to_degrees(), 1e-2), yaw)
     }
 
-    /// The waves, made smaller where they are beyond `share` of the limits.
+    /// The waves, scaled down where they exceed `share` of the limits.
     fn within(&self, waves: &Waves, share: Share) -> Waves {
         self.largest(waves, |samples, scale| {
             scale <= 1.0 && samples.iter().all(|point| self.limits.allow(point, scale, share))
         })
     }
 
-    /// The waves times the largest factor that `fits`: what fits at one factor fits below it.
+    /// The waves times the largest factor that `fits`; any smaller factor must fit too.
     fn largest(&self, waves: &Waves, fits: impl Fn(&[DesiredPoint], f64) -> bool) -> Waves {
         let samples = self.samples(waves);
         let (mut low, mut high) = (0.0, 1.0);
@@ -246,7 +246,7 @@ impl<'a> Composer<'a> {
         waves
     }
 
-    /// Points of the trajectory that the waves alone make.
+    /// Samples of the trajectory that consists of these waves alone.
     fn samples(&self, waves: &Waves) -> Vec<DesiredPoint> {
         let [north, east, up] = waves.clone();
         let alone = Multisine {
@@ -261,11 +261,11 @@ impl<'a> Composer<'a> {
     }
 }
 
-/// Waves of each axis in unstructured flight, and small fast ones.
+/// Number of waves per axis in unstructured flight, and of small fast ones.
 const WAVES_UNSTRUCTURED: usize = 6;
 const WAVES_FAST: usize = 2;
 
-/// Least and greatest position of each axis.
+/// Least and greatest position along each axis, m.
 fn extents(samples: &[DesiredPoint]) -> [[f64; 2]; 3] {
     let mut extents = [[0.0f64; 2]; 3];
     for point in samples {
@@ -280,7 +280,7 @@ fn scale(waves: &mut [Wave], factor: f64) {
     waves.iter_mut().for_each(|wave| wave.amplitude_m *= factor);
 }
 
-/// `x` to a multiple of `step`, so that trajectory files can be read.
+/// `x` rounded to a multiple of `step`, for readable trajectory files.
 fn rounded(x: f64, step: f64) -> f64 {
     let steps = (1.0 / step).round();
     (x * steps).round() / steps

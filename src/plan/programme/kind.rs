@@ -1,9 +1,9 @@
-//! What a flight of the programme moves.
+//! Kinds of flight in a programme.
 
 use schemars::JsonSchema;
 use serde::Serialize;
 
-/// What a flight moves.
+/// The axes and the pattern of a flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FlightKind {
@@ -15,11 +15,11 @@ pub enum FlightKind {
     SinusoidYz,
     /// Yaw alone.
     YawRotation,
-    /// All three axes, a band of frequencies.
+    /// All three axes, over a band of frequencies.
     Unstructured,
-    /// North, east and yaw: what the model is tested on.
+    /// North, east and yaw: reserved for testing the model.
     CombinedSinusoidYaw,
-    /// A figure 8 while turning.
+    /// A figure 8 with yaw motion.
     #[serde(rename = "combined-figure-8")]
     CombinedFigureEight,
     /// All three axes and yaw.

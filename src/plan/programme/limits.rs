@@ -1,4 +1,4 @@
-//! Where and how boldly a programme may be flown.
+//! Volume and dynamics that a programme may use.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,27 +7,27 @@ use super::ProgrammeError;
 use crate::plan::feasibility::FlightEnvelope;
 use crate::plan::trajectory::DesiredPoint;
 
-/// Where and how boldly a programme is flown. What is beyond the [`FlightEnvelope`] or the vehicle
-/// is cut to it.
+/// Volume and dynamics of a programme. The [`FlightEnvelope`] and the vehicle's capability cap
+/// these values.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProgrammeSettings {
     /// Half of the box's side to the north and to the east, around the take-off point, m.
     pub half_size_m: [f64; 2],
-    /// Lowest desired height above the take-off floor, m. Without integral action the vehicle flies
-    /// lower than that by a few decimetres where it has less thrust than its file says.
+    /// Lowest desired height above the take-off floor, m. Without integral action, a vehicle with
+    /// less thrust than its file states flies a few decimetres lower.
     pub height_min_m: f64,
     /// Greatest desired height, m.
     pub height_max_m: f64,
-    /// Desired speed, m/s.
+    /// Largest desired speed, m/s.
     pub speed_max_m_s: f64,
-    /// Tilt that the desired acceleration needs, degrees.
+    /// Largest tilt that the desired acceleration needs, degrees.
     pub tilt_max_deg: f64,
-    /// Desired yaw rate, degrees/s.
+    /// Largest desired yaw rate, degrees/s.
     pub yaw_rate_max_deg_s: f64,
-    /// Headings that flights without yaw motion hold, in turn, degrees.
+    /// Headings of the flights without yaw motion, used in turn, degrees.
     pub headings_deg: Vec<f64>,
-    /// About the length of each flight's trajectory, s.
+    /// Approximate length of each flight's trajectory, s.
     pub flight_s: f64,
 }
 
@@ -46,7 +46,7 @@ impl Default for ProgrammeSettings {
     }
 }
 
-/// What the vehicle is able to.
+/// Capability of the vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Capability {
     /// m/s^2
@@ -55,20 +55,20 @@ pub struct Capability {
     pub thrust_to_weight: f64,
     /// Natural frequency of the attitude loop in roll and pitch, the slower of both, rad/s.
     pub tilt_bandwidth: f64,
-    /// That in yaw, rad/s.
+    /// Natural frequency in yaw, rad/s.
     pub yaw_bandwidth: f64,
 }
-/// Part of the envelope that is used: feedback overshoots.
+/// Fraction of the envelope in use: feedback overshoots.
 const MARGIN: f64 = 0.9;
-/// Part of the vehicle's thrust that a trajectory may need; the rest is for feedback, and for a
+/// Fraction of the vehicle's thrust that a trajectory may need; the rest is for feedback, and for a
 /// pack that is not full.
 const THRUST_SHARE: f64 = 0.72;
 /// Least specific thrust in units of gravity: rotors must keep their authority.
 const THRUST_MIN_G: f64 = 0.5;
-/// Vertical acceleration, in units of gravity.
+/// Largest vertical acceleration, in units of gravity.
 const CLIMB_G: f64 = 0.3;
 
-/// Parts of the limits of speed, and of tilt, thrust and vertical acceleration.
+/// Fractions of the speed limit, and of the limits of tilt, thrust and vertical acceleration.
 #[derive(Clone, Copy)]
 pub(super) struct Share {
     pub speed: f64,
@@ -85,7 +85,7 @@ impl Share {
     }
 }
 
-/// What settings, envelope and vehicle together allow.
+/// The limits from settings, envelope and vehicle together.
 pub(super) struct Limits {
     gravity: f64,
     pub half_size: [f64; 2],
@@ -107,7 +107,7 @@ impl Limits {
         envelope: &FlightEnvelope,
         capability: &Capability,
     ) -> Result<Self, ProgrammeError> {
-        // A corner of the box is on the envelope's circle at most.
+        // The corners of the box are at most on the envelope's circle.
         let side = MARGIN * envelope.radius_max_m / 2f64.sqrt();
         let floor = settings.height_min_m.max(1.05 * envelope.height_min_m);
         let ceiling = settings.height_max_m.min(MARGIN * envelope.height_max_m);
@@ -144,8 +144,8 @@ impl Limits {
         Ok(limits)
     }
 
-    /// Whether the motion of `point` times `scale` is within `share` of the limits. What is allowed
-    /// is convex, so that two motions with shares that add up to 1 may be added.
+    /// Whether the motion of `point` times `scale` is within `share` of the limits. The allowed set
+    /// is convex, so two motions whose shares add up to 1 may be added.
     pub fn allow(&self, point: &DesiredPoint, scale: f64, share: Share) -> bool {
         let [north, east, down] = (point.acceleration * scale).into();
         let lift = self.gravity - down;

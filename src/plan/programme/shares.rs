@@ -1,9 +1,9 @@
-//! How a programme's length is shared among its kinds of flight.
+//! Allocation of a programme's length to its kinds of flight.
 
 use super::{FlightKind, ProgrammeError};
 
-/// Shares of a programme: 90,000, 50,000 and 100,000 of 240,000 samples, the sinusoids in equal
-/// parts over the planes.
+/// Shares of the training flights: 90,000, 50,000 and 100,000 of 240,000 samples, the sinusoids in
+/// equal parts over the planes.
 pub(super) const SHARES: [(FlightKind, f64); 5] = [
     (FlightKind::SinusoidXy, 30.0 / 240.0),
     (FlightKind::SinusoidXz, 30.0 / 240.0),
@@ -12,29 +12,29 @@ pub(super) const SHARES: [(FlightKind, f64); 5] = [
     (FlightKind::Unstructured, 100.0 / 240.0),
 ];
 
-/// Shares of the flights to test on.
+/// Shares of the test flights.
 pub(super) const COMBINED_SHARES: [(FlightKind, f64); 3] = [
     (FlightKind::CombinedSinusoidYaw, 1.0 / 3.0),
     (FlightKind::CombinedFigureEight, 1.0 / 3.0),
     (FlightKind::CombinedUnstructured, 1.0 / 3.0),
 ];
 
-/// Least length of a flight's trajectory: shorter ones are all ramp.
+/// Least length of a flight's trajectory: shorter ones consist of ramps only.
 const FLIGHT_MIN_S: f64 = 4.0;
-/// More than eleven days are a slip of the keyboard.
+/// Longest programme, s: more than eleven days are a typing error.
 const SECONDS_MAX: f64 = 1e6;
 
-/// Room for one flight.
+/// The place of one flight in the programme.
 pub(super) struct Slot {
     pub kind: FlightKind,
-    /// Which of its kind, from 0.
+    /// Index among the flights of its kind, from 0.
     pub number: usize,
-    /// How many there are of its kind.
+    /// Number of flights of its kind.
     pub of: usize,
     pub length_s: f64,
 }
 
-/// The flights of a programme of `seconds`, each of about `flight_s`.
+/// Divides a programme of `seconds` into flights of about `flight_s`.
 pub(super) fn slots(
     shares: &[(FlightKind, f64)],
     seconds: f64,

@@ -1,4 +1,4 @@
-//! What a course and the limits demand of the states, as bounds.
+//! The demands of a course and its limits on the states, as bounds.
 
 use vehicle::frame::{Attitude, Frd, Ned};
 use vehicle::rigid_body::State;
@@ -8,7 +8,7 @@ use super::course::{Course, Finish, Gate, Limits, Passage};
 use super::knots::{Period, moved};
 use crate::plan::state_vector::{ANGLE, RATE, STATES, StateRow, StateVector, VELOCITY};
 
-/// What a unit beyond a bound counts, where a metre counts 1.
+/// Weight of a unit beyond a bound, relative to a metre.
 const VELOCITY_WEIGHT: f64 = 0.5;
 const LEVEL_WEIGHT: f64 = 0.5;
 const RATE_WEIGHT: f64 = 0.1;
@@ -17,20 +17,20 @@ const FACET: f64 = 0.4;
 /// Slowest passage of a gate, m/s.
 const GATE_SPEED_M_S: f64 = 0.1;
 
-/// The bounds.
+/// The bounds of a course and its limits.
 #[derive(Clone, Debug)]
 pub(super) struct Bounds<'a> {
     pub course: &'a Course,
     pub limits: Limits,
-    /// Largest acceleration, m/s^2: how far the way bulges between two states.
+    /// Largest acceleration, m/s^2; it bounds the bulge of the path between two states.
     pub acceleration_m_s2: f64,
-    /// How far beyond the regions to keep out of the states stay, m.
+    /// Clearance of the states from the regions to avoid, m.
     pub clearance_m: f64,
 }
 
 impl Bounds<'_> {
     /// Calls `visit` with each bound of the state after `period`, scaled to metres. `passes` is the
-    /// number of the passage that is there; that of the finish is the number of passages.
+    /// index of the passage at this state; the finish has the number of passages as its index.
     pub fn visit(
         &self,
         state: &State,
@@ -73,7 +73,7 @@ impl Bounds<'_> {
         if let Some(tilt) = self.limits.tilt_rad {
             let (down, slope) = down_along(state.attitude, 2);
             visit(row(tilt.cos() - down, LEVEL_WEIGHT, ANGLE, slope.map(|s| -s)));
-            // The crest of a swing that ends here: its rate is gained since the middle.
+            // The crest of a swing that ends here: its rate has built up since the middle.
             let back = -0.25 * period.length_s;
             let before = moved(state, &turn(state.body_rate * back));
             let (down, slope) = down_along(before.attitude, 2);
@@ -97,7 +97,7 @@ impl Bounds<'_> {
             vector[..VELOCITY].copy_from_slice(&state.position.to_array());
             vector[VELOCITY..ANGLE].copy_from_slice(&state.velocity.to_array());
             for region in &self.course.keep_out {
-                // On the way here from the state before.
+                // On the segment from the previous state to this one.
                 let mut bound = region.row(&vector, -period.length_s);
                 bound.excess += bulge + self.clearance_m;
                 visit(bound);
@@ -113,7 +113,7 @@ impl Bounds<'_> {
     }
 }
 
-/// A deviation that turns by an angle times an axis in body axes.
+/// A deviation that rotates by an angle times an axis in body axes.
 fn turn(by: Frd) -> StateVector {
     let mut turn = [0.0; STATES];
     turn[ANGLE..RATE].copy_from_slice(&by.to_array());
@@ -126,7 +126,7 @@ fn axis(i: usize) -> [f64; 3] {
     axis
 }
 
-/// A bound with its slope by three entries of the state.
+/// A bound with its gradient in three entries of the state.
 fn row(excess: f64, weight: f64, from: usize, slope: [f64; 3]) -> StateRow {
     let mut gradient = [0.0; STATES];
     for (entry, slope) in gradient[from..].iter_mut().zip(slope) {
@@ -135,7 +135,7 @@ fn row(excess: f64, weight: f64, from: usize, slope: [f64; 3]) -> StateRow {
     StateRow { excess: weight * excess, gradient }
 }
 
-/// `value` within `most` to either side.
+/// Bounds `value` to `most` on either side.
 fn visit_both(
     value: f64,
     most: f64,
@@ -148,16 +148,18 @@ fn visit_both(
     visit(row(-value - most, weight, from, slope.map(|s| -s)));
 }
 
-/// The body's down along an axis of the world, and its slope by a turn in body axes.
+/// The body's down axis along an axis of the world, and its derivative with respect to a rotation
+/// in body axes.
 fn down_along(attitude: Attitude, axis: usize) -> (f64, [f64; 3]) {
     let along = |v: Frd| attitude.to_world(v).to_array()[axis];
     let front = along(Frd::new(1.0, 0.0, 0.0));
     let right = along(Frd::new(0.0, 1.0, 0.0));
-    // A turn theta moves down by theta x down = (theta_y, -theta_x, 0).
+    // A rotation theta moves down by theta x down = (theta_y, -theta_x, 0).
     (along(Frd::new(0.0, 0.0, 1.0)), [-right, front, 0.0])
 }
 
-/// The rate of the yaw angle, with its slopes by a turn in body axes and by the body rate.
+/// The rate of the yaw angle, with its derivatives with respect to a rotation in body axes and to
+/// the body rate.
 fn yaw_rate(state: &State) -> Dual<6> {
     type Number = Dual<6>;
     let Attitude { w, x, y, z } = state.attitude;
@@ -170,7 +172,8 @@ fn yaw_rate(state: &State) -> Dual<6> {
     yaw
 }
 
-/// The ball's nearest tangent plane and four about it: along one alone the place would slide.
+/// The ball's nearest tangent plane and four around it: with one alone, the position would slide
+/// along it.
 fn visit_ball(state: &State, centre: Ned, radius_m: f64, visit: &mut impl FnMut(StateRow)) {
     let off = state.position - centre;
     let distance = off.norm();

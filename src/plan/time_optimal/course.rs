@@ -1,13 +1,13 @@
-//! What is flown as fast as it goes: places that are passed in order, from a start to a finish.
+//! The course of a minimum-time flight: places to pass in order, from a start to a finish.
 
 use vehicle::frame::Ned;
 
 use crate::plan::keep_out::KeepOut;
 
-/// What is passed at one instant.
+/// A place to pass at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Passage {
-    /// A ball that is touched.
+    /// A ball to touch.
     Waypoint {
         /// m
         centre: Ned,
@@ -19,7 +19,7 @@ pub enum Passage {
 }
 
 impl Passage {
-    /// Its middle, m.
+    /// The position of its centre, m.
     pub fn centre(&self) -> Ned {
         match self {
             Self::Waypoint { centre, .. } => *centre,
@@ -33,19 +33,19 @@ impl Passage {
 pub struct Gate {
     /// Middle of the opening, m.
     pub centre: Ned,
-    /// Unit vector that the gate is passed along.
+    /// Unit vector of the direction of passage.
     pub normal: Ned,
     /// Unit vector along the opening's width.
     pub side: Ned,
-    /// Half of the width that the vehicle's centre has, m.
+    /// Half of the width available to the vehicle's centre, m.
     pub half_width_m: f64,
-    /// Half of the height that the vehicle's centre has, m.
+    /// Half of the height available to the vehicle's centre, m.
     pub half_height_m: f64,
 }
 
 impl Gate {
-    /// An opening of this width and height, m, that is passed along a heading from north and a
-    /// climb from level, rad; its width is level.
+    /// An opening of this width and height, m, passed along a heading from north and a climb from
+    /// level, rad; its width is level.
     pub fn new(centre: Ned, heading: f64, climb: f64, [width_m, height_m]: [f64; 2]) -> Self {
         let ((sin, cos), (up, level)) = (heading.sin_cos(), climb.sin_cos());
         Self {
@@ -57,50 +57,50 @@ impl Gate {
         }
     }
 
-    /// Unit vector along the opening's height: down where the gate is upright.
+    /// Unit vector along the opening's height: down if the gate is upright.
     pub fn down(&self) -> Ned {
         self.normal.cross(self.side)
     }
 }
 
-/// Where the flight begins.
+/// State at the start of the flight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Start {
     /// m
     pub position: Ned,
     /// m/s
     pub velocity: Ned,
-    /// Heading from north, rad. The vehicle is level there and does not turn.
+    /// Heading from north, rad. The vehicle is level there and does not rotate.
     pub yaw: f64,
 }
 
-/// Where the flight ends.
+/// State at the end of the flight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Finish {
     /// m
     pub position: Ned,
     /// m/s
     pub velocity: Ned,
-    /// Whether the vehicle is to be level and not to turn there, as one that goes on hovering.
+    /// Whether the vehicle must be level and not rotate there, as if it then hovers.
     pub is_level: bool,
 }
 
-/// A course.
+/// A course with its obstacles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Course {
-    /// Where it begins.
+    /// State at the start.
     pub start: Start,
-    /// In the order of flight.
+    /// Passages in the order of flight.
     pub passages: Vec<Passage>,
-    /// Where it ends.
+    /// State at the end.
     pub finish: Finish,
-    /// Regions to keep out of.
+    /// Regions to avoid.
     pub keep_out: Vec<KeepOut>,
-    /// Least and greatest corner of the box to stay in, m.
+    /// Least and greatest corner of the box that bounds the flight, m.
     pub room: Option<(Ned, Ned)>,
 }
 
-/// What of the vehicle may be used.
+/// Limits on the use of the vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Least and greatest thrust of each rotor, as a share of its largest.
@@ -115,7 +115,7 @@ pub struct Limits {
     pub speed_m_s: Option<f64>,
 }
 
-/// What of the limits is kept back for feedback, each as a share of the limit.
+/// Fractions of the limits that are reserved for feedback.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Margin {
     /// Of each rotor's range, at either end.
@@ -127,7 +127,7 @@ pub struct Margin {
 }
 
 impl Limits {
-    /// What a margin leaves of them.
+    /// The limits less a margin.
     pub fn less(self, margin: &Margin) -> Self {
         let [least, most] = self.rotor;
         let kept = margin.thrust * (most - least);

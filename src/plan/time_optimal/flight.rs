@@ -1,4 +1,4 @@
-//! The fastest way as a plan that a flight follows.
+//! The minimum-time path as a plan that a flight follows.
 
 use vehicle::AttitudePd;
 use vehicle::frame::wrap_angle;
@@ -17,36 +17,36 @@ use crate::plan::planner::PlanSettings;
 use crate::plan::scp::Outcome;
 use crate::plan::state_vector::{ANGLE, RATE, StateVector};
 
-/// Largest tilt of a plan whose attitudes are roll, pitch and yaw, rad.
+/// Largest tilt of a plan with roll, pitch and yaw as attitude, rad.
 const TILT_MAX_RAD: f64 = 1.4;
-/// What of the envelope a plan keeps clear of, for what its periods round.
+/// Fraction of the envelope in use; the rest covers rounding to the plan's periods.
 const ENVELOPE_SHARE: f64 = 0.99;
-/// How a moment is shared between the loop's attitude and rate, by what is usual of either.
+/// Typical sizes of attitude and rate errors: they divide a moment between the loop's two terms.
 const ANGLE_SIZE: f64 = 0.3;
 const RATE_SIZE: f64 = 3.0;
-/// Steps of the integration, s.
+/// Largest step of the integration, s.
 const STEP_S: f64 = 1e-3;
 
-/// What a flight's plan is made for.
+/// Everything that a flight's plan depends on.
 #[derive(Clone, Debug)]
 pub struct FlightPlanner {
     /// The vehicle's physics.
     pub physics: Physics,
-    /// The loop that the plan's inputs are for.
+    /// The attitude loop that takes the plan's inputs.
     pub attitude_pd: AttitudePd,
-    /// Time constant of the rotors, s: thrusts are held as long.
+    /// Time constant of the rotors, s; the least time for which thrusts are held.
     pub lag_s: f64,
     /// The limits of setpoints, `[offboard.limits]`.
     pub limits: control::Limits,
-    /// The flight's.
+    /// The limits of the flight, `[envelope]`.
     pub envelope: FlightEnvelope,
-    /// Rate of the states, regions and box.
+    /// Rate of the states, regions to avoid and box.
     pub settings: PlanSettings,
 }
 
 impl FlightPlanner {
-    /// The limits that hold for a task: its own, those of setpoints and the envelope's, whichever are
-    /// narrower, less a margin.
+    /// The limits that apply to a task: the narrowest of its own, those of setpoints and the
+    /// envelope's, less a margin.
     pub fn limits(&self, task: &Task, margin: &Margin) -> Limits {
         let setpoint = &self.limits;
         let full: f64 = self.physics.allocation().thrust_max().iter().sum();
@@ -68,7 +68,7 @@ impl FlightPlanner {
             ),
         };
         let mut limits = limits.less(margin);
-        // Rotors that share no more than the envelope allows together.
+        // Each rotor gets at most its share of the total that the envelope allows.
         limits.rotor[1] = limits.rotor[1].min(ENVELOPE_SHARE * envelope.thrust_max_g * hover);
         limits
     }
@@ -76,7 +76,7 @@ impl FlightPlanner {
     /// Plans a task.
     ///
     /// # Errors
-    /// A course that no way leads through.
+    /// No path can lead through the course.
     pub fn plan(&self, task: &Task, margin: &Margin, stop: Stop<'_>) -> Result<FlightPlan, NoWay> {
         let keep_out = self.settings.keep_out.iter().map(|region| (*region).into()).collect();
         let room = self.settings.room();
@@ -89,7 +89,7 @@ impl FlightPlanner {
         Ok(FlightPlan { found, outcome })
     }
 
-    /// The motion at the plan's rate, with the inputs of the on-board loop that lead along it.
+    /// The motion at the plan's rate, with the inputs of the on-board loop that produce it.
     fn outcome(&self, course: &Course, found: &TimeOptimal) -> Outcome<7> {
         let period_s = 1.0 / self.settings.rate_hz;
         let dynamics = RotorDynamics::new(self.physics.clone(), STEP_S);
@@ -116,8 +116,8 @@ impl FlightPlanner {
         }
     }
 
-    /// The input `u_hat` by which the loop makes a wrench at a state: the smallest from the state's
-    /// own attitude and rate.
+    /// The input `u_hat` at which the loop produces a wrench at a state: the smallest offset from
+    /// the state's own attitude and rate.
     fn input(&self, state: &StateVector, wrench: &[f64; 4]) -> [f64; 7] {
         let AttitudePd { kp, kd, .. } = self.attitude_pd;
         let mut input = [wrench[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
@@ -134,19 +134,19 @@ impl FlightPlanner {
 /// A plan for a flight.
 #[derive(Clone, Debug)]
 pub struct FlightPlan {
-    /// The motion.
+    /// The minimum-time motion.
     pub found: TimeOptimal,
-    /// The same at the plan's rate.
+    /// The same motion at the plan's rate.
     pub outcome: Outcome<7>,
 }
 
-/// The motion as time goes on. After its end the last thrusts hold the vehicle up.
+/// Replay of the motion over time. After its end, hover thrusts hold the vehicle.
 struct Replay<'a> {
     knots: &'a Knots,
     dynamics: &'a RotorDynamics,
     state: State,
     period: usize,
-    /// What is left of the period, s.
+    /// Rest of the period, s.
     left_s: f64,
 }
 
@@ -160,7 +160,7 @@ impl<'a> Replay<'a> {
         self.period >= self.knots.periods.len()
     }
 
-    /// Goes on by `length_s`; returns the mean thrust shares.
+    /// Advances by `length_s`; returns the mean thrust shares.
     fn advance(&mut self, length_s: f64) -> [f64; 4] {
         let mut sums = [0.0; 4];
         let mut open = length_s;
@@ -191,7 +191,7 @@ impl<'a> Replay<'a> {
     }
 }
 
-/// The state with a yaw that goes on from `yaw`.
+/// The state with a yaw that continues from `yaw`.
 fn vector(state: &State, yaw: &mut f64) -> StateVector {
     let euler = state.attitude.euler();
     *yaw += wrap_angle(euler.yaw - *yaw);

@@ -1,5 +1,5 @@
-//! A first guess: a spline through the middles of the passages, round the regions to keep out of,
-//! at a pace that its thrust allows, with the attitudes that point the thrust along it.
+//! The initial guess: a spline through the centres of the passages and around the regions to avoid,
+//! at a pace within the thrust limits, with attitudes that point the thrust along it.
 
 use vehicle::frame::{Attitude, Euler, Frd, Ned};
 use vehicle::rigid_body::State;
@@ -11,25 +11,25 @@ use crate::plan::detour::bend;
 use crate::plan::problem::StateLimits;
 use crate::plan::state_vector::{STATES, StateVector, VELOCITY};
 
-/// Time for a way, over that of full acceleration from end to end.
+/// Time of a segment, relative to full acceleration from end to end.
 const PACE: f64 = 1.6;
-/// Shortest way that is counted, m.
+/// Least length of a segment, m.
 const WAY_MIN_M: f64 = 0.05;
-/// Share of the moments at which the spline may ask for more thrust than there is.
+/// Fraction of the sampled instants at which the spline may exceed the available thrust.
 const OVER: f64 = 0.1;
-/// Times that the spline is slowed at most.
+/// Most times that the spline is slowed.
 const SLOWINGS: usize = 12;
-/// Moments of a way that are checked.
+/// Sampled instants per segment.
 const LOOKS: usize = 8;
 
-/// What a guess knows of the vehicle.
+/// The vehicle parameters of the guess.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Agility {
     /// Greatest thrust over mass, m/s^2.
     pub thrust_m_s2: f64,
     /// m/s^2
     pub gravity: f64,
-    /// Shares of the rotors' largest thrusts that may be used.
+    /// Usable range of the rotors, as fractions of their largest thrusts.
     pub rotor: [f64; 2],
     /// m/s
     pub speed_m_s: f64,
@@ -38,14 +38,14 @@ pub(super) struct Agility {
 }
 
 impl Agility {
-    /// Horizontal acceleration at constant height, m/s^2.
+    /// Largest horizontal acceleration at constant height, m/s^2.
     fn sideways_m_s2(&self) -> f64 {
         let by_thrust = (self.thrust_m_s2.powi(2) - self.gravity.powi(2)).max(0.01).sqrt();
         let by_tilt = self.gravity * self.tilt_rad.min(1.5).tan();
         by_thrust.min(by_tilt)
     }
 
-    /// By which factor a moment of the spline is too fast, in time.
+    /// Factor by which time must stretch for a moment of the spline to be feasible.
     fn haste(&self, moment: &Moment) -> f64 {
         let force = (moment.acceleration - Ned::new(0.0, 0.0, self.gravity)).norm();
         let level = moment.acceleration.north().hypot(moment.acceleration.east());
@@ -54,7 +54,7 @@ impl Agility {
     }
 }
 
-/// The guess with so many periods from each passage to the next.
+/// The guess with `periods` periods between consecutive passages.
 pub(super) fn guess(course: &Course, agility: &Agility, periods: usize) -> Knots {
     let spline = paced(course, agility);
     let mut moments = Vec::new();
@@ -101,7 +101,7 @@ pub(super) fn guess(course: &Course, agility: &Agility, periods: usize) -> Knots
     knots
 }
 
-/// The spline at a pace that most of its moments have the thrust and the speed for.
+/// The spline at a pace that is feasible in thrust and speed at most of its moments.
 fn paced(course: &Course, agility: &Agility) -> Spline {
     let mut places = vec![course.start.position];
     places.extend(course.passages.iter().map(|passage| passage.centre()));
@@ -132,7 +132,7 @@ fn paced(course: &Course, agility: &Agility) -> Spline {
     spline
 }
 
-/// The turn in body axes, angle times axis [rad], that points body up along a force.
+/// The rotation in body axes, angle times axis [rad], that points body up along a force.
 fn least_turn(force: Frd) -> [f64; 3] {
     let [x, y, z] = force.to_array();
     let level = x.hypot(y);
@@ -143,8 +143,8 @@ fn least_turn(force: Frd) -> [f64; 3] {
     [angle * y / level, -angle * x / level, 0.0]
 }
 
-/// Bends the moments round the regions. Where that changes them, accelerations are those between
-/// the new velocities.
+/// Bends the moments around the regions. Where they change, the accelerations are derived from the
+/// new velocities.
 fn go_round(course: &Course, spline: &Spline, moments: &mut [(Moment, f64)]) {
     let vector = |position: Ned, velocity: Ned| {
         let mut vector: StateVector = [0.0; STATES];

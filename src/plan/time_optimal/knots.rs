@@ -1,11 +1,11 @@
-//! A motion as the search has it: states, and what is done between them.
+//! A motion in the search's form: states, and the periods between them.
 
 use vehicle::frame::{Attitude, Frd, Ned};
 use vehicle::rigid_body::State;
 
 use crate::plan::state_vector::{STATES, StateVector};
 
-/// What is done between two states.
+/// The inputs between two states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Period {
     /// Each rotor's thrust over its largest.
@@ -19,9 +19,9 @@ pub struct Period {
 pub struct Knots {
     /// One more than periods.
     pub states: Vec<State>,
-    /// Between the states.
+    /// Inputs between the states.
     pub periods: Vec<Period>,
-    /// The state at which each passage is passed, and at last that of the finish.
+    /// Index of the state at each passage, with the finish last.
     pub passed: Vec<usize>,
 }
 
@@ -31,7 +31,7 @@ impl Knots {
         self.periods.iter().map(|period| period.length_s).sum()
     }
 
-    /// When each passage is passed, s, the finish not counted.
+    /// Time of each passage, s, without the finish.
     pub fn passed_s(&self) -> Vec<f64> {
         let passages = self.passed.len().saturating_sub(1);
         let until = |at: &usize| -> f64 {
@@ -40,7 +40,7 @@ impl Knots {
         self.passed.iter().take(passages).map(until).collect()
     }
 
-    /// The number of the passage that each state passes, the finish counted.
+    /// The index of the passage at each state, with the finish included.
     pub(super) fn passages(&self) -> Vec<Option<usize>> {
         let mut passages = vec![None; self.states.len()];
         for (number, at) in self.passed.iter().enumerate() {
@@ -66,7 +66,7 @@ pub(super) fn moved(state: &State, by: &StateVector) -> State {
     }
 }
 
-/// The deviation that leads from a state to another.
+/// The deviation from one state to another.
 pub(super) fn difference(from: &State, to: &State) -> StateVector {
     let parts = [
         (to.position - from.position).to_array(),

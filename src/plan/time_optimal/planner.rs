@@ -1,4 +1,4 @@
-//! From a course to the fastest way through it.
+//! The fastest motion through a course.
 
 use vehicle::frame::Ned;
 use vehicle::physics::Physics;
@@ -13,16 +13,16 @@ use super::search::{Effort, Search};
 use crate::plan::iterate::Violation;
 use crate::plan::scp::{Record, Status};
 
-/// How much is put into a plan.
+/// Effort of a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Periods from each passage to the next, at first.
+    /// Initial number of periods between consecutive passages.
     pub periods: usize,
-    /// Times that all periods are halved and searched again.
+    /// Times that all periods are halved and the search repeated.
     pub refinements: usize,
-    /// Shortest period, s: thrusts are held as long.
+    /// Shortest period, s: thrusts are held for at least as long.
     pub length_min_s: f64,
-    /// The search ends where a subproblem promises less than this, s.
+    /// The search ends when a subproblem promises less than this, s.
     pub tolerance_s: f64,
     /// Most subproblems of a search.
     pub subproblems_max: usize,
@@ -40,53 +40,53 @@ impl Default for Settings {
     }
 }
 
-/// The fastest way that was found: an outcome, not an error.
+/// The fastest motion found; a failed search is an outcome too, not an error.
 #[derive(Clone, Debug)]
 pub struct TimeOptimal {
     /// How the search ended.
     pub status: Status,
     /// The motion.
     pub knots: Knots,
-    /// What it misses, checked every millisecond.
+    /// Its violations, checked every millisecond.
     pub violation: Violation,
     /// The subproblems.
     pub records: Vec<Record>,
 }
 
-/// Longest period, over the longest of the guess.
+/// Longest period, relative to the longest of the guess.
 const STRETCH_MAX: f64 = 2.0;
-/// Steps of the integration while searching and at last, s.
+/// Integration steps during the search and at the end, s.
 const COARSE_S: f64 = 0.03;
 const FINE_S: f64 = 0.003;
-/// Time between two looks at what happens between the knots, s.
+/// Interval of the checks between the knots, s.
 const LOOK_S: f64 = 1e-3;
-/// What the states of a plan miss of the dynamics at most, and its bounds, m.
+/// Largest defect of the dynamics and largest overrun of the bounds at the states, m.
 const DEFECT_MAX: f64 = 1e-9;
 const OVERRUN_MAX: f64 = 1e-6;
 /// Most subproblems to close a plan.
 const CLOSING: usize = 12;
-/// Times that bounds are drawn in by what is beyond them between the knots.
+/// Most times that the bounds are tightened by the overrun between the knots.
 const TIGHTENINGS: usize = 4;
-/// What a metre costs, over what it is worth.
+/// Cost of a metre, relative to its value.
 const PENALTY: f64 = 8.0;
-/// Shortest mean way that is counted, m.
+/// Least mean segment length, m.
 const WAY_MIN_M: f64 = 0.1;
-/// What of a limit may be exceeded between the knots: shares of a rate, m, rad.
+/// Tolerated overrun between the knots: fraction of a rate, m, rad.
 const RATE_SLACK: f64 = 5e-5;
 const PLACE_SLACK_M: f64 = 5e-4;
 const TILT_SLACK_RAD: f64 = 5e-3;
 
-/// Who is asked before each subproblem whether to go on, and shown those so far.
+/// Callbacks that see the subproblems so far before each new one, and may stop the search.
 #[derive(Clone, Copy)]
 pub struct Stop<'a> {
-    /// Ends the search: what it then has is closed, which takes a few subproblems more.
+    /// Stops the search; the result is then closed, which takes a few more subproblems.
     pub search: &'a dyn Fn(&[Record]) -> bool,
-    /// Ends that too: what it then has may miss the dynamics and the bounds.
+    /// Stops the closing too; the result may then violate the dynamics and the bounds.
     pub closing: &'a dyn Fn(&[Record]) -> bool,
 }
 
 impl Stop<'_> {
-    /// Searches to the end.
+    /// Never stops.
     pub const NEVER: Stop<'static> = Stop { search: &|_| false, closing: &|_| false };
 }
 
@@ -150,8 +150,8 @@ pub fn plan(
     TimeOptimal { status, knots, violation, records }
 }
 
-/// What a metre costs: some times what one is worth on a way of the course's mean length, whose time
-/// is that of full acceleration, `2 sqrt(d / a)`.
+/// Cost of a metre: [`PENALTY`] times its value on a segment of the course's mean length, flown in
+/// the time of full acceleration, `2 sqrt(d / a)`.
 fn penalty_s_m(course: &Course, agility: &Agility) -> f64 {
     let mut places = vec![course.start.position];
     places.extend(course.passages.iter().map(|passage| passage.centre()));
@@ -174,7 +174,7 @@ fn agility(physics: &Physics, limits: &Limits) -> Agility {
     }
 }
 
-/// Twice as many periods; those that are too short stay whole.
+/// Halves the periods, except those that would become too short.
 fn halved(knots: &Knots, dynamics: &RotorDynamics, length_min_s: f64) -> Knots {
     let mut halves = Knots { states: vec![knots.states[0]], periods: vec![], passed: vec![] };
     let mut passed = knots.passed.iter().copied().peekable();
@@ -195,16 +195,16 @@ fn halved(knots: &Knots, dynamics: &RotorDynamics, length_min_s: f64) -> Knots {
     halves
 }
 
-/// What is beyond the limits between the knots.
+/// Overruns of the limits between the knots.
 #[derive(Clone, Copy, Debug, Default)]
 struct Between {
-    /// Rates beyond theirs, rad/s.
+    /// Excess of each rate, rad/s.
     rate: [f64; 3],
-    /// Tilt beyond its limit, rad.
+    /// Excess of the tilt, rad.
     tilt: f64,
-    /// Shares of the rates, or rad of tilt, or m out of the room: the largest.
+    /// The largest of the relative excess of a rate and the excess of tilt, rad.
     overrun: f64,
-    /// How far a position is in a region, m, where it is.
+    /// Largest depth of a position in a region, or distance out of the room, m.
     trespass_m: f64,
 }
 
@@ -245,7 +245,7 @@ impl Between {
         }
     }
 
-    /// Draws the bounds in by what is beyond the limits; whether there is need to.
+    /// Tightens the bounds by the excess over the limits; returns whether that was needed.
     fn tighten(&self, bounds: &mut Bounds<'_>, limits: &Limits) -> bool {
         let mut is_tighter = false;
         for (i, excess) in self.rate.into_iter().enumerate() {

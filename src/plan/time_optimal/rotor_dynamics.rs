@@ -1,4 +1,4 @@
-//! The vehicle's physics from rotor thrusts, in periods of any length.
+//! The vehicle's physics with rotor thrusts as inputs, over periods of any length.
 
 use vehicle::frame::{Attitude, Frd, Ned};
 use vehicle::physics::{Environment, Physics};
@@ -11,12 +11,12 @@ use crate::plan::state_vector::{STATES, VELOCITY};
 
 /// Inputs of a period: the rotors' thrusts, and its length.
 pub(super) const INPUTS: usize = 5;
-/// Where the length is among them.
+/// Index of the length among them.
 pub(super) const LENGTH: usize = 4;
-/// Velocity, attitude, body rate and rotors: what a period's end depends on beside the position,
-/// which it is relative to.
+/// Velocity, attitude, body rate and rotors: the variables that a period's end depends on, besides
+/// the position, to which it is relative.
 const VARIABLES: usize = 13;
-/// Height at which the physics is evaluated, m: out of the ground's effect.
+/// Height at which the physics is evaluated, m: out of ground effect.
 const HEIGHT: f64 = 1e3;
 
 type Number = Dual<VARIABLES>;
@@ -31,7 +31,7 @@ pub struct RotorDynamics {
 }
 
 impl RotorDynamics {
-    /// Steps of at most `step_max_s`.
+    /// Uses steps of at most `step_max_s`.
     pub fn new(physics: Physics, step_max_s: f64) -> Self {
         let environment = physics.calm();
         Self { physics, environment, step_max_s }
@@ -42,7 +42,7 @@ impl RotorDynamics {
         &self.physics
     }
 
-    /// The same in steps of another length.
+    /// The same dynamics with another step length.
     pub(super) fn in_steps_of(&self, step_max_s: f64) -> Self {
         Self { step_max_s, ..self.clone() }
     }
@@ -68,8 +68,9 @@ impl RotorDynamics {
         state
     }
 
-    /// A period about a state and towards another: `next` is the deviation of its end from there,
-    /// by deviations of its start and of its inputs.
+    /// Linearises a period around a state and relative to another, `towards`: `next` is the
+    /// deviation of its end from that, as a function of the deviations of its start and of its
+    /// inputs.
     pub(super) fn linearize(
         &self,
         state: &State,
@@ -98,7 +99,7 @@ impl RotorDynamics {
             let (by_state, by_rotor) = number.gradient().split_at(9);
             step.state[i][VELOCITY..].copy_from_slice(by_state);
             step.input[i][..LENGTH].copy_from_slice(by_rotor);
-            // A longer period goes on as it ends.
+            // A longer period continues at the rates of its end.
             step.input[i][LENGTH] = flow[i];
         }
         for i in 0..VELOCITY {
@@ -107,7 +108,7 @@ impl RotorDynamics {
         step
     }
 
-    /// How a state changes, in a second.
+    /// Time derivative of a state.
     fn flow(&self, state: &State, rotors: &[f64; 4]) -> [f64; STATES] {
         let at = State { position: origin(), ..*state };
         let (linear, angular) = self.physics.accelerations(&at, rotors, &self.environment);
@@ -129,7 +130,7 @@ fn origin() -> Ned {
     Ned::new(0.0, 0.0, -HEIGHT)
 }
 
-/// The state at the origin with velocity, turn in body axes and body rate as variables.
+/// The state at the origin, with velocity, rotation in body axes and body rate as variables.
 fn variable(state: &State) -> State<Number> {
     let [vn, ve, vd] = state.velocity.to_array();
     let [p, q, r] = state.body_rate.to_array();

@@ -1,11 +1,11 @@
-//! The search: from a guess to the knots of least time.
+//! The search from a guess to the minimum-time knots.
 //!
-//! Around an iterate, the dynamics are linear in states, thrusts and the lengths of the periods,
-//! so that the least time is a convex problem, which is solved with a price on how far the states
-//! move. Its solution is taken as it is: states do not follow from one another until the search
-//! ends (multiple shooting). What they miss counts in the merit, and a step must improve on the
-//! worse of the last two: held to the last alone, the search would creep along the curved
-//! dynamics (the Maratos effect; Grippo, Lampariello and Lucidi 1986).
+//! Around an iterate, the dynamics are linear in states, thrusts and period lengths, so minimum
+//! time is a convex problem; the search solves it with a price on the motion of the states. It uses
+//! the solution as it is: states need not follow from one another until the search ends (multiple
+//! shooting). Their defects count in the merit, and a step must improve on the worse of the last
+//! two merits: with the last alone, the search would creep along the curved dynamics (the Maratos
+//! effect; Grippo, Lampariello and Lucidi 1986).
 
 use std::collections::VecDeque;
 
@@ -17,56 +17,56 @@ use crate::plan::scp::{Record, Status};
 use crate::plan::state_vector::{STATES, StateVector};
 use crate::plan::subproblem::{DynamicsForm, Solution, Stage, Subproblem, SubproblemSolver};
 
-/// What is missed of the dynamics, as metres beyond a bound.
+/// Weights of the defects of the dynamics, as metres beyond a bound.
 const DEFECT: StateVector = [0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.15, 0.15, 0.15, 0.015, 0.015, 0.015];
-/// Factor of the penalty where it is raised, and how often it is at most.
+/// Factor on the penalty when it is raised, and the most raises.
 const RAISE: f64 = 4.0;
 const RAISES: usize = 6;
 /// The highest penalty, s/m.
 const PENALTY_MAX_S_M: f64 = 1e4;
-/// What may be beyond a bound where a search ends, m.
+/// Tolerated overrun of a bound at the end of a search, m.
 const OVERRUN_MAX: f64 = 1e-4;
-/// Price of moving: mostly on the attitude, by which the dynamics curve.
+/// Price of motion: mostly on the attitude, in which the dynamics are curved.
 const PROXIMITY: StateVector =
     [0.05, 0.05, 0.05, 0.05, 0.05, 0.05, 1.0, 1.0, 1.0, 0.05, 0.05, 0.05];
-/// Price of moving a thrust share, or a length by its own, against that of a radian.
+/// Price of a change of thrust share or relative period length, compared with a radian.
 const INPUT_PRICE: f64 = 0.1;
-/// The first damping, and where the search gives up.
+/// Initial damping, and the bounds of it; the search gives up above the upper one.
 const DAMPING: f64 = 100.0;
 const DAMPING_MAX: f64 = 1e8;
 const DAMPING_MIN: f64 = 1e-6;
-/// Share by which a period's length changes at most in a step.
+/// Largest relative change of a period's length per step.
 const STRETCH: f64 = 0.5;
-/// Shares of a step that are tried.
+/// Fractions of a step that are tried.
 const SHARES: [f64; 3] = [1.0, 0.5, 0.25];
-/// Merits that a step is measured by.
+/// Number of past merits that a step is compared with.
 const MEMORY: usize = 2;
-/// Share of the promised improvement that is enough, and that is good.
+/// Fraction of the promised improvement that suffices, and that is good.
 const ENOUGH: f64 = 0.05;
 const GOOD: f64 = 0.5;
 
-/// How a search goes on and ends.
+/// Effort and end of a search.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Effort {
     /// Most subproblems.
     pub subproblems_max: usize,
     /// Least and greatest length of a period, s.
     pub length_s: [f64; 2],
-    /// The search ends where a subproblem promises less than this, s.
+    /// The search ends when a subproblem promises less than this, s.
     pub tolerance_s: f64,
-    /// Cost of a metre beyond a bound, s/m, at first. To be more than a metre is worth anywhere,
-    /// and not much more: the higher, the shorter the steps.
+    /// Initial cost of a metre beyond a bound, s/m. It must exceed the value of a metre anywhere,
+    /// but not by much: the higher it is, the shorter the steps.
     pub penalty_s_m: f64,
 }
 
-/// What an iterate is worth.
+/// The merit of an iterate.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Merit {
     pub duration_s: f64,
-    /// Sums of what is beyond the bounds and of what is missed of the dynamics, in metres.
+    /// Sums of the overruns of the bounds and of the defects of the dynamics, in metres.
     pub overrun: f64,
     pub defect: f64,
-    /// The largest of them: of a bound, in metres, and of a state in its own unit.
+    /// The largest of each: of a bound, in metres, and of a state in its own unit.
     pub overrun_max: f64,
     pub defect_max: f64,
 }
@@ -86,14 +86,14 @@ impl Merit {
                 merit.overrun_max = merit.overrun_max.max(row.excess);
             });
         }
-        // What is no number is none that `max` keeps.
+        // `max` drops NaN.
         if !(merit.defect + merit.overrun).is_finite() {
             (merit.defect_max, merit.overrun_max) = (f64::INFINITY, f64::INFINITY);
         }
         merit
     }
 
-    /// All of it, in s, for a penalty in s/m.
+    /// The merit in s, for a penalty in s/m.
     fn total(&self, penalty: f64) -> f64 {
         self.duration_s + penalty * (self.overrun + self.defect)
     }
@@ -143,7 +143,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Searches until nothing more is promised, or told to stop.
+    /// Searches until no subproblem promises an improvement, or `stop` returns true.
     pub fn run(&mut self, stop: &dyn Fn(&[Record]) -> bool) -> Status {
         let mut past = VecDeque::from([self.merit.total(self.penalty)]);
         let mut raises = 0;
@@ -180,15 +180,15 @@ impl<'a> Search<'a> {
                 }
             }
             self.record(promised, found, taken);
-            // Closing what is missed costs more than missing it: the penalty is too low. So it is
-            // where the search ends with bounds that are broken.
+            // If closing the defects costs more than leaving them, the penalty is too low. The same
+            // holds if the search ends with bounds exceeded.
             let may_rise = raises < RAISES;
             if may_rise && !is_new && promised < -self.effort.tolerance_s {
                 raises += 1;
                 past = self.raise();
                 continue;
             }
-            // A step that is refused promises little only where there is little to gain.
+            // After a rejected step, a small promise means convergence only if it is very small.
             let least = self.effort.tolerance_s * if is_new { 1.0 } else { 0.1 };
             let has_ended = promised.abs() < least;
             if has_ended || self.damping > DAMPING_MAX {
@@ -211,14 +211,14 @@ impl<'a> Search<'a> {
         Status::SubproblemLimit
     }
 
-    /// Raises the penalty; returns the merit by it.
+    /// Raises the penalty; returns the merit under it.
     fn raise(&mut self) -> VecDeque<f64> {
         self.penalty *= RAISE;
         VecDeque::from([self.merit.total(self.penalty)])
     }
 
-    /// Goes on with steps that move little, until states follow from one another to `defect` and
-    /// the bounds hold to `overrun`, or so many subproblems were solved.
+    /// Continues with small steps, until states follow from one another to `defect` and the bounds
+    /// hold to `overrun`, or `subproblems` subproblems were solved.
     pub fn close(
         &mut self,
         [defect, overrun]: [f64; 2],
@@ -258,7 +258,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Puts the subproblem about the iterate.
+    /// Linearises the subproblem around the iterate.
     fn linearize(&mut self) {
         let passages = self.knots.passages();
         let [shortest, longest] = self.effort.length_s;
@@ -281,7 +281,7 @@ impl<'a> Search<'a> {
             }
             let stage = &mut stages[n];
             stage.step = step;
-            // Lengths are in units of the present one.
+            // Lengths are relative to the present one.
             for row in &mut stage.step.input {
                 row[LENGTH] *= period.length_s;
             }
@@ -297,7 +297,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Solves the subproblem; whether it could be solved.
+    /// Solves the subproblem; returns whether that succeeded.
     fn solve(&mut self) -> bool {
         let price = self.damping / self.knots.periods.len() as f64;
         self.subproblem.state_weight = PROXIMITY.map(|weight| weight * price.sqrt());
@@ -309,7 +309,7 @@ impl<'a> Search<'a> {
         self.solver.solve(&self.subproblem, &mut self.solution).is_ok()
     }
 
-    /// The merit after the solution, as the linear model has it.
+    /// The merit after the solution, according to the linear model.
     fn promised_total(&self) -> f64 {
         let Solution { states, inputs, .. } = &self.solution;
         let mut total = 0.0;
@@ -323,7 +323,7 @@ impl<'a> Search<'a> {
         total
     }
 
-    /// The iterate after a share of the solution.
+    /// The iterate after a fraction of the solution.
     fn step(&self, share: f64) -> Knots {
         let Solution { states, inputs, .. } = &self.solution;
         let [shortest, longest] = self.effort.length_s;
@@ -342,7 +342,7 @@ impl<'a> Search<'a> {
         knots
     }
 
-    /// The better of a share of the solution as it is and rolled out.
+    /// The better of two candidates: a fraction of the solution as it is, and rolled out.
     fn best_step(&self, share: f64) -> (Knots, Merit) {
         let of = |knots: Knots| {
             let merit = Merit::of(&knots, self.dynamics, self.bounds);
@@ -352,8 +352,8 @@ impl<'a> Search<'a> {
         if rolled.1.total(self.penalty) < shifted.1.total(self.penalty) { rolled } else { shifted }
     }
 
-    /// The states that a share of the solution leads through under the solution's own feedback:
-    /// they follow from one another, and the feedback holds them to the bounds.
+    /// The states that result from a fraction of the solution under its own feedback: they follow
+    /// from one another, and the feedback keeps them within the bounds.
     fn rolled_out(&self, share: f64) -> Knots {
         let Solution { states, inputs, gains, .. } = &self.solution;
         let [shortest, longest] = self.effort.length_s;

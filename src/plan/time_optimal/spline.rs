@@ -2,7 +2,7 @@
 
 use vehicle::frame::Ned;
 
-/// Twice differentiable, with given velocities at its ends.
+/// Twice continuously differentiable, with given velocities at its ends.
 #[derive(Clone, Debug)]
 pub(super) struct Spline {
     times: Vec<f64>,
@@ -19,7 +19,8 @@ pub(super) struct Moment {
 }
 
 impl Spline {
-    /// Through places with a way of so many seconds from each to the next.
+    /// A spline through `places`, where `ways` holds the duration of each segment, s, with
+    /// velocities `from` and `to` at its ends.
     pub fn new(places: Vec<Ned>, ways: &[f64], [from, to]: [Ned; 2]) -> Self {
         let mut times = vec![0.0];
         let mut time = 0.0;
@@ -47,17 +48,17 @@ impl Spline {
         Self { times, places, velocities }
     }
 
-    /// Number of ways.
+    /// Number of segments.
     pub fn ways(&self) -> usize {
         self.times.len() - 1
     }
 
-    /// Length of a way, s.
+    /// Duration of a segment, s.
     pub fn length_s(&self, way: usize) -> f64 {
         self.times[way + 1] - self.times[way]
     }
 
-    /// At a share of a way.
+    /// The moment at a fraction of a segment.
     pub fn at(&self, way: usize, share: f64) -> Moment {
         let (length, s) = (self.length_s(way), share);
         let rise = self.places[way + 1] - self.places[way];

@@ -1,11 +1,11 @@
-//! A time-optimal trajectory file's wish, before it is known what flies it.
+//! The content of a time-optimal trajectory file, independent of the vehicle.
 
 use vehicle::frame::Ned;
 
 use super::course::{Course, Finish, Margin, Passage, Start};
 use crate::plan::keep_out::KeepOut;
 
-/// What of the limits a task narrows further.
+/// Limits that a task narrows further.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Wishes {
     /// Least and greatest thrust of each rotor, as a share of its largest.
@@ -18,49 +18,49 @@ pub struct Wishes {
     pub speed_m_s: Option<f64>,
 }
 
-/// Where to fly as fast as it goes, with what of the vehicle.
+/// A minimum-time flight, and the part of the vehicle's limits that it may use.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Task {
-    /// What it is called in logs and reports.
+    /// Its name in logs and reports.
     pub name: String,
-    /// Where it begins.
+    /// State at the start.
     pub start: Start,
-    /// In the order of flight.
+    /// Passages in the order of flight.
     pub passages: Vec<Passage>,
-    /// Where it ends.
+    /// State at the end.
     pub finish: Finish,
     /// Narrower limits.
     pub wishes: Wishes,
-    /// What is kept back for feedback.
+    /// Fractions of the limits reserved for feedback.
     pub margin: Margin,
 }
 
-/// Why no way can lead through a course.
+/// Why no path can lead through a course.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NoWay {
-    /// A place that must be passed is where the vehicle must not be.
+    /// A place to pass is inside a region to avoid.
     #[error(
         "{place} lies in keep_out[{region}] of [plan] in the configuration: no way leads through it"
     )]
     KeptOut {
-        /// What lies there.
+        /// The place.
         place: String,
-        /// The number of the region, from 0.
+        /// The index of the region, from 0.
         region: usize,
     },
-    /// A place that must be passed is out of the box.
+    /// A place to pass is outside the box.
     #[error("{place} lies out of box_m of [plan] in the configuration: no way leads through it")]
     OutOfBox {
-        /// What lies there.
+        /// The place.
         place: String,
     },
 }
 
 impl Task {
-    /// The course with regions to keep out of and a room to stay in.
+    /// The course with the regions to avoid and the box that bounds the flight.
     ///
     /// # Errors
-    /// A place that cannot be reached.
+    /// A place cannot be reached.
     pub fn course(
         &self,
         keep_out: Vec<KeepOut>,
@@ -89,7 +89,8 @@ impl Task {
         })
     }
 
-    /// The places with their names in the file, and how far from them the vehicle may pass, m.
+    /// The places with their names in the file, and the distance at which the vehicle may pass
+    /// them, m.
     pub fn places(&self) -> Vec<(String, Ned, f64)> {
         let mut places = vec![("start".to_owned(), self.start.position, 0.0)];
         for (number, passage) in self.passages.iter().enumerate() {
