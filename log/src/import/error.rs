@@ -1,12 +1,12 @@
-//! Why a file is not a flight.
+//! Why a file cannot be imported.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a file could not be imported at all. Damage within a log is no error.
+/// Why a file cannot be imported at all. Damage within a log is not an error.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
-    /// A file could not be read.
+    /// A file cannot be read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
         /// The file.

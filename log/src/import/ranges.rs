@@ -57,7 +57,7 @@ pub(super) fn px4(parameters: &BTreeMap<String, f64>, drive: &Drive, most: f64) 
     let is_can = most > PULSE_MAX;
     let name = drive.device.as_deref();
     if let Some(name) = name.filter(|name| !is_can || !name.starts_with("PWM")) {
-        // Timers of DShot, from 150 to 1200.
+        // Timer settings of DShot150 to DShot1200.
         let is_dshot = (0..OUTPUTS).any(|timer| {
             parameter(&format!("{name}_TIM{timer}")).is_some_and(|t| (-5.0..=-2.0).contains(&t))
         });
@@ -84,7 +84,7 @@ pub(super) fn px4(parameters: &BTreeMap<String, f64>, drive: &Drive, most: f64) 
     let of_all = pairs.into_iter().find_map(|(low, high)| {
         Some(([range(low, high)?; MOTORS], format!("that {low} and {high} state")))
     });
-    // Hardware has ranges wherever it has functions; the simulated outputs have functions alone.
+    // Hardware outputs with functions also have ranges; simulated outputs have functions only.
     let is_simulated = name == Some("PWM_MAIN")
         && PULSES.contains(&most)
         && !parameters.keys().any(|name| name.starts_with("PWM_MAIN_M"));
@@ -96,10 +96,10 @@ pub(super) fn px4(parameters: &BTreeMap<String, f64>, drive: &Drive, most: f64) 
     })
 }
 
-/// ArduPilot's pulses at the least and at the full thrust of a motor, us.
+/// ArduPilot's pulse widths at zero and full thrust of a motor, us.
 pub(super) fn ardupilot(parameters: &BTreeMap<String, f64>) -> Option<Stated> {
     let parameter = |name: &str| parameters.get(name).copied();
-    // Before ArduCopter 4.1, 0 stands for the range of the throttle's channel.
+    // Before ArduCopter 4.1, 0 means the range of the throttle channel.
     let stated = |low: &str, high: &str| {
         let range = [parameter(low)?, parameter(high)?];
         (range[1] > range[0]).then_some(range)
@@ -150,7 +150,7 @@ mod tests {
         let (ranges, said) = px4(&parameters(&real), &main_outputs(), 1600.0).expect("ranges");
         assert_eq!(ranges[2], OutputRange { zero: 1103.0, one: 1900.0 });
         assert!(said.contains("PWM_MAIN_MINn"));
-        // Functions without a word on the range of one output: nothing is concluded.
+        // Functions exist, but the range of one output is missing: no conclusion.
         let partial = real.replace("PWM_MAIN_MIN3 1103", "");
         assert_eq!(px4(&parameters(&partial), &main_outputs(), 1600.0), None);
     }

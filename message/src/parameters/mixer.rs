@@ -114,7 +114,7 @@ mod tests {
         let wide = SIH.replace("_PY 1", "_PY 2").replace("_PY -1", "_PY -2");
         let mixer = Mixer::of(&parameters(&wide)).expect("a mixer");
         let half = 0.5f64.sqrt();
-        // The inverse's roll column is half its pitch column, and both are divided by pitch's scale.
+        // The inverse's roll column is half its pitch column; the scale of pitch divides both.
         assert!((mixer.shares[0][0] + 0.5 * half).abs() < 1e-12, "{mixer:?}");
         assert!((mixer.shares[1][0] - half).abs() < 1e-12, "{mixer:?}");
     }
