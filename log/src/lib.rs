@@ -8,7 +8,8 @@
 //!
 //! let table = std::env::temp_dir().join(format!("log-example-{}.csv", std::process::id()));
 //! let header = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat\n";
-//! let row = |at: u32| format!("{},1,2,3,0,0,0,0,0,0,1,0,0,0,0.5,0.5,0.5,0.5,3.9\n", f64::from(at) * 0.01);
+//! let values = "1,2,3,0,0,0,0,0,0,1,0,0,0,0.5,0.5,0.5,0.5,3.9";
+//! let row = |at: u32| format!("{},{values}\n", f64::from(at) * 0.01);
 //! std::fs::write(&table, header.to_owned() + &(0..100).map(row).collect::<String>())?;
 //!
 //! // The shipped mapping names the columns and states that the table's world has z up.
@@ -24,14 +25,17 @@
 //! | Topic | Schema | Rate | Frame |
 //! |---|---|---|---|
 //! | `/mavlink/rx`, `/mavlink/tx` | `downwash.MavlinkFrame` | every frame | as on the wire |
-//! | `/state`, `/reference`, `/setpoint`, `/control` | `downwash.*` | every control tick | NED, FRD |
+//! | `/state`, `/reference`, `/setpoint`, `/control` | `downwash.*` | every tick | NED, FRD |
 //! | `/imu`, `/actuators`, `/battery` | `downwash.*` | as received | FRD |
 //! | `/link/stats`, `/timesync` | `downwash.*` | as reported | |
 //! | `/sim/truth` | `downwash.Truth` | as reported by the simulator | NED, FRD |
-//! | `/flight/*` | `downwash.*Sample` | native rates of an imported log, which has only these and `/sim/truth` | NED, FRD |
-//! | `/tf`, `/vehicle/pose`, `/reference/pose` | `foxglove.*` | at most 55 Hz | ENU `map`, FLU `base_link` |
+//! | `/flight/*` | `downwash.*Sample` | native rates of an imported log | NED, FRD |
+//! | `/tf`, `/vehicle/pose`, `/reference/pose` | `foxglove.*` | at most 55 Hz | ENU, FLU |
 //! | `/scene` | `foxglove.SceneUpdate` | once | FLU |
 //! | `/log` | `foxglove.Log` | every event | |
+//!
+//! ENU is the viewer's frame `map`, FLU its frame `base_link`. An imported log has only `/flight/*`
+//! and `/sim/truth`.
 //!
 //! `log_time` is the host time of a record. `publish_time` is the vehicle's time of the sample,
 //! mapped to the host clock; it stays constant where a new estimate of the clock would turn it

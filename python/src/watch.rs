@@ -1,4 +1,4 @@
-//! Work beside the interpreter: without its lock, in threads of this process, ended by Ctrl-C.
+//! Runs work without the interpreter's lock, in threads of this process, and ends it on Ctrl-C.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,7 +14,7 @@ use crate::errors::{exception, fault};
 
 /// How often the waiting thread checks Python's signals.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// Of a worker, bytes: that of a main thread.
+/// Stack size of a worker, bytes: that of a main thread.
 const STACK: usize = 8 << 20;
 
 /// The work's side of a watch: it reads whether to stop, and reports progress.

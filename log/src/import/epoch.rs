@@ -365,7 +365,7 @@ impl Epoch {
                     Err(reason) => flight.facts.notes.push(format!("no motor outputs: {reason}")),
                 }
             }
-            // Of none there is nothing to know.
+            // Without outputs their unit does not matter.
             if !flight.outputs.is_empty() {
                 flight.motor_unit = MotorUnit::VehicleFile;
                 flight.state_ranges(ranges::ardupilot(parameters));

@@ -182,7 +182,7 @@ impl Topics {
         stream
     }
 
-    /// Whether a time fits the stamps before or after it in the file.
+    /// Whether a time fits the time stamps before or after it in the file.
     fn is_on_clock(&self, number: u32, time: f64) -> bool {
         let number = number as usize;
         let median = |stamps: &[f64]| {
@@ -199,10 +199,10 @@ impl Topics {
     }
 }
 
-/// The longest sequence of samples whose times ascend, and how many are not in it.
+/// The longest sequence of samples with increasing times, and the number of samples outside it.
 fn ordered<T>(samples: Vec<(f64, T)>) -> (Stream<T>, u64) {
-    // By length of a sequence, the sample that ends such a one earliest; and before each sample
-    // the one that precedes it.
+    // For each sequence length, the sample that ends such a sequence earliest; and for each sample
+    // its predecessor.
     let mut ends: Vec<usize> = Vec::new();
     let mut previous: Vec<Option<usize>> = Vec::with_capacity(samples.len());
     for (at, (time, _)) in samples.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! What the numbers of motors' outputs mean, by the autopilot's own parameters.
+//! Ranges of motor outputs, from the autopilot's parameters.
 
 use std::collections::BTreeMap;
 
@@ -7,38 +7,38 @@ use serde::{Deserialize, Serialize};
 
 use super::functions::{Drive, MOTORS, OUTPUTS, px4_drive};
 
-/// A pulse in us.
+/// Range of pulse widths, us.
 const PULSES: std::ops::RangeInclusive<f64> = 500.0..=2500.0;
-/// Outputs above are no pulses.
+/// Outputs above this are not pulse widths, us.
 const PULSE_MAX: f64 = 2500.0;
-/// Commands of DShot at no and at full thrust.
+/// DShot commands at zero and full thrust.
 const DSHOT: OutputRange = OutputRange { zero: 0.0, one: 1999.0 };
-/// Commands over CAN.
+/// CAN commands at zero and full thrust.
 const CAN: OutputRange = OutputRange { zero: 0.0, one: 8191.0 };
-/// PX4's simulated outputs, of which no parameter states a range.
+/// PX4's simulated outputs, whose range is in no parameter.
 const SIMULATED: OutputRange = OutputRange { zero: 1000.0, one: 2000.0 };
 
-/// A motor's output at no and at full thrust.
+/// A motor's output at zero and full thrust.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct OutputRange {
-    /// At no thrust.
+    /// Output at zero thrust.
     pub zero: f64,
-    /// At full thrust.
+    /// Output at full thrust.
     pub one: f64,
 }
 
 impl OutputRange {
-    /// An output as a share of the range, within 0..1.
+    /// An output as a fraction of the range, clamped to 0..1.
     pub fn fraction(self, output: f64) -> f64 {
         ((output - self.zero) / (self.one - self.zero)).clamp(0.0, 1.0)
     }
 }
 
-/// The ranges of motors 1 to 4, and what says so.
+/// The ranges of motors 1 to 4, with their source.
 pub(super) type Stated = ([OutputRange; MOTORS], String);
 
-/// The ranges of motors 1 to 4 by an autopilot's parameters, where these say them; `most` is the largest
-/// output that was heard.
+/// The ranges of motors 1 to 4 from an autopilot's parameters, if these state them; `most` is the
+/// largest output received.
 pub fn output_ranges(
     parameters: &BTreeMap<String, f64>,
     most: f64,
@@ -47,7 +47,7 @@ pub fn output_ranges(
     ardupilot(parameters).or_else(of_px4).map(|(ranges, _)| ranges)
 }
 
-/// Of PX4's outputs that `drive` names; `most` is the largest that was logged.
+/// The ranges of PX4's outputs in `drive`; `most` is the largest output logged.
 pub(super) fn px4(parameters: &BTreeMap<String, f64>, drive: &Drive, most: f64) -> Option<Stated> {
     let parameter = |name: &str| parameters.get(name).copied();
     let range = |low: &str, high: &str| {
@@ -57,7 +57,7 @@ pub(super) fn px4(parameters: &BTreeMap<String, f64>, drive: &Drive, most: f64) 
     let is_can = most > PULSE_MAX;
     let name = drive.device.as_deref();
     if let Some(name) = name.filter(|name| !is_can || !name.starts_with("PWM")) {
-        // Timer settings of DShot150 to DShot1200.
+        // Timer settings for DShot150 to DShot1200.
         let is_dshot = (0..OUTPUTS).any(|timer| {
             parameter(&format!("{name}_TIM{timer}")).is_some_and(|t| (-5.0..=-2.0).contains(&t))
         });

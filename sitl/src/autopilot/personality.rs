@@ -374,11 +374,11 @@ impl From<VehicleError> for NoLoop {
     }
 }
 
-/// A key's value as the integer that its parameter is.
 /// Parameters of the bundled vehicle, for unit tests.
 #[cfg(test)]
 pub(super) use bundled::parameters as bundled_parameters;
 
+/// The value of an integer parameter, such as an action.
 fn choice(parameters: &Parameters, key: Key) -> i32 {
     parameters.get(key) as i32
 }
