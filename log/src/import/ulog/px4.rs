@@ -156,7 +156,7 @@ impl Contents {
             4 => Some(VehicleKind::Airship),
             _ => None,
         };
-        // Before PX4 1.10 there was only this.
+        // Before PX4 1.10 this was the only field.
         let is_rotary = |value: f64| {
             Some(if value == 0.0 { VehicleKind::Other } else { VehicleKind::Multirotor })
         };
@@ -173,7 +173,7 @@ impl Contents {
         stated.into_iter().flatten().chain(kind::of_parameters(&self.parameters)).collect()
     }
 
-    /// When the vehicle was armed, and in which modes it was.
+    /// Notes the times of arming and mode changes.
     fn note_modes(&self, facts: &mut VehicleFacts) {
         const ARMED: f64 = 2.0;
         let Some((_, topic)) = self.topics.instances("vehicle_status").next() else { return };
@@ -255,7 +255,8 @@ fn fill_attitude(
     }
 }
 
-/// Body rate and specific force, of the more frequent of the filtered and the raw topics.
+/// Fills body rate and specific force from the filtered or the raw topics, whichever has the higher
+/// rate.
 fn fill_sensors(topics: &Topics, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
     const XYZ: [&str; 3] = ["xyz[0]", "xyz[1]", "xyz[2]"];
     let filtered = |name: &'static str, tally: &mut Tally| -> Stream<Frd> {
@@ -313,7 +314,7 @@ fn fill_position(
     tally: &mut Tally,
 ) {
     let Some(topic) = topics.primary("vehicle_local_position", 0, tally) else { return };
-    // A flag that is not logged does not forbid.
+    // A flag that is not logged counts as valid.
     let is_valid = |row: &Row<'_>, flags: [&str; 2]| flags.iter().all(|flag| row.get(flag) != 0.0);
     flight.position = topics.stream(topic, tally, |row| {
         if !is_valid(&row, ["xy_valid", "z_valid"]) {
@@ -343,7 +344,7 @@ fn fill_position(
     }
 }
 
-/// What the autopilot's attitude loop was to follow: the ground's own in OFFBOARD.
+/// Fills the setpoint of the autopilot's attitude loop, which is the ground's in OFFBOARD.
 fn fill_setpoint(
     topics: &Topics,
     flight: &mut Flight,
