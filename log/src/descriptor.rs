@@ -1,4 +1,4 @@
-//! Decodes any protobuf message by the descriptor in the log, into one row of named columns.
+//! Decodes any protobuf message into one row of named columns, using the descriptor in the log.
 
 use std::collections::BTreeMap;
 
@@ -7,13 +7,13 @@ use foxglove::prost_types::{DescriptorProto, FileDescriptorSet};
 use prost::Message;
 use serde::{Serialize, Serializer};
 
-/// Nesting that is followed; deeper fields are left out.
+/// Largest nesting depth; deeper fields are omitted.
 const DEPTH_MAX: usize = 8;
 
-/// Why a message could not be laid out in columns, or decoded.
+/// Why a message cannot be laid out in columns or decoded.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum DescriptorError {
-    /// The schema record is no descriptor, or one of something else.
+    /// The schema record is not a descriptor of the message.
     #[error("the schema is not a protobuf descriptor of {name}")]
     Schema {
         /// Full name of the message.
@@ -22,7 +22,7 @@ pub enum DescriptorError {
     /// The message's bytes do not fit its descriptor.
     #[error("message is not valid protobuf at byte {offset}")]
     Message {
-        /// Where.
+        /// Byte offset of the error.
         offset: usize,
     },
 }
@@ -32,22 +32,22 @@ pub enum DescriptorError {
 pub enum Value {
     /// The enclosing message is absent.
     Missing,
-    /// A floating-point number, NaN where it is not known.
+    /// A floating-point number; NaN if unknown.
     Float(f64),
     /// A signed integer or an enumeration's number.
     Signed(i64),
     /// An unsigned integer.
     Unsigned(u64),
-    /// A flag.
+    /// A boolean.
     Bool(bool),
-    /// Text.
+    /// A string.
     Text(String),
     /// Raw bytes, written in hexadecimal.
     Bytes(Vec<u8>),
 }
 
 impl Serialize for Value {
-    /// As in the exported JSON: numbers that are not finite are `null`, bytes are hexadecimal.
+    /// Serialises as in exported JSON: non-finite numbers are `null`, bytes are hexadecimal.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
             Self::Missing => serializer.serialize_none(),
@@ -62,7 +62,7 @@ impl Serialize for Value {
     }
 }
 
-/// `bytes` as lower-case hexadecimal.
+/// Formats `bytes` as lower-case hexadecimal.
 pub fn hex(bytes: &[u8]) -> String {
     use std::fmt::Write;
     bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
@@ -72,8 +72,8 @@ pub fn hex(bytes: &[u8]) -> String {
     })
 }
 
-/// The columns of a message's type. Nested messages are flattened with dotted names; repeated
-/// fields have no place in a row and are left out.
+/// The columns of a message type. Nested messages become columns with dotted names; repeated fields
+/// are omitted, since they do not fit a row.
 #[derive(Clone, Debug)]
 pub struct Layout {
     columns: Vec<String>,
@@ -92,10 +92,10 @@ enum Leaf {
 }
 
 impl Layout {
-    /// The layout of message `name` of a serialised `FileDescriptorSet`.
+    /// The layout of message `name` in a serialised `FileDescriptorSet`.
     ///
     /// # Errors
-    /// [`DescriptorError::Schema`].
+    /// [`DescriptorError::Schema`] if the set has no such message.
     pub fn parse(name: &str, descriptor_set: &[u8]) -> Result<Self, DescriptorError> {
         let fail = || DescriptorError::Schema { name: name.into() };
         let set = FileDescriptorSet::decode(descriptor_set).map_err(|_| fail())?;
@@ -111,15 +111,15 @@ impl Layout {
         Ok(Self { columns, root })
     }
 
-    /// Names of the columns.
+    /// Names of the columns, in the order of the values in a row.
     pub fn columns(&self) -> &[String] {
         &self.columns
     }
 
-    /// Decodes `data` over `row`, one value a column.
+    /// Decodes `data` into `row`, one value for each column.
     ///
     /// # Errors
-    /// [`DescriptorError::Message`]; `row` then holds what came before.
+    /// [`DescriptorError::Message`]; `row` then holds the values before the error.
     pub fn decode(&self, data: &[u8], row: &mut Vec<Value>) -> Result<(), DescriptorError> {
         row.clear();
         row.resize(self.columns.len(), Value::Missing);
@@ -130,7 +130,7 @@ impl Layout {
     }
 }
 
-/// Every message's descriptor by its full name, nested ones too.
+/// Collects every message's descriptor by its full name, including nested ones.
 fn collect<'a>(
     scope: &str,
     message: &'a DescriptorProto,
@@ -178,7 +178,7 @@ fn build(
 }
 
 impl Node {
-    /// `None` where the bytes do not fit.
+    /// Returns `None` if the bytes do not fit the descriptor.
     fn decode(&self, wire: &mut Wire<'_>, end: usize, row: &mut [Value]) -> Option<()> {
         for leaf in self.fields.values() {
             if let Leaf::Scalar { column, kind } = leaf {
@@ -240,7 +240,7 @@ impl<'a> Wire<'a> {
         Some(*bytes)
     }
 
-    /// Where the length-delimited field that starts here ends.
+    /// End of the length-delimited field that starts here.
     fn length(&mut self, end: usize) -> Option<usize> {
         let length = usize::try_from(self.varint()?).ok()?;
         self.offset.checked_add(length).filter(|nested_end| *nested_end <= end)

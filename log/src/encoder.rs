@@ -1,4 +1,4 @@
-//! The only place where a record becomes messages: for the file, and for whoever watches live.
+//! Turns records into messages, for the file and for live views.
 
 use std::io;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use super::record::{Direction, FrameRecord, Record, Tick};
 use super::schema::{self, *};
 use super::viewer::{self, ViewerPose};
 
-/// Topics of a flight log, in the order of their numbers in the file.
+/// Topics of a flight log, in the order of their channels in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)] // The table in `log` describes them.
 pub enum Topic {
@@ -37,19 +37,19 @@ pub enum Topic {
     Log,
 }
 
-/// What a reader must know of a topic: its messages are protobuf.
+/// Definition of a topic with protobuf messages.
 #[derive(Clone, Debug)]
 pub struct Definition {
     /// Name of the topic.
     pub topic: &'static str,
-    /// Full name of its messages' type.
+    /// Full name of the message type.
     pub schema: &'static str,
-    /// The serialised `FileDescriptorSet` of that type.
+    /// Serialised `FileDescriptorSet` of the message type.
     pub descriptor: Vec<u8>,
 }
 
 impl Topic {
-    /// All topics, in order.
+    /// Every topic, in order.
     pub const ALL: [Self; 17] = [
         Self::Rx,
         Self::Tx,
@@ -70,7 +70,7 @@ impl Topic {
         Self::Log,
     ];
 
-    /// Its name and its messages' type.
+    /// The topic's name and message type.
     pub fn definition(self) -> Definition {
         fn own<M: Flat>(topic: &'static str) -> Definition {
             Definition { topic, schema: M::NAME, descriptor: schema::descriptor::<M>() }
@@ -108,7 +108,7 @@ impl Topic {
     }
 }
 
-/// When a message was logged and published.
+/// Log time and publish time of a message.
 #[derive(Clone, Copy, Debug)]
 pub struct Times {
     /// Host time of the record.
@@ -118,31 +118,31 @@ pub struct Times {
 }
 
 impl Times {
-    /// Times of a record that is no sample of the vehicle's.
+    /// Times of a record that is not a sample from the vehicle.
     pub fn host(time: HostTime) -> Self {
         Self { log: time, publish: time }
     }
 }
 
-/// Takes messages.
+/// A destination of messages.
 pub trait MessageSink {
-    /// Takes one message of `topic`.
+    /// Accepts one message of `topic`.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// The message cannot be written.
     fn put(&mut self, topic: Topic, times: Times, message: &impl Message) -> io::Result<()>;
 }
 
-/// 3D topics have a message at most this often: enough for the eye, and half the size.
+/// Shortest period of messages on 3D topics: smooth to the eye, at half the size.
 const VIEWER_PERIOD: Duration = Duration::from_millis(18);
 
-/// Makes messages of one run's records. What is in a message depends on the records alone.
+/// Turns the records of one run into messages. A message's content depends on the records only.
 #[derive(Debug)]
 pub struct Encoder {
     rotors: Vec<Frd>,
     is_scene_due: bool,
     viewer_next: HostTime,
-    // Reused from record to record.
+    // Buffers reused from record to record.
     frame: MavlinkFrameMessage,
     control: ControlMessage,
     transforms: [FrameTransform; 2],
@@ -150,8 +150,8 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// An encoder for a vehicle with rotors at these positions in body axes, m; none: no shape is
-    /// drawn.
+    /// Creates an encoder for a vehicle with rotors at these positions in body axes, m. Without
+    /// rotors, no shape is drawn.
     pub fn new(rotors: &[Frd]) -> Self {
         let transform = |child: &str| FrameTransform {
             parent_frame_id: viewer::MAP.into(),
@@ -169,15 +169,15 @@ impl Encoder {
         }
     }
 
-    /// The vehicle's shape is given once more, with the next tick: for who came late.
+    /// Emits the vehicle's shape again with the next pose, for a viewer that joined late.
     pub fn repeat_scene(&mut self) {
         self.is_scene_due = true;
     }
 
-    /// Gives the messages of `record` to `out`. Facts and the marks of flights have none.
+    /// Passes the messages of `record` to `out`. Facts and flight marks have none.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// Errors of `out`.
     pub fn encode(&mut self, record: &Record, out: &mut impl MessageSink) -> io::Result<()> {
         match record {
             Record::Frame(frame) => self.encode_frame(frame, out),
@@ -218,10 +218,10 @@ impl Encoder {
         }
     }
 
-    /// The pose of a vehicle that is seen without a controller, as a tick's.
+    /// Emits the pose of a vehicle without a controller, as a tick would.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// Errors of `out`.
     pub fn encode_pose(
         &mut self,
         times: Times,

@@ -16,9 +16,9 @@ use super::reader::{Channel, LogReader, Message, ReadError};
 /// Output format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// Comma-separated values with a header line; NaN is written `NaN`, a missing value is empty.
+    /// Comma-separated values with a header line. NaN is written `NaN`; a missing value is empty.
     Csv,
-    /// One JSON object a line; NaN and infinities are `null`.
+    /// One JSON object per line; NaN and infinities are `null`.
     JsonLines,
 }
 
@@ -31,13 +31,13 @@ impl Format {
     }
 }
 
-/// Why an export failed.
+/// Why an export fails.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
-    /// The log could not be read.
+    /// The log cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// The output could not be written.
+    /// The output file cannot be created or renamed.
     #[error("cannot write {}: {source}", path.display())]
     Create {
         /// The file.
@@ -45,15 +45,15 @@ pub enum ExportError {
         /// Why.
         source: io::Error,
     },
-    /// The output could not be written.
+    /// Writing to the output failed.
     #[error("cannot write the export: {0}")]
     Write(#[from] io::Error),
     /// The log has no such topic.
     #[error("no topic {topic} in the log; it has {}", known_topics(known))]
     NoTopic {
-        /// What was asked for.
+        /// The requested topic.
         topic: String,
-        /// What there is.
+        /// The topics of the log.
         known: Vec<String>,
     },
     /// The topic's messages are not protobuf.
@@ -78,10 +78,10 @@ fn known_topics(known: &[String]) -> String {
     if known.is_empty() { "none".to_owned() } else { known.join(", ") }
 }
 
-/// Writes every message of `topic` to `out`; returns their number.
+/// Writes every message of `topic` to `out` and returns their number.
 ///
 /// # Errors
-/// [`ExportError`]; a log that merely ends early is no error.
+/// [`ExportError`]; a truncated log is not an error.
 pub fn export_topic<R: Read>(
     reader: &mut LogReader<R>,
     topic: &str,
@@ -113,9 +113,9 @@ pub fn export_topic<R: Read>(
     Ok(rows)
 }
 
-/// Writes one file a protobuf topic into `directory`, named after the topic; returns each file
-/// with its number of rows. Topics in other encodings are left out. A file that is there already is
-/// replaced once all are complete.
+/// Writes one file for each protobuf topic into `directory`, named after the topic, and returns
+/// each file with its number of rows. Skips topics in other encodings. Replaces existing files once
+/// all are complete.
 ///
 /// # Errors
 /// [`ExportError`].
@@ -153,7 +153,7 @@ pub fn export_all<R: Read>(
     Ok(written)
 }
 
-/// The rows of one topic.
+/// The output of one topic.
 struct Table {
     topic: String,
     format: Format,

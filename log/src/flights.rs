@@ -1,4 +1,4 @@
-//! One log a flight, for a daemon that outlives its flights.
+//! One log for each flight, for a daemon that outlives its flights.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Instant;
@@ -8,13 +8,13 @@ use message::clock::HostTime;
 use super::record::Record;
 use super::writer::{LogError, LogSummary, LogWriter};
 
-/// Records kept from before a flight: about two seconds of a busy link.
+/// Number of records kept from before a flight: about two seconds of a busy link.
 const PRE_ROLL: usize = 2048;
 
-/// Opens a log for the flight that begins at the given time.
+/// Opens a log for the flight that starts at the given time.
 pub type OpenLog = Box<dyn FnMut(HostTime) -> Result<LogWriter, LogError> + Send>;
 
-/// Opens a log when a flight begins, with what was recorded just before, and closes it when the
+/// Opens a log when a flight begins, adds the records from just before, and closes it when the
 /// flight ends.
 pub(super) struct FlightLogs {
     open: OpenLog,
@@ -57,7 +57,7 @@ impl FlightLogs {
         self.current.as_mut().map_or(Ok(()), |writer| writer.sync_if_due(wall))
     }
 
-    /// Gives up the present log; the next flight gets a new one.
+    /// Abandons the current log; the next flight gets a new one.
     pub fn abandon(&mut self) {
         self.current = None;
     }

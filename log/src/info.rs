@@ -1,4 +1,4 @@
-//! What a log holds, at a glance.
+//! Summary of a log's content.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -10,9 +10,9 @@ use serde::Serialize;
 use super::reader::{LogReader, Message, ReadError};
 use super::schema::{BatteryMessage, ControlMessage};
 
-/// Events that are listed; the rest are counted.
+/// Number of events listed; the rest are only counted.
 const EVENTS_LISTED: usize = 1000;
-/// A pause this many times longer than the usual interval is a gap.
+/// A pause this many times longer than the median interval is a gap.
 const GAP_FACTOR: f64 = 3.0;
 
 /// A log's summary, and the JSON of `downwash log info --json`.
@@ -24,27 +24,27 @@ pub struct LogInfo {
     pub schema_version: u32,
     /// Whether the log was closed properly.
     pub finished: bool,
-    /// Messages that could be read.
+    /// Number of readable messages.
     pub messages: u64,
-    /// Damaged parts that were left out.
+    /// Number of damaged parts that were skipped.
     pub damaged: u64,
-    /// The first of them, in words.
+    /// Descriptions of the first damaged parts.
     pub damages: Vec<String>,
     /// First `log_time`, ns since 1970; 0 if the log is empty.
     pub start_ns: u64,
     /// Last `log_time` minus first, s.
     pub duration_s: f64,
-    /// Facts about the run.
+    /// Facts about the run, from the metadata record `run`.
     pub run: BTreeMap<String, String>,
     /// Attached files and their sizes in bytes.
     pub attachments: BTreeMap<String, usize>,
-    /// Topics by name.
+    /// Topics, sorted by name.
     pub topics: Vec<TopicInfo>,
-    /// Flight states in their order.
+    /// Flight states in order of time.
     pub phases: Vec<PhaseInfo>,
-    /// How well the trajectory was tracked, if one was flown.
+    /// Tracking errors, if a trajectory was flown.
     pub tracking: Option<TrackingInfo>,
-    /// The battery, if it was heard of.
+    /// Extremes of the battery, if it was reported.
     pub battery: Option<BatteryInfo>,
     /// The first 1000 events.
     pub events: Vec<EventInfo>,
@@ -54,50 +54,51 @@ pub struct LogInfo {
     pub events_by_level: BTreeMap<&'static str, u64>,
 }
 
-/// One topic.
+/// Summary of one topic.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct TopicInfo {
     /// Name.
     pub topic: String,
-    /// Type of its messages.
+    /// Type of the messages.
     pub schema: String,
     /// Number of messages.
     pub messages: u64,
     /// Bytes of message bodies.
     pub bytes: u64,
-    /// Mean rate over the topic's own span, 1/s; `null` for fewer than two messages.
+    /// Mean rate from the topic's first to its last message, 1/s; `null` for fewer than two
+    /// messages.
     pub rate_hz: Option<f64>,
     /// Longest pause between two messages, s.
     pub longest_gap_s: f64,
-    /// Pauses of more than three times the median interval.
+    /// Number of pauses longer than three times the median interval.
     pub gaps: u64,
 }
 
-/// One flight state.
+/// One flight state with its duration.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct PhaseInfo {
     /// Name.
     pub name: String,
-    /// When it began, s after the log's start.
+    /// Start, s after the log's start.
     pub start_s: f64,
-    /// How long it lasted, s.
+    /// Duration, s.
     pub duration_s: f64,
 }
 
-/// Position error while a trajectory was flown.
+/// Position errors while a trajectory was flown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct TrackingInfo {
-    /// Control ticks with a trajectory.
+    /// Number of control ticks with a trajectory.
     pub ticks: u64,
-    /// Root mean square of the error to the north, m.
+    /// Root mean square of the error along north, m.
     pub rmse_n_m: f64,
-    /// To the east, m.
+    /// Root mean square of the error along east, m.
     pub rmse_e_m: f64,
-    /// Downwards, m.
+    /// Root mean square of the error along down, m.
     pub rmse_d_m: f64,
-    /// In space, m.
+    /// Root mean square of the error's norm, m.
     pub rmse_3d_m: f64,
-    /// Largest error in space, m.
+    /// Largest norm of the error, m.
     pub max_3d_m: f64,
 }
 
@@ -117,13 +118,13 @@ pub struct BatteryInfo {
 /// One line of `/log`.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct EventInfo {
-    /// When, s after the log's start.
+    /// Time, s after the log's start.
     pub time_s: f64,
     /// `debug`, `info`, `warning`, `error` or `fatal`.
     pub level: &'static str,
-    /// Who says so.
+    /// Source: the vehicle or downwash.
     pub source: String,
-    /// The line.
+    /// Text of the event.
     pub text: String,
 }
 
@@ -131,12 +132,12 @@ impl LogInfo {
     /// Reads the rest of `reader`.
     ///
     /// # Errors
-    /// [`ReadError::Io`]; a damaged or unfinished log is no error.
+    /// [`ReadError::Io`]; a damaged or unfinished log is not an error.
     pub fn read<R: Read>(reader: &mut LogReader<R>) -> Result<Self, ReadError> {
         Self::read_with(reader, |_| {})
     }
 
-    /// Reads the rest of `reader` and shows each message to `visit` on the way.
+    /// Reads the rest of `reader` and passes each message to `visit`.
     ///
     /// # Errors
     /// [`ReadError::Io`].
@@ -190,7 +191,7 @@ struct TrackingSums {
 }
 
 impl TrackingSums {
-    /// Counts a tick that tracks.
+    /// Adds a tick, if a trajectory was flown and the error is known.
     fn add(&mut self, control: &ControlMessage) {
         if !is_tracking(control) {
             return;
@@ -203,7 +204,7 @@ impl TrackingSums {
         self.max = self.max.max(control.error_3d_m);
     }
 
-    /// The root mean squares; `None` without a tick.
+    /// The root mean squares; `None` without ticks.
     fn info(&self) -> Option<TrackingInfo> {
         let n = self.ticks as f64;
         let [rmse_n_m, rmse_e_m, rmse_d_m] = self.squares.map(|s| (s / n).sqrt());
@@ -218,7 +219,7 @@ impl TrackingSums {
     }
 }
 
-/// Whether a trajectory was flown at a tick, and the error is known.
+/// Whether a trajectory was flown at a tick and the error is known.
 pub fn is_tracking(control: &ControlMessage) -> bool {
     let error = [control.error_n_m, control.error_e_m, control.error_d_m];
     !control.trajectory_time_s.is_nan() && error.iter().all(|e| e.is_finite())
@@ -229,7 +230,7 @@ fn seconds(start: u64, time: u64) -> f64 {
     time.saturating_sub(start) as f64 * 1e-9
 }
 
-/// A line of `/log`, if `message` is one; times count from `start_ns`.
+/// Decodes `message` if it is a line of `/log`; times count from `start_ns`.
 fn event(message: &Message<'_>, start_ns: u64) -> Option<EventInfo> {
     if message.channel.schema != "foxglove.Log" {
         return None;
@@ -246,7 +247,7 @@ fn event(message: &Message<'_>, start_ns: u64) -> Option<EventInfo> {
     Some(EventInfo { time_s, level, source: log.name, text: log.message })
 }
 
-/// What is gathered on the way through the log.
+/// State of the scan through a log.
 #[derive(Default)]
 struct Scan {
     start_ns: Option<u64>,
@@ -316,8 +317,8 @@ impl Scan {
     }
 }
 
-/// Bins of the histogram of intervals: eight an octave from 1 us up, so that the median is known
-/// within 9 % in fixed memory.
+/// Bins of the histogram of intervals: eight per octave from 1 us up, which gives the median within
+/// 9 % in fixed memory.
 const BINS: usize = 256;
 
 struct Topic {

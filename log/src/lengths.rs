@@ -1,12 +1,12 @@
-//! Lengths inside of MCAP records that version 0.26 of the `mcap` crate takes at their word: one
-//! that is too large overflows or panics there, so they are checked before.
+//! Checks of lengths inside MCAP records. Version 0.26 of the `mcap` crate trusts them, and a
+//! length that is too large overflows or panics there.
 
-/// Opcode and length of a record.
+/// Size of a record's opcode and length.
 const RECORD_HEAD: usize = 9;
-/// Log time and creation time, before an attachment's name.
+/// Size of log time and creation time, before an attachment's name.
 const ATTACHMENT_TIMES: usize = 16;
 
-/// Whether records fill `chunk`, the uncompressed content of a chunk, from its start to its end.
+/// Whether records fill `chunk`, the uncompressed content of a chunk, exactly.
 pub(super) fn records_fill(mut chunk: &[u8]) -> bool {
     while !chunk.is_empty() {
         let Some(([_, length @ ..], rest)) = chunk.split_first_chunk::<RECORD_HEAD>() else {
@@ -28,7 +28,7 @@ pub(super) fn attachment_fits(body: &[u8]) -> bool {
     checksum.is_some_and(|checksum| checksum.len() >= size_of::<u32>())
 }
 
-/// What follows a text and its length.
+/// Skips a length-prefixed text.
 fn after_text(bytes: &[u8]) -> Option<&[u8]> {
     let (length, rest) = bytes.split_first_chunk()?;
     rest.get(usize::try_from(u32::from_le_bytes(*length)).ok()?..)

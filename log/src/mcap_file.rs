@@ -1,4 +1,4 @@
-//! An MCAP file that only ever grows at its end: the `mcap` crate's writer with our settings.
+//! An append-only MCAP file: the `mcap` crate's writer with the settings of flight logs.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -9,24 +9,25 @@ use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use super::encoder::Times;
 
-/// A chunk is closed when it has grown beyond this. What a reader must hold in memory.
+/// Size at which a chunk is closed. A reader must hold one chunk in memory.
 const CHUNK_BYTES: u64 = 256 * 1024;
-/// A message costs about 0.4 us with zstd's level 1, and 0.5 us with LZ4, whose files are a third
-/// larger: the crate hands every field of a header to the compressor, which LZ4 takes worse.
+/// A message costs about 0.4 us with zstd at level 1 and 0.5 us with LZ4, whose files are a third
+/// larger. The crate passes every header field to the compressor separately, which costs LZ4 more.
 const COMPRESSION: Compression = Compression::Zstd;
 const COMPRESSION_LEVEL: u32 = 1;
 
-/// Writes an MCAP file. After an error it is of no more use; what was written can be read.
+/// Writes an MCAP file. After an error it cannot be used any more; the data before it remains
+/// readable.
 pub(super) struct McapFile<W: Write> {
     writer: Writer<NoSeek<W>>,
     channels: BTreeMap<u16, Written>,
     body: Vec<u8>,
 }
 
-/// What was written to a channel.
+/// State of a channel.
 #[derive(Clone, Copy, Debug, Default)]
 struct Written {
-    /// Messages, by which the next is numbered.
+    /// Number of messages, which is the next sequence number.
     messages: u32,
     /// The latest `publish_time`, ns.
     published: u64,
@@ -41,27 +42,27 @@ impl<W: Write> McapFile<W> {
             .compression_level(COMPRESSION_LEVEL)
             .compression_threads(0)
             .chunk_size(Some(CHUNK_BYTES))
-            // A chunk reaches the file whole, so that a crash leaves whole chunks.
+            // Writes a chunk at once, so a crash leaves whole chunks.
             .disable_seeking(true)
             .create(NoSeek::new(out))
             .map_err(as_io)?;
         Ok(Self { writer, channels: BTreeMap::new(), body: Vec::new() })
     }
 
-    /// Adds a channel of protobuf messages, and returns its number.
+    /// Adds a channel of protobuf messages and returns its id.
     pub fn add_channel(&mut self, topic: &str, schema: &str, descriptor: &[u8]) -> io::Result<u16> {
         const ENCODING: &str = "protobuf";
         let schema = self.writer.add_schema(schema, ENCODING, descriptor).map_err(as_io)?;
         self.writer.add_channel(schema, topic, ENCODING, &BTreeMap::new()).map_err(as_io)
     }
 
-    /// Adds named facts.
+    /// Adds a metadata record.
     pub fn add_metadata(&mut self, name: &str, facts: &BTreeMap<String, String>) -> io::Result<()> {
         let metadata = Metadata { name: name.into(), metadata: facts.clone() };
         self.writer.write_metadata(&metadata).map_err(as_io)
     }
 
-    /// Adds a file within the file, made at `time`.
+    /// Adds an attachment, created at `time`.
     pub fn attach(
         &mut self,
         time: u64,
@@ -79,11 +80,11 @@ impl<W: Write> McapFile<W> {
         self.writer.attach(&attachment).map_err(as_io)
     }
 
-    /// Adds a message, whose body `encode` appends. Its sequence number is that of the channel.
+    /// Adds a message, whose body `encode` appends. Sequence numbers count within the channel.
     ///
-    /// The vehicle's clock is estimated anew while it is flown, so that a later sample may map to an
-    /// earlier time. Readers (Rerun) take times that go back for damage: there `publish_time` stands
-    /// still, and the message bears the vehicle's own time.
+    /// The estimate of the vehicle's clock changes in flight, so a later sample may map to an
+    /// earlier time. Readers such as Rerun treat times that go back as damage. There `publish_time`
+    /// stays constant, and the message still has the vehicle's time.
     pub fn put(
         &mut self,
         channel: u16,
@@ -104,7 +105,7 @@ impl<W: Write> McapFile<W> {
         self.writer.write_to_known_channel(&header, &self.body).map_err(as_io)
     }
 
-    /// Hands everything to the system.
+    /// Closes the chunk and passes everything to the system.
     pub fn flush(&mut self) -> io::Result<()> {
         self.writer.flush().map_err(as_io)
     }
@@ -128,7 +129,7 @@ mod tests {
     use super::*;
     use message::clock::HostTime;
 
-    /// What the `mcap` crate finds in the file, by its index and by reading through.
+    /// Checks the file with the `mcap` crate, by index and sequentially.
     #[test]
     fn the_reference_implementation_reads_every_part() {
         let mut out = Vec::new();

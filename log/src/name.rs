@@ -2,8 +2,8 @@
 
 use message::clock::HostTime;
 
-/// `YYYY-MM-DDTHH-MM-SSZ_<vehicle>_<run>`, UTC, with only letters, digits, `-` and `.` from the
-/// two names.
+/// `YYYY-MM-DDTHH-MM-SSZ_<vehicle>_<run>`, UTC; of the two names, only letters, digits, `-` and `.`
+/// remain.
 pub(super) fn stem(start: HostTime, vehicle: &str, run: &str) -> String {
     let seconds = start.as_ns() / 1_000_000_000;
     let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
@@ -21,7 +21,7 @@ pub fn date(seconds: u64) -> String {
     format!("{year:04}-{month:02}-{day:02}")
 }
 
-/// `name` with every character that a file system or a shell could stumble over replaced.
+/// Replaces every character in `name` that could confuse a file system or a shell.
 pub(super) fn sanitised(name: &str) -> String {
     let kept = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '.');
     let name: String = name.chars().map(|c| if kept(c) { c } else { '-' }).take(64).collect();

@@ -1,27 +1,27 @@
-//! Files that come into being whole or not at all.
+//! Files that appear complete or not at all.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Files that are being written, for an end of the program that drops nothing.
+/// Files in progress, for an exit of the program that runs no destructors.
 static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// A file that takes its name once it is complete. Until then it is written beside it, and what
-/// had the name before stays; dropped unfinished, it is removed.
+/// A file that gets its name once it is complete. Until then it is a separate file next to the
+/// target, and an existing target stays. Dropping it unfinished removes it.
 pub struct PartialFile {
     out: BufWriter<File>,
     target: PathBuf,
-    /// `None` where the target is no regular file, such as a pipe, and is written to directly.
+    /// `None` if the target is not a regular file, such as a pipe, and is written directly.
     partial: Option<PathBuf>,
 }
 
 impl PartialFile {
-    /// Starts a file that is to be at `path`.
+    /// Starts a file with the final name `path`.
     ///
     /// # Errors
-    /// If it cannot be created.
+    /// The file cannot be created.
     pub fn create(path: &Path) -> io::Result<Self> {
         if is_special(path) {
             let out = BufWriter::new(File::create(path)?);
@@ -34,10 +34,10 @@ impl PartialFile {
         Ok(Self { out, target, partial: Some(partial) })
     }
 
-    /// Gives the complete file its name.
+    /// Flushes the file and renames it to its final name.
     ///
     /// # Errors
-    /// If its end cannot be written, or the name not be taken.
+    /// The file cannot be flushed or renamed.
     pub fn finish(mut self) -> io::Result<()> {
         self.out.flush()?;
         if let Some(partial) = &self.partial {
@@ -62,15 +62,14 @@ impl Write for PartialFile {
 impl Drop for PartialFile {
     fn drop(&mut self) {
         if let Some(partial) = &self.partial {
-            // What is there of it is of no use; that it cannot be removed changes nothing.
+            // The partial content is useless; a failure to remove it changes nothing.
             let _ = fs::remove_file(partial);
             forget(partial);
         }
     }
 }
 
-/// Removes what is there of files that are not finished. For the end of a program that does not
-/// come back to them.
+/// Removes unfinished files. For the exit of a program that does not return to them.
 pub fn discard_unfinished() {
     unfinished(|files| {
         for partial in files.drain(..) {
@@ -87,20 +86,20 @@ fn unfinished(change: impl FnOnce(&mut Vec<PathBuf>)) {
     change(&mut UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner));
 }
 
-/// Where a file that is to be at `path` is written until it is complete.
+/// Path of the partial file for the target `path`.
 pub fn partial_path(path: &Path) -> PathBuf {
     let mut partial = followed(path).into_os_string();
     partial.push(".part");
     partial.into()
 }
 
-/// Whether something is there that is no regular file, such as a pipe or a device: it is written
-/// into and never replaced.
+/// Whether `path` exists and is not a regular file, such as a pipe or a device. It is then written
+/// in place and never replaced.
 pub fn is_special(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|there| !there.is_file())
 }
 
-/// The file that `path` leads to, so that a link stays one.
+/// Resolves links in `path`, so that a link remains one.
 fn followed(path: &Path) -> PathBuf {
     path.canonicalize().unwrap_or_else(|_| path.to_owned())
 }

@@ -1,4 +1,4 @@
-//! Reads flight logs, also those that a crash cut short or a disk damaged.
+//! Reads flight logs, including truncated and damaged ones.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -13,21 +13,21 @@ use message::clock::HostTime;
 use super::lengths;
 use super::schema::Flat;
 
-/// No record of a flight log is longer, compressed or not; keeps a damaged length from asking for
-/// all of the memory.
+/// Length limit of a record, compressed or not. It prevents a damaged length from claiming all the
+/// memory.
 const RECORD_LEN_MAX: u64 = 64 << 20;
-/// Bytes that are packed in one, at most, beside one chunk of the largest size: logs of flights have
-/// two to twenty.
+/// Largest overall compression ratio, beyond one chunk of the largest size. Flight logs have 2 to
+/// 20.
 const PACKED_MAX: u64 = 200;
-/// Damages that are described; the rest are counted.
+/// Number of damages described; the rest are only counted.
 const DAMAGES_DESCRIBED: usize = 16;
-/// Opcode and length.
+/// Size of a record's opcode and length.
 const RECORD_HEAD: usize = 9;
 
-/// Why a log could not be read at all. Damage within a log is not an error: see [`Ending`].
+/// Why a log cannot be read at all. Damage within a log is not an error: see [`Ending`].
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// The file could not be opened.
+    /// The file cannot be opened.
     #[error("cannot open the log {}: {source}", path.display())]
     Open {
         /// The file.
@@ -35,7 +35,7 @@ pub enum ReadError {
         /// Why.
         source: io::Error,
     },
-    /// The file holds nothing.
+    /// The file is too short for a record.
     #[error(
         "the log {} holds nothing: {bytes} bytes; it was cut short before its first record",
         path.display()
@@ -43,56 +43,56 @@ pub enum ReadError {
     Empty {
         /// The file.
         path: PathBuf,
-        /// Its size.
+        /// Size of the file in bytes.
         bytes: u64,
     },
     /// Reading failed.
     #[error("cannot read the log: {0}")]
     Io(#[from] io::Error),
-    /// The file is something else.
+    /// The file is not an MCAP file.
     #[error("not an MCAP file: expected it to start with {:02x?}, found {found:02x?}", mcap::MAGIC)]
     NotMcap {
-        /// How it starts.
+        /// First bytes of the file.
         found: Vec<u8>,
     },
 }
 
-/// A topic with the type of its messages.
+/// A topic with its message type.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Channel {
-    /// Topic.
+    /// Name of the topic.
     pub topic: String,
-    /// Full name of the message's type, empty if the channel has none.
+    /// Full name of the message type; empty if the channel has no schema.
     pub schema: String,
-    /// How the schema is written: `protobuf`, `jsonschema`, ...
+    /// Encoding of the schema, such as `protobuf` or `jsonschema`.
     pub schema_encoding: String,
-    /// The schema itself.
+    /// Content of the schema.
     pub schema_data: Vec<u8>,
-    /// How messages are written.
+    /// Encoding of the messages, such as `protobuf`.
     pub message_encoding: String,
 }
 
-/// One message.
+/// One message of a log.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Message<'a> {
-    /// Its topic and type.
+    /// Topic and type of the message.
     pub channel: Arc<Channel>,
-    /// Host time.
+    /// Host time of the record.
     pub log_time: HostTime,
     /// Vehicle time of the sample, mapped to the host clock.
     pub publish_time: HostTime,
-    /// The body.
+    /// Encoded body.
     pub data: &'a [u8],
 }
 
 impl Message<'_> {
-    /// The message as `M`, or `None` if it is of another type or does not decode.
+    /// Decodes the message as `M`; `None` if it has a different type or does not decode.
     pub fn decode<M: Flat>(&self) -> Option<M> {
         (self.channel.schema == M::NAME).then(|| M::decode(self.data).ok()).flatten()
     }
 }
 
-/// A file inside the log.
+/// A file attached to the log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogAttachment {
     /// Name.
@@ -101,12 +101,12 @@ pub struct LogAttachment {
     pub data: Vec<u8>,
 }
 
-/// How a log ended, known once the last message is read.
+/// How a log ends, known once the last message is read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Ending {
     /// Whether the log was closed properly. A crash leaves it unfinished.
     pub finished: bool,
-    /// Parts that were damaged and left out, in words; at most 16.
+    /// Descriptions of damaged parts that were skipped; at most 16.
     pub damages: Vec<String>,
     /// Number of damaged parts.
     pub damaged: u64,
@@ -121,10 +121,10 @@ impl Ending {
     }
 }
 
-/// Reads messages in the order of the file, in memory bounded by one chunk.
+/// Reads messages in file order, in memory bounded by one chunk.
 ///
-/// A chunk whose checksum is wrong is left out whole, and reading goes on behind it. A log that
-/// ends anywhere yields everything up to its last whole chunk.
+/// It skips a chunk with a wrong checksum and continues after it. A truncated log yields everything
+/// up to its last whole chunk.
 pub struct LogReader<R> {
     source: R,
     offset: u64,
@@ -136,19 +136,19 @@ pub struct LogReader<R> {
     run: BTreeMap<String, String>,
     attachments: Vec<LogAttachment>,
     ending: Ending,
-    /// Bytes that were packed in the chunks until now, as they say.
+    /// Declared uncompressed size of the chunks so far, bytes.
     unpacked: u64,
     done: bool,
 }
 
-/// The chunk that is being read: its records are taken out of `LogReader::record`.
+/// The current chunk; its bytes are in `LogReader::record`.
 struct Chunk {
     reader: LinearReader,
     fed: usize,
     offset: u64,
 }
 
-/// Header of a message whose data lie in `LogReader::body`.
+/// Header of a message whose data is in `LogReader::body`.
 struct Head {
     channel: Arc<Channel>,
     log_time: u64,
@@ -159,7 +159,7 @@ impl LogReader<BufReader<File>> {
     /// Opens a log.
     ///
     /// # Errors
-    /// [`ReadError`] if the file cannot be read, holds nothing, or is no MCAP.
+    /// [`ReadError`] if the file cannot be read, is empty, or is not an MCAP file.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let file =
             File::open(path).map_err(|source| ReadError::Open { path: path.to_owned(), source })?;
@@ -172,11 +172,11 @@ impl LogReader<BufReader<File>> {
 }
 
 impl<R: Read> LogReader<R> {
-    /// Reads from `source`, which is best buffered.
+    /// Reads from `source`, which should be buffered.
     ///
     /// # Errors
-    /// [`ReadError::NotMcap`] unless `source` starts as an MCAP file does, or is cut off within
-    /// that start.
+    /// [`ReadError::NotMcap`] unless `source` starts with MCAP's magic bytes or is cut off within
+    /// them; [`ReadError::Io`].
     pub fn new(source: R) -> Result<Self, ReadError> {
         let mut reader = Self {
             source,
@@ -201,10 +201,10 @@ impl<R: Read> LogReader<R> {
         Ok(reader)
     }
 
-    /// The next message, or `None` at the end.
+    /// Returns the next message, or `None` at the end.
     ///
     /// # Errors
-    /// [`ReadError::Io`].
+    /// [`ReadError::Io`] if the source fails.
     pub fn next_message(&mut self) -> Result<Option<Message<'_>>, ReadError> {
         loop {
             let head = match self.chunk.take() {
@@ -229,22 +229,23 @@ impl<R: Read> LogReader<R> {
         }
     }
 
-    /// Facts about the run, from the metadata records `run` read so far, the later ones winning.
+    /// Facts about the run, from the metadata records `run` read so far. Later values override
+    /// earlier ones.
     pub fn run(&self) -> &BTreeMap<String, String> {
         &self.run
     }
 
-    /// Files inside the log, of those read so far.
+    /// Attachments read so far.
     pub fn attachments(&self) -> &[LogAttachment] {
         &self.attachments
     }
 
-    /// How the log ended. Final once [`LogReader::next_message`] has returned `None`.
+    /// How the log ends. Final once [`LogReader::next_message`] has returned `None`.
     pub fn ending(&self) -> &Ending {
         &self.ending
     }
 
-    /// Fills `buffer` as far as the source goes.
+    /// Fills `buffer` until it is full or the source ends.
     fn read_up_to(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let mut got = 0;
         while got < buffer.len() {
@@ -259,7 +260,7 @@ impl<R: Read> LogReader<R> {
         Ok(got)
     }
 
-    /// Reads one record of the file's top level.
+    /// Reads one top-level record of the file.
     fn next_record(&mut self) -> Result<Option<Head>, ReadError> {
         let offset = self.offset;
         let mut head = [0; RECORD_HEAD];
@@ -273,7 +274,7 @@ impl<R: Read> LogReader<R> {
             opcode,
             op::CHUNK | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA | op::ATTACHMENT
         );
-        // The buffer grows with what is there, not with what the length claims.
+        // The buffer grows with the data read, not with the claimed length.
         self.record.clear();
         self.record.extend_from_slice(&head);
         let got = if wanted && length <= RECORD_LEN_MAX {
@@ -319,9 +320,8 @@ impl<R: Read> LogReader<R> {
         }
     }
 
-    /// Why the chunk in `record` cannot be handed on. A compressed one's records come in time, as
-    /// many bytes as it says; so that a file costs no more than its length may, it must not say too
-    /// many.
+    /// Checks the chunk in `record` before decoding. The declared size of a compressed chunk bounds
+    /// what decompression yields, so it must be in proportion to the file's length.
     fn check_chunk(&mut self) -> Result<(), &'static str> {
         let chunk = mcap::parse_record(op::CHUNK, &self.record[RECORD_HEAD..]);
         let Ok(Record::Chunk { header, data }) = chunk else { return Ok(()) };
@@ -338,7 +338,7 @@ impl<R: Read> LogReader<R> {
         Ok(())
     }
 
-    /// Reads past the summary, which repeats what was read, to see whether the file is complete.
+    /// Skips the summary, which repeats earlier records, to check whether the file is complete.
     fn finish(&mut self) -> Result<(), ReadError> {
         self.done = true;
         let mut head = [0; RECORD_HEAD];
@@ -359,7 +359,7 @@ impl<R: Read> LogReader<R> {
         Ok(())
     }
 
-    /// The next message of `chunk`; `None` at its end or where it is damaged.
+    /// The next message of `chunk`; `None` at its end or at damage.
     fn next_in_chunk(&mut self, chunk: &mut Chunk) -> Option<Head> {
         let record = std::mem::take(&mut self.record);
         let head = loop {
@@ -387,7 +387,7 @@ impl<R: Read> LogReader<R> {
         head
     }
 
-    /// Takes in a record; `Some` if it is a message.
+    /// Processes a record; returns `Some` if it is a message.
     fn accept(&mut self, opcode: u8, data: &[u8], offset: u64) -> Option<Head> {
         if opcode == op::ATTACHMENT && !lengths::attachment_fits(data) {
             self.ending.damage(format!("attachment at byte {offset}: longer than its record"));

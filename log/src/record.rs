@@ -1,4 +1,5 @@
-//! What may be logged. The log knows states and setpoints, never who computed them.
+//! The records of a log. They hold states and setpoints, independent of the code that computes
+//! them.
 
 use std::collections::BTreeMap;
 
@@ -8,36 +9,36 @@ use wire::framing::Frame;
 use message::clock::{HostTime, VehicleTime};
 use message::setpoint::{Reference, Setpoint, State};
 
-/// One thing to log.
+/// One record of a log.
 ///
-/// The largest variants are about half a kilobyte and are stored inline, so that handing a record
-/// to the writer's thread allocates nothing.
+/// The largest variants are about half a kilobyte and stored inline, so passing a record to the
+/// writer's thread allocates nothing.
 #[derive(Clone, Debug)]
 #[allow(clippy::large_enum_variant)]
 pub enum Record {
-    /// A MAVLink frame as it was on the wire.
+    /// A MAVLink frame as sent or received.
     Frame(FrameRecord),
     /// One control tick.
     Tick(Tick),
     /// Accelerometer and gyro.
     Imu {
-        /// When.
+        /// Times of the record.
         stamp: Stamp,
         /// Specific force, m/s^2; (0, 0, -g) at hover.
         specific_force: Frd,
         /// Body rate, rad/s.
         body_rate: Frd,
     },
-    /// Motor outputs in the vehicle's own unit.
+    /// Motor outputs in the vehicle's unit.
     Motors {
-        /// When.
+        /// Times of the record.
         stamp: Stamp,
         /// Outputs 1 to 4.
         outputs: [f32; 4],
     },
-    /// The battery, each value where known.
+    /// Battery values, as far as known.
     Battery {
-        /// When.
+        /// Times of the record.
         stamp: Stamp,
         /// Pack voltage, V.
         voltage: Option<f64>,
@@ -48,50 +49,51 @@ pub enum Record {
     },
     /// Counters of the link.
     Link {
-        /// When they were read.
+        /// Time of the reading.
         host: HostTime,
         /// The counters.
         stats: LinkStats,
     },
     /// One exchange of TIMESYNC.
     Timesync {
-        /// When the answer came.
+        /// Time of the reply.
         host: HostTime,
-        /// What it said.
+        /// Result of the exchange.
         sample: TimesyncSample,
     },
-    /// A line for people: STATUSTEXT, or the daemon's own.
+    /// A line for people: a STATUSTEXT or an event of the daemon.
     Event {
-        /// When.
+        /// Times of the record.
         host: HostTime,
-        /// How grave.
+        /// Severity of the event.
         severity: Severity,
-        /// Who says so.
+        /// Origin of the event.
         source: Source,
-        /// The line.
+        /// Text of the event.
         text: String,
     },
     /// The simulator's true state.
     Truth {
-        /// When.
+        /// Times of the record.
         stamp: Stamp,
-        /// The truth.
+        /// True state and loads.
         truth: Truth,
     },
-    /// Facts about the run that were learned after the log was opened, such as the firmware's
+    /// Facts about the run that became known after the log was opened, such as the firmware's
     /// version. They add to the metadata record `run`.
     Facts(Box<BTreeMap<String, String>>),
-    /// A flight begins, at this time: a sink that keeps one log a flight opens one.
+    /// A flight begins at this time. A sink with one log per flight opens a log.
     FlightBegins(HostTime),
-    /// The flight is over.
+    /// The flight ends.
     FlightEnds,
 }
 
-/// Keys of [`Record::Facts`] that are the vehicle's parameters begin so; their names follow.
+/// Prefix of the keys in [`Record::Facts`] that hold vehicle parameters; the parameter's name
+/// follows.
 pub const PARAMETER_FACT: &str = "parameter.";
 
 impl Record {
-    /// The stamp of a record that is a sample of the vehicle's.
+    /// The stamp, if the record is a sample from the vehicle.
     pub fn stamp_mut(&mut self) -> Option<&mut Stamp> {
         match self {
             Self::Tick(Tick { stamp, .. })
@@ -104,61 +106,62 @@ impl Record {
     }
 }
 
-/// When a sample was taken and when it was logged.
+/// Sample time and log time of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stamp {
     /// Host time of arrival; the message's `log_time`.
     pub host: HostTime,
-    /// The vehicle's own time of the sample, where it has one.
+    /// Time of the sample on the vehicle's clock, if known.
     pub vehicle: Option<VehicleTime>,
-    /// The vehicle's time mapped to the host clock; the message's `publish_time`.
+    /// Time of the sample mapped to the host clock; the message's `publish_time`.
     pub sampled: HostTime,
 }
 
 impl Stamp {
-    /// A stamp of something that the vehicle did not stamp.
+    /// A stamp without a vehicle time.
     pub fn host(host: HostTime) -> Self {
         Self { host, vehicle: None, sampled: host }
     }
 
-    /// A stamp of a sample taken at `vehicle`, which is `sampled` on the host clock.
+    /// A stamp of a sample taken at `vehicle` on the vehicle's clock and `sampled` on the host
+    /// clock.
     pub fn new(host: HostTime, vehicle: VehicleTime, sampled: HostTime) -> Self {
         Self { host, vehicle: Some(vehicle), sampled }
     }
 
-    /// Microseconds of the vehicle's clock, 0 where the vehicle did not stamp the sample.
+    /// Vehicle time in microseconds; 0 if unknown.
     pub fn vehicle_time_us(&self) -> u64 {
         self.vehicle.map_or(0, |t| t.as_us())
     }
 }
 
-/// One control tick: what was known, wanted and sent.
+/// One control tick: state, reference, feedback and setpoint.
 #[derive(Clone, Copy, Debug)]
 pub struct Tick {
-    /// Time of the tick, and of the state's sample.
+    /// Times of the tick and of the state's sample.
     pub stamp: Stamp,
     /// The state that the tick used.
     pub state: State,
-    /// The point of the reference, if there is one to follow.
+    /// The point on the reference, if the tick tracks one.
     pub reference: Option<Reference>,
-    /// Where the vehicle is wanted, if that is known.
+    /// Desired position, m; replaces the reference's position in the error.
     pub desired: Option<Ned>,
-    /// The feedback's share of `u_hat`: what it adds to the reference's feed-forward.
+    /// The feedback's part of `u_hat`, which adds to the reference's feed-forward.
     pub feedback: Setpoint,
-    /// What was sent, after limits; `None` if the tick sent nothing.
+    /// The setpoint sent, after limits; `None` if the tick sent none.
     pub setpoint: Option<Setpoint>,
-    /// Which components of the setpoint a limit cut, one bit each in the order thrust, roll,
-    /// pitch, yaw, roll rate, pitch rate, yaw rate; bit 7 says that the position error was cut.
+    /// Components of the setpoint that a limit clipped, one bit each in the order thrust, roll,
+    /// pitch, yaw, roll rate, pitch rate, yaw rate. Bit 7: the position error was clipped.
     pub saturation: u32,
     /// Name of the flight state.
     pub phase: &'static str,
-    /// Time along the trajectory in s; `None` while none is being flown.
+    /// Time along the trajectory in s; `None` while no trajectory is flown.
     pub trajectory_time: Option<f64>,
     /// Age of the state's sample when the tick ran, s.
     pub sample_age: f64,
 }
 
-/// Counters of the link; rates are over the last reporting period, counts since the start.
+/// Counters of the link. Rates cover the last reporting period; counts start at the link's start.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LinkStats {
     /// Frames received, 1/s.
@@ -175,23 +178,23 @@ pub struct LinkStats {
     pub position_hz: f64,
     /// ODOMETRY, 1/s.
     pub odometry_hz: f64,
-    /// Frames whose checksum was wrong.
+    /// Frames with a wrong checksum.
     pub crc_errors: u64,
-    /// Frames missing from the vehicle's sequence numbers, less those that came late.
+    /// Gaps in the vehicle's sequence numbers, less frames that arrived late.
     pub lost_frames: u64,
-    /// Frames of a message that the dialect does not have.
+    /// Frames with a message id that the dialect lacks.
     pub unknown_frames: u64,
-    /// Bytes that belonged to no frame.
+    /// Bytes outside frames.
     pub unframed_bytes: u64,
     /// Frames of other systems and components.
     pub foreign_frames: u64,
-    /// Frames with the vehicle's ids that came another way than the vehicle's.
+    /// Frames with the vehicle's ids from a different peer.
     pub stray_frames: u64,
-    /// Frames of the vehicle whose content could not be true.
+    /// Frames of the vehicle with impossible content.
     pub refused_frames: u64,
-    /// Frames to the vehicle, or to all, that the transport did not take.
+    /// Frames to the vehicle, or broadcast, that the transport dropped.
     pub dropped_frames: u64,
-    /// Times the link was opened again.
+    /// Number of times the link was reopened.
     pub reconnects: u64,
     /// Latest round trip of TIMESYNC, s; NaN before the first.
     pub rtt_s: f64,
@@ -204,7 +207,7 @@ pub struct LinkStats {
 pub struct TimesyncSample {
     /// Round trip, s.
     pub rtt_s: f64,
-    /// Vehicle clock minus host clock by this exchange alone, s.
+    /// Vehicle clock minus host clock from this exchange alone, s.
     pub measured_offset_s: f64,
     /// The estimate after this exchange, s.
     pub offset_s: f64,
@@ -212,7 +215,7 @@ pub struct TimesyncSample {
     pub accepted: bool,
 }
 
-/// MAV_SEVERITY.
+/// MAVLink's MAV_SEVERITY.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 #[allow(missing_docs)]
@@ -228,7 +231,7 @@ pub enum Severity {
 }
 
 impl From<u8> for Severity {
-    /// The severity of a STATUSTEXT; numbers beyond the enumeration are [`Severity::Debug`].
+    /// Converts the severity of a STATUSTEXT; unknown numbers become [`Severity::Debug`].
     fn from(severity: u8) -> Self {
         use Severity::*;
         [Emergency, Alert, Critical, Error, Warning, Notice, Info]
@@ -238,10 +241,10 @@ impl From<u8> for Severity {
     }
 }
 
-/// Who wrote an event.
+/// Origin of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// The vehicle, by STATUSTEXT.
+    /// The vehicle, in a STATUSTEXT.
     Vehicle,
     /// This program.
     Daemon,
@@ -257,7 +260,7 @@ impl Source {
     }
 }
 
-/// What the simulator knows and no sensor says.
+/// The simulator's ground truth, which no sensor reports.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Truth {
     /// True state.
@@ -270,7 +273,7 @@ pub struct Truth {
     pub rotor_thrust: [f64; 4],
 }
 
-/// Which way a frame went.
+/// Direction of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// From the vehicle.
@@ -285,9 +288,9 @@ const FRAME_LEN_MAX: usize = 283;
 /// A MAVLink frame with its header's fields, stored inline.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameRecord {
-    /// Which way it went.
+    /// Direction of the frame.
     pub direction: Direction,
-    /// When it came or went.
+    /// Host time of reception or sending.
     pub host: HostTime,
     /// MAVLink message id.
     pub message_id: u32,
@@ -302,7 +305,7 @@ pub struct FrameRecord {
 }
 
 impl FrameRecord {
-    /// A frame that the decoder found.
+    /// Records a frame from the decoder.
     pub fn new(direction: Direction, host: HostTime, frame: &Frame) -> Self {
         let mut record = Self {
             direction,
@@ -318,9 +321,9 @@ impl FrameRecord {
         record
     }
 
-    /// A frame as this program encoded it, with an 8-bit system id.
+    /// Records a frame that this program encoded, with an 8-bit system id.
     ///
-    /// Returns `None` if `bytes` is not one whole MAVLink frame by its marker and length.
+    /// Returns `None` if `bytes` is not one whole MAVLink frame according to its marker and length.
     pub fn from_bytes(direction: Direction, host: HostTime, bytes: &[u8]) -> Option<Self> {
         let (message_id, header, len) = match *bytes {
             [0xFD, payload, incompat, _, sequence, system, component, a, b, c, ..] => {
@@ -351,7 +354,7 @@ impl FrameRecord {
         Some(record)
     }
 
-    /// The whole frame.
+    /// The whole frame, as sent or received.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes[..usize::from(self.len)]
     }

@@ -1,7 +1,7 @@
-//! The project's own flat protobuf messages.
+//! downwash's flat protobuf messages.
 //!
-//! Names and numbers of fields are a contract with every log ever written: fields are added at
-//! the end, never renumbered. Units are in the names. World is NED, body is FRD.
+//! Field names and numbers are a contract with every existing log: new fields go to the end, and
+//! numbers never change. Names carry units. The world frame is NED, the body frame FRD.
 
 mod conversion;
 
@@ -20,12 +20,12 @@ pub struct Field {
 }
 
 impl Field {
-    /// Its name, with the unit.
+    /// The field's name, with its unit.
     pub fn name(&self) -> &'static str {
         self.name
     }
 
-    /// Its type as protobuf calls it.
+    /// The field's protobuf type.
     pub fn kind(&self) -> &'static str {
         match self.kind {
             Type::Double => "double",
@@ -38,7 +38,7 @@ impl Field {
     }
 }
 
-/// A message of scalars, with its name and fields.
+/// A protobuf message whose fields are all scalars.
 pub trait Flat: Message + Default {
     /// Full protobuf name.
     const NAME: &'static str;
@@ -46,7 +46,7 @@ pub trait Flat: Message + Default {
     const FIELDS: &'static [Field];
 }
 
-/// The serialised `FileDescriptorSet` of `M`, as MCAP's schema records hold it.
+/// The serialised `FileDescriptorSet` of `M`, as MCAP schema records require.
 pub fn descriptor<M: Flat>() -> Vec<u8> {
     let (package, name) = M::NAME.split_once('.').unwrap_or(("", M::NAME));
     let field = |field: &Field| FieldDescriptorProto {
@@ -107,7 +107,7 @@ macro_rules! proto_type {
     };
 }
 
-/// Declares a message once: the struct that prost encodes, and the fields of its descriptor.
+/// Declares a message once, as the struct that prost encodes and as the fields of its descriptor.
 macro_rules! flat_messages {
     ($($(#[doc = $about:literal])* $name:ident = $full:literal { $($kind:ident $field:ident = $tag:tt;)* })*) => {$(
         $(#[doc = $about])*
@@ -125,7 +125,7 @@ macro_rules! flat_messages {
         }
     )*
 
-        /// Each of these messages: its name, what its topic and it are, and its fields.
+        /// Each of these messages: its name, its documentation with the topic, and its fields.
         pub const MESSAGES: &[(&str, &str, &[Field])] =
             &[$(($full, concat!($($about),*), $name::FIELDS),)*];
     };
@@ -153,7 +153,7 @@ flat_messages! {
         double r_radps = 17;
     }
 
-    /// `/reference`: the point of the trajectory that is tracked.
+    /// `/reference`: the point of the trajectory that the controller tracks.
     ReferenceMessage = "downwash.Reference" {
         double trajectory_time_s = 1;
         double p_n_m = 2;
@@ -170,7 +170,7 @@ flat_messages! {
         double r_radps = 13;
     }
 
-    /// `/setpoint`: what was sent.
+    /// `/setpoint`: the setpoint as sent.
     SetpointMessage = "downwash.Setpoint" {
         double thrust_n = 1;
         double roll_rad = 2;
@@ -181,9 +181,9 @@ flat_messages! {
         double r_radps = 7;
     }
 
-    /// `/control`: how the setpoint came about. Errors are state minus reference; where the
-    /// reference is planned anew in flight, state minus the trajectory that it leads to.
-    /// `saturation` has one bit for each component of the setpoint, in the setpoint's order.
+    /// `/control`: the parts of the setpoint. Errors are state minus reference; where the reference
+    /// is replanned in flight, state minus the trajectory that it leads to. `saturation` has one
+    /// bit for each component of the setpoint, in the setpoint's order.
     ControlMessage = "downwash.Control" {
         string phase = 1;
         double trajectory_time_s = 2;
@@ -221,7 +221,7 @@ flat_messages! {
         double r_radps = 7;
     }
 
-    /// `/actuators`: motor outputs in the vehicle's own unit.
+    /// `/actuators`: motor outputs in the vehicle's unit.
     ActuatorsMessage = "downwash.Actuators" {
         uint64 vehicle_time_us = 1;
         double output_1 = 2;
@@ -267,7 +267,7 @@ flat_messages! {
         bool accepted = 4;
     }
 
-    /// `/sim/truth`: what the simulator knows and no sensor says.
+    /// `/sim/truth`: the simulator's ground truth.
     TruthMessage = "downwash.Truth" {
         uint64 vehicle_time_us = 1;
         double p_n_m = 2;
@@ -295,8 +295,8 @@ flat_messages! {
         double rotor_4_n = 24;
     }
 
-    /// `/status`: where the flight stands, ten times a second; of the live view only. What is not
-    /// known is empty or NaN.
+    /// `/status`: status of the flight at 10 Hz, in the live view only. Unknown values are empty or
+    /// NaN.
     StatusMessage = "downwash.Status" {
         string link = 1;
         string vehicle = 2;
@@ -312,8 +312,8 @@ flat_messages! {
         double rtt_s = 12;
     }
 
-    /// `/flight/attitude` of an imported log: body to world. As in all of `/flight`, `time_s` is
-    /// the flight's own clock, and each stream keeps its rate.
+    /// `/flight/attitude` of an imported log: body to world. As in all of `/flight`, `time_s` is on
+    /// the flight's clock, and each stream keeps its rate.
     AttitudeSample = "downwash.AttitudeSample" {
         double time_s = 1;
         double q_w = 2;
@@ -372,7 +372,7 @@ flat_messages! {
         double rotor_4_radps = 5;
     }
 
-    /// `/flight/setpoint`: what the ground asked for; parts that it did not ask for are NaN.
+    /// `/flight/setpoint`: setpoints from the ground; parts that they leave out are NaN.
     AttitudeSetpointSample = "downwash.AttitudeSetpointSample" {
         double time_s = 1;
         double q_w = 2;
@@ -385,7 +385,8 @@ flat_messages! {
         double thrust_ratio = 9;
     }
 
-    /// `/flight/setpoints_missing`: how many the log lacks before the setpoint of this time.
+    /// `/flight/setpoints_missing`: number of setpoints that the log lacks before the one at this
+    /// time.
     SetpointsMissingSample = "downwash.SetpointsMissingSample" {
         double time_s = 1;
         uint32 missing = 2;
@@ -403,13 +404,13 @@ flat_messages! {
         bool in_air = 2;
     }
 
-    /// `/flight/row`: times of the rows of the table that the flight was.
+    /// `/flight/row`: times of the rows of the imported table.
     RowSample = "downwash.RowSample" {
         double time_s = 1;
     }
 }
 
-/// `/mavlink/rx` and `/mavlink/tx`: one frame, header's fields and the bytes on the wire.
+/// `/mavlink/rx` and `/mavlink/tx`: one frame, with its header fields and its bytes on the wire.
 #[derive(Clone, PartialEq, prost::Message)]
 #[allow(missing_docs)]
 pub struct MavlinkFrameMessage {

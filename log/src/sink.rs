@@ -1,5 +1,5 @@
-//! Where records go in flight: to a thread that writes them. In lockstep the [`LogWriter`] is used
-//! as it is.
+//! The sink of records in flight: a thread that writes them. In lockstep, [`LogWriter`] is used
+//! directly.
 
 use std::io;
 use std::sync::Arc;
@@ -14,52 +14,52 @@ use super::flights::{FlightLogs, OpenLog};
 use super::record::{Record, Severity, Source, Tick};
 use super::writer::{LogError, LogSummary, LogWriter};
 
-/// Records that wait for the writer's thread: two seconds' worth at the busiest, as a slow card
-/// may take to sync.
+/// Capacity of the queue to the writer's thread: two seconds at the highest rate, the time that a
+/// slow card may take to sync.
 const QUEUE: usize = 8192;
-/// How often the writer's thread empties the queue. It sleeps in between rather than wait on the
-/// channel, so that sending a record never has to wake a thread.
+/// Period at which the writer's thread drains the queue. It sleeps in between instead of waiting on
+/// the channel, so sending a record never wakes a thread.
 const DRAIN_PERIOD: Duration = Duration::from_millis(20);
 
-/// Hears every record in the thread that writes the log, before the log does: a live view, a link
-/// to others. It must not wait for anybody.
+/// Receives every record in the writer's thread, before the log: a live view, or a link to others.
+/// It must not block.
 pub trait Listener: Send {
-    /// Hears one record.
+    /// Receives one record.
     fn hear(&mut self, record: &Record);
 
-    /// What it has to say for the log, once.
+    /// Takes a record that the listener adds to the log, if any.
     fn remark(&mut self) -> Option<Record> {
         None
     }
 }
 
-/// All that hear the records of a run.
+/// All listeners of a run.
 pub type Listeners = Vec<Box<dyn Listener>>;
 
-/// Takes records and never fails: after an error of the file, which is reported once, records are
-/// discarded and flying goes on.
+/// Accepts records and never fails. After a file error, which it reports once, it discards records
+/// and the flight continues.
 pub struct LogSink {
     queue: SyncSender<Record>,
-    /// Counted here, read by the writer's thread.
+    /// Records dropped; incremented here, read by the writer's thread.
     dropped: Arc<AtomicU64>,
-    /// Counted by the writer's thread.
+    /// Failed logs; incremented by the writer's thread.
     failures: Arc<AtomicU64>,
     thread: JoinHandle<Result<Option<LogSummary>, LogError>>,
 }
 
-/// What the writer's thread writes to.
+/// Destination of the writer's thread.
 enum Target {
     One(Box<LogWriter>),
     PerFlight(Box<FlightLogs>),
 }
 
 impl LogSink {
-    /// Writes in a thread of its own; [`LogSink::log`] then takes less than a microsecond and
-    /// never blocks. A record that finds the queue full is dropped, counted, and the log says so.
-    /// `listeners` hear all records, also after the file has failed.
+    /// Writes in a separate thread; [`LogSink::log`] then takes less than a microsecond and never
+    /// blocks. If the queue is full, it drops and counts the record, and the log reports it.
+    /// `listeners` receive all records that pass the queue, even after the file has failed.
     ///
     /// # Errors
-    /// [`LogError::Create`] if the system gives no thread.
+    /// [`LogError::Create`] if the thread cannot be started.
     pub fn threaded(writer: LogWriter, listeners: Listeners) -> Result<Self, LogError> {
         let path = writer.path().to_owned();
         Self::spawn(Target::One(Box::new(writer)), listeners)
@@ -70,7 +70,7 @@ impl LogSink {
     /// [`Record::FlightEnds`], opened by `open` in the writer's thread.
     ///
     /// # Errors
-    /// If the system gives no thread.
+    /// The thread cannot be started.
     pub fn per_flight(open: OpenLog, listeners: Listeners) -> io::Result<Self> {
         Self::spawn(Target::PerFlight(Box::new(FlightLogs::new(open))), listeners)
     }
@@ -87,10 +87,10 @@ impl LogSink {
         Ok(Self { queue, dropped, failures, thread })
     }
 
-    /// Hands over `record`.
+    /// Queues `record`, or drops it if the queue is full.
     pub fn log(&mut self, record: Record) {
         match self.queue.try_send(record) {
-            // The thread ends early only after an error that it has reported.
+            // The thread ends early only after reporting an error.
             Ok(()) | Err(TrySendError::Disconnected(_)) => {}
             Err(TrySendError::Full(_)) => {
                 self.dropped.fetch_add(1, Ordering::Relaxed);
@@ -98,20 +98,21 @@ impl LogSink {
         }
     }
 
-    /// Records dropped so far because the queue was full.
+    /// Number of records dropped so far because the queue was full.
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Logs that ended by an error so far.
+    /// Number of logs that have failed so far.
     pub fn failures(&self) -> u64 {
         self.failures.load(Ordering::Relaxed)
     }
 
-    /// Writes what is left and closes the file; `None` if there was no flight to keep a log of.
+    /// Writes the remaining records and closes the file. Returns `None` if there was no flight to
+    /// log.
     ///
     /// # Errors
-    /// The error that ended the log, now or earlier.
+    /// The error that ended the log.
     pub fn finish(self) -> Result<Option<LogSummary>, LogError> {
         let Self { queue, dropped, thread, .. } = self;
         drop(queue);
@@ -131,7 +132,8 @@ fn report(error: &LogError, failures: &AtomicU64) {
 }
 
 impl Target {
-    /// An error ends a single log for good; the next flight gets a new one.
+    /// An error ends a single log for good; with one log per flight, the next flight gets a new
+    /// one.
     fn write(&mut self, record: Record, failures: &AtomicU64) -> Result<(), LogError> {
         match self {
             Self::One(writer) => writer.write(&record),
@@ -166,7 +168,7 @@ impl Target {
     }
 }
 
-/// The writer's thread: until the sink is gone.
+/// Body of the writer's thread; runs until the sink is dropped.
 fn drain(
     target: Target,
     mut listeners: Listeners,
@@ -203,7 +205,7 @@ fn drain(
             step(&mut file, failures, |target| target.write(record, failures));
         }
         step(&mut file, failures, |target| target.sync_if_due(Instant::now(), failures));
-        // Nobody hears what is not written any more.
+        // Without file and listeners, nothing receives the records.
         if !is_open || (file.is_err() && listeners.is_empty()) {
             break;
         }
@@ -212,7 +214,7 @@ fn drain(
     file?.finish()
 }
 
-/// Does something to the file, unless it has failed before.
+/// Applies an action to the file, unless it has already failed.
 fn step(
     file: &mut Result<Target, LogError>,
     failures: &AtomicU64,
@@ -251,7 +253,7 @@ mod tests {
     use std::io::pipe;
     use std::os::fd::OwnedFd;
 
-    /// A log on a pipe that breaks after the preamble, as a disk does when it is full.
+    /// A log on a pipe that breaks after the preamble, like a full disk.
     fn failing_writer() -> LogWriter {
         let (reader, writer) = pipe().expect("a pipe");
         let file = File::from(OwnedFd::from(writer));
@@ -262,7 +264,7 @@ mod tests {
         writer
     }
 
-    /// Metadata, which goes to the file at once, and is larger than the file's buffer.
+    /// Metadata, which is written at once and exceeds the file's buffer.
     fn record() -> Record {
         Record::Facts(Box::new(BTreeMap::from([("key".into(), "x".repeat(20_000))])))
     }

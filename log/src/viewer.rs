@@ -1,4 +1,4 @@
-//! Well-known foxglove messages for 3D views. The only place with a viewer's frames: world ENU
+//! Well-known foxglove messages for 3D views. Only this module uses a viewer's frames: world ENU
 //! (`map`), body FLU (`base_link`).
 
 use foxglove::messages::{
@@ -10,11 +10,11 @@ use vehicle::frame::{Attitude, Frd, Ned};
 
 use super::record::{Severity, Source};
 
-/// Viewer's world frame: east, north, up; origin as the vehicle's local frame.
+/// The viewer's world frame: east, north, up, with the origin of the vehicle's local frame.
 pub(super) const MAP: &str = "map";
-/// The vehicle: front, left, up.
+/// The vehicle's body frame: front, left, up.
 pub(super) const BASE_LINK: &str = "base_link";
-/// The reference: front, left, up.
+/// The reference's body frame: front, left, up.
 pub(super) const BASE_LINK_REF: &str = "base_link_ref";
 
 /// A body's pose in the viewer's frames.
@@ -29,14 +29,14 @@ impl ViewerPose {
         Self { position: enu(position), orientation: enu_flu(attitude) }
     }
 
-    /// The pose as `parent` -> `child`, written over `message`.
+    /// Writes the pose to `message` as a transform from parent to child.
     pub(super) fn to_transform(&self, time: HostTime, message: &mut FrameTransform) {
         message.timestamp = Some(timestamp(time));
         message.translation = Some(self.position);
         message.rotation = Some(self.orientation);
     }
 
-    /// The pose in [`MAP`], written over `message`.
+    /// Writes the pose in [`MAP`] to `message`.
     pub(super) fn to_pose(&self, time: HostTime, message: &mut PoseInFrame) {
         message.timestamp = Some(timestamp(time));
         message.pose =
@@ -54,8 +54,8 @@ fn flu(v: Frd) -> Vector3 {
     Vector3 { x: v.front(), y: -v.right(), z: -v.down() }
 }
 
-/// `q_enu_flu = (0, sqrt(1/2), sqrt(1/2), 0) * q_ned_frd * (0, 1, 0, 0)` in w, x, y, z: the body
-/// turned from FLU to FRD, then to NED, then to ENU; w >= 0.
+/// `q_enu_flu = (0, sqrt(1/2), sqrt(1/2), 0) * q_ned_frd * (0, 1, 0, 0)` in w, x, y, z: from FLU to
+/// FRD, then to NED, then to ENU; w >= 0.
 fn enu_flu(attitude: Attitude) -> Quaternion {
     use std::f64::consts::FRAC_1_SQRT_2;
     let enu_from_ned = Attitude { w: 0.0, x: FRAC_1_SQRT_2, y: FRAC_1_SQRT_2, z: 0.0 };
@@ -87,9 +87,9 @@ pub(super) fn log_message(time: HostTime, severity: Severity, source: Source, te
     }
 }
 
-/// The vehicle and, translucent, the reference: a body, a nose and a disc for each rotor.
+/// The vehicle and a translucent reference, each with a body, a nose and a disc for each rotor.
 ///
-/// `rotors`: their positions in body axes, m.
+/// `rotors` are their positions in body axes, m.
 pub(super) fn scene(time: HostTime, rotors: &[Frd]) -> SceneUpdate {
     let reach = rotors.iter().map(|r| r.norm()).fold(0.0, f64::max).max(0.02);
     let entity = |frame: &str, alpha: f64| {
@@ -130,7 +130,7 @@ pub(super) fn scene(time: HostTime, rotors: &[Frd]) -> SceneUpdate {
     }
 }
 
-/// A line through `points`, `width` pixels wide; it takes the place of an earlier one of this `id`.
+/// A line through `points`, `width` pixels wide; it replaces an earlier line with the same `id`.
 pub fn line(
     time: HostTime,
     id: &str,

@@ -18,7 +18,7 @@ use super::record::Record;
 /// Version of topics, schemas and units, in the metadata record `run`.
 pub const LOG_VERSION: &str = "1";
 
-/// What the log says about the run it belongs to.
+/// Metadata of a run.
 #[derive(Clone, Debug, Default)]
 pub struct RunInfo {
     /// Name of the vehicle; part of the file's name.
@@ -27,23 +27,23 @@ pub struct RunInfo {
     pub run: String,
     /// This program's version.
     pub tool_version: String,
-    /// Revision of its source, where known.
+    /// Git revision of this program, if known.
     pub git_revision: Option<String>,
-    /// Whether this program simulates the vehicle itself, in lockstep.
+    /// Whether this program simulates the vehicle in lockstep.
     pub simulated: bool,
     /// Seed of the simulation.
     pub seed: Option<u64>,
-    /// What the vehicle says it runs.
+    /// The vehicle's autopilot, as it reports it.
     pub autopilot: Option<String>,
     /// MAVLink dialect of the frames.
     pub dialect: String,
     /// The resolved configuration, as TOML.
     pub config: String,
-    /// The vehicle file's name and text.
+    /// Name and content of the vehicle file.
     pub vehicle_file: Option<(String, String)>,
-    /// Rotor positions in body axes, m, for the 3D view; none: no shape is drawn.
+    /// Rotor positions in body axes, m, for the 3D view. Without them, no shape is drawn.
     pub rotors: Vec<Frd>,
-    /// Anything else worth knowing.
+    /// Further metadata by key.
     pub extra: BTreeMap<String, String>,
 }
 
@@ -58,7 +58,7 @@ impl RunInfo {
         put("tool_version", &self.tool_version);
         put("vehicle", &self.vehicle);
         put("run", &self.run);
-        // Over a link a simulated vehicle looks like a real one.
+        // Over a link, a simulated vehicle looks like a real one.
         put("source", if self.simulated { "sim" } else { "link" });
         put("dialect", &self.dialect);
         if let Some(revision) = &self.git_revision {
@@ -74,10 +74,10 @@ impl RunInfo {
     }
 }
 
-/// Why a log could not be opened or written.
+/// Why a log cannot be opened or written.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
-    /// The directory or the file could not be made.
+    /// The directory or the file cannot be created.
     #[error("cannot create the log {}: {source}; choose another folder", path.display())]
     Create {
         /// The file or directory.
@@ -85,7 +85,7 @@ pub enum LogError {
         /// Why.
         source: io::Error,
     },
-    /// A write failed, as on a full disk. Nothing more is written to this log.
+    /// A write failed, as on a full disk. The log accepts no more data.
     #[error("cannot write the log {}: {source}", path.display())]
     Write {
         /// The file.
@@ -95,30 +95,30 @@ pub enum LogError {
     },
 }
 
-/// What a finished log holds.
+/// Summary of a finished log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogSummary {
     /// The file.
     pub path: PathBuf,
-    /// Messages written, over all topics.
+    /// Number of messages written, over all topics.
     pub messages: u64,
-    /// Records that were dropped because the writer did not keep up.
+    /// Number of records dropped because the writer could not keep up.
     pub dropped: u64,
 }
 
-/// A crash loses at most this much wall time.
+/// Period between syncs. A crash loses at most this much wall time.
 const SYNC_PERIOD: Duration = Duration::from_secs(1);
 
 /// Writes records to one MCAP file.
 ///
-/// The file carries its final name from the start and only ever grows at its end, so that a crash
-/// leaves whole chunks, and everything up to the last [`LogWriter::sync_if_due`] is on disk. What
-/// is in a message depends on the records alone, never on the wall clock.
+/// The file has its final name from the start and only grows at its end. A crash leaves whole
+/// chunks, with everything up to the last sync of [`LogWriter::sync_if_due`] on disk. A message's
+/// content depends on the records only, never on the wall clock.
 pub struct LogWriter {
     path: PathBuf,
     mcap: McapFile<BufWriter<File>>,
     file: File,
-    /// Numbers of the channels, in the order of [`Topic::ALL`].
+    /// Channel ids, in the order of [`Topic::ALL`].
     channels: Vec<u16>,
     messages: u64,
     synced: Instant,
@@ -127,13 +127,13 @@ pub struct LogWriter {
 }
 
 impl LogWriter {
-    /// Opens `<directory>/YYYY-MM-DDTHH-MM-SSZ_<vehicle>_<run>.mcap`, making the directory where
-    /// it is missing and never overwriting: where the name is taken, `-2`, `-3` ... is added.
+    /// Creates `<directory>/YYYY-MM-DDTHH-MM-SSZ_<vehicle>_<run>.mcap`, and the directory if it is
+    /// missing. It never overwrites a file: it adds `-2`, `-3` ... if the name is taken.
     ///
-    /// `start` is the run's beginning on the host's clock, `wall` the wall clock now.
+    /// `start` is the start of the run on the host's clock, `wall` the present wall clock.
     ///
     /// # Errors
-    /// [`LogError`] if the file cannot be created or its header not be written.
+    /// [`LogError`] if the file cannot be created or its header cannot be written.
     pub fn create(
         directory: &Path,
         info: &RunInfo,
@@ -170,24 +170,24 @@ impl LogWriter {
         })
     }
 
-    /// The file.
+    /// Path of the log file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Adds `record`.
+    /// Encodes `record` and appends its messages.
     ///
     /// # Errors
-    /// [`LogError::Write`]; every later call fails as well.
+    /// [`LogError::Write`]; every later call fails too.
     pub fn write(&mut self, record: &Record) -> Result<(), LogError> {
         self.unsynced = true;
         self.put_record(record).map_err(|source| self.failed(source))
     }
 
-    /// Once per second of wall time closes the chunk, flushes and syncs the file to the disk.
+    /// Closes the chunk, flushes and syncs the file to disk, at most once per second of wall time.
     ///
     /// # Errors
-    /// [`LogError::Write`].
+    /// [`LogError::Write`] if flushing or syncing fails.
     pub fn sync_if_due(&mut self, wall: Instant) -> Result<(), LogError> {
         if !self.unsynced || wall.saturating_duration_since(self.synced) < SYNC_PERIOD {
             return Ok(());
@@ -201,7 +201,7 @@ impl LogWriter {
     /// Writes the index and closes the file.
     ///
     /// # Errors
-    /// [`LogError::Write`]; what was written before can still be read.
+    /// [`LogError::Write`]; earlier data remains readable.
     pub fn finish(self) -> Result<LogSummary, LogError> {
         let Self { path, mcap, file, messages, .. } = self;
         match mcap.finish().and_then(|()| file.sync_all()) {
@@ -223,7 +223,7 @@ impl LogWriter {
     }
 }
 
-/// Adds messages to their channels in the file.
+/// Writes messages to their channels in the file.
 struct ToFile<'a> {
     mcap: &'a mut McapFile<BufWriter<File>>,
     channels: &'a [u16],
@@ -239,7 +239,7 @@ impl MessageSink for ToFile<'_> {
     }
 }
 
-/// The first free name of `stem`, `stem-2`, `stem-3` ... in `directory`.
+/// Creates the first free name of `stem`, `stem-2`, `stem-3` ... in `directory`.
 fn create_file(directory: &Path, stem: &str) -> Result<(File, PathBuf), LogError> {
     fs::create_dir_all(directory)
         .map_err(|source| LogError::Create { path: directory.to_owned(), source })?;
@@ -247,11 +247,11 @@ fn create_file(directory: &Path, stem: &str) -> Result<(File, PathBuf), LogError
     create_numbered(&path).map_err(|source| LogError::Create { path, source })
 }
 
-/// A new file at `path`, or with a number behind its name where there is one already, which may
-/// hold a flight.
+/// Creates a new file at `path`. Appends a number to the name if the file exists, since it may hold
+/// a flight.
 ///
 /// # Errors
-/// If none can be created.
+/// No file can be created.
 pub fn create_numbered(path: &Path) -> io::Result<(File, PathBuf)> {
     let stem = path.file_stem().unwrap_or_default();
     let mut number = 1u32;
@@ -274,7 +274,7 @@ pub fn create_numbered(path: &Path) -> io::Result<(File, PathBuf)> {
     }
 }
 
-/// Metadata, attachments and every channel.
+/// Writes metadata, attachments and every channel; returns the channel ids.
 fn write_preamble(
     mcap: &mut McapFile<impl io::Write>,
     info: &RunInfo,

@@ -1,4 +1,4 @@
-//! SET_ATTITUDE_TARGET as a ground station sends it: which parts its mask keeps, and that they can be true.
+//! Decodes and checks a ground station's SET_ATTITUDE_TARGET, honouring its type mask.
 
 use vehicle::frame::{Attitude, Frd};
 use wire::Frame;
@@ -6,25 +6,25 @@ use wire::dialect::{MavMessage, SET_ATTITUDE_TARGET_DATA};
 
 use crate::codec::Refusal;
 
-/// What a SET_ATTITUDE_TARGET asks for, each part where its mask keeps it.
+/// The commands in a SET_ATTITUDE_TARGET; a part that its mask ignores is `None`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AttitudeTarget {
-    /// The sender's clock, ms; 0 where it has none.
+    /// Time on the sender's clock, ms; 0 if it has none.
     pub time_boot_ms: u32,
-    /// System that it is for, 0 for all.
+    /// System id of the target, 0 for all.
     pub target_system: u8,
-    /// Desired body to world.
+    /// Desired attitude, body to world.
     pub attitude: Option<Attitude>,
-    /// Desired body rate, rad/s; none unless all three components are kept.
+    /// Desired body rate, rad/s; `None` unless the mask keeps all three components.
     pub body_rate: Option<Frd>,
-    /// Thrust field.
+    /// Thrust field, as sent.
     pub thrust: Option<f64>,
 }
 
-/// What a frame asks for; `None` for any other message.
+/// Decodes a frame; `None` for any other message.
 ///
 /// # Errors
-/// [`Refusal`] if a part that the mask keeps cannot be true.
+/// [`Refusal`] if the frame is malformed or a part that the mask keeps is impossible.
 pub fn decode(frame: &Frame) -> Result<Option<AttitudeTarget>, Refusal> {
     if frame.id() != <SET_ATTITUDE_TARGET_DATA as mavlink::MessageData>::ID {
         return Ok(None);

@@ -1,17 +1,17 @@
-//! Two clocks: the host's and the vehicle's. Every sample carries both.
+//! Times on the two clocks, the host's and the vehicle's.
 
 use std::ops::{Add, Sub};
 use std::time::Duration;
 
-/// Time on the host: nanoseconds since the Unix epoch. In flight it is read from the monotonic
-/// clock, offset once at start, so it never steps; in simulation it is the one virtual clock.
+/// Time on the host: nanoseconds since the Unix epoch. In flight it comes from the monotonic clock
+/// with an offset fixed at start, so it never steps. In simulation it is the virtual clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct HostTime {
     ns: u64,
 }
 
 impl HostTime {
-    /// A time from nanoseconds since the Unix epoch.
+    /// Creates a time from nanoseconds since the Unix epoch.
     pub const fn from_ns(ns: u64) -> Self {
         Self { ns }
     }
@@ -21,7 +21,7 @@ impl HostTime {
         self.ns
     }
 
-    /// Time passed since `earlier`, zero if `earlier` is later.
+    /// Time elapsed since `earlier`; zero if `earlier` is later.
     pub fn since(self, earlier: Self) -> Duration {
         Duration::from_nanos(self.ns.saturating_sub(earlier.ns))
     }
@@ -48,12 +48,12 @@ pub struct VehicleTime {
 }
 
 impl VehicleTime {
-    /// A time from microseconds since boot.
+    /// Creates a time from microseconds since boot.
     pub const fn from_us(us: u64) -> Self {
         Self { us }
     }
 
-    /// A time from milliseconds since boot.
+    /// Creates a time from milliseconds since boot.
     pub const fn from_ms(ms: u32) -> Self {
         Self { us: ms as u64 * 1000 }
     }
@@ -63,7 +63,7 @@ impl VehicleTime {
         self.us
     }
 
-    /// Seconds from `earlier` to this time, negative if `earlier` is later.
+    /// Seconds from `earlier` to this time; negative if `earlier` is later.
     pub fn seconds_since(self, earlier: Self) -> f64 {
         (self.us as f64 - earlier.us as f64) * 1e-6
     }

@@ -1,7 +1,7 @@
-//! The codec: frames of the vehicle's autopilot into [`Inbound`] messages.
+//! The codec: decodes frames of the vehicle's autopilot into [`Inbound`] messages.
 //!
-//! This is where units, frames and unset markers of MAVLink end. Whatever is not finite or cannot
-//! be true is refused here, so that nothing behind it has to ask.
+//! MAVLink's units, frames and markers for unset fields end here. The codec refuses numbers that
+//! are not finite or physically impossible, so the code behind it need not check.
 
 use std::collections::BTreeMap;
 
@@ -17,22 +17,22 @@ use crate::inbound::{
 use crate::parameter_value::{self, ParameterCast};
 use crate::text::TextAssembler;
 
-/// Furthest position from the origin, m; beyond it the estimate has diverged.
+/// Largest distance from the origin on each axis, m; beyond it the estimate has diverged.
 const POSITION_MAX: f64 = 1e6;
-/// Highest speed, m/s.
+/// Largest velocity component, m/s.
 const SPEED_MAX: f64 = 1e3;
-/// Highest body rate, rad/s; gyros saturate at 35.
+/// Largest body rate, rad/s; gyros saturate at 35.
 const RATE_MAX: f64 = 200.0;
-/// Highest specific force, m/s^2; accelerometers saturate at a tenth of it.
+/// Largest specific force, m/s^2; accelerometers saturate at a tenth of it.
 const SPECIFIC_FORCE_MAX: f64 = 3e3;
 /// Largest Euler angle: autopilots send (-pi, pi] or [0, 2 pi).
 const ANGLE_MAX: f64 = 2.0 * std::f64::consts::PI + 0.01;
-/// A stamp this far behind the newest is not late: the vehicle was started since, s.
+/// A time stamp further behind the newest than this means a restarted vehicle, not a late frame, s.
 const LATE_MAX_S: f64 = 10.0;
-/// Most parameters whose type is remembered; autopilots have some two thousand.
+/// Largest number of parameter types kept; autopilots have about two thousand parameters.
 const PARAMETERS_MAX: usize = 8192;
 
-/// Why a frame with a right checksum was not believed.
+/// Why a frame with a valid checksum was refused.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
     /// The payload does not fit its message, such as an enum value that the dialect lacks.
@@ -51,41 +51,42 @@ pub enum Refusal {
              autopilot, or ATTITUDE_QUATERNION and LOCAL_POSITION_NED"
     )]
     OdometryFrame {
-        /// Of the pose.
+        /// Frame of the pose.
         frame: MavFrame,
-        /// Of the velocity.
+        /// Frame of the velocity.
         child: MavFrame,
     },
 }
 
-/// A message and the vehicle time of its sample, where it has one.
+/// A message and the vehicle time of its sample; `None` if the message has no time stamp.
 pub type Decoded = (Option<VehicleTime>, Inbound);
 
-/// Decodes the frames of one autopilot. Keeps what spans several frames.
+/// Decodes the frames of one autopilot. It keeps state that spans several frames.
 #[derive(Debug, Default)]
 pub struct Codec {
     text: TextAssembler,
     cast: ParameterCast,
-    /// Types of the parameters seen, which setting them needs.
+    /// Types of the parameters received so far; PARAM_SET needs them.
     parameter_types: BTreeMap<String, MavParamType>,
     latest: VehicleTime,
 }
 
 impl Codec {
-    /// Tells how this autopilot sends integer parameters.
+    /// Sets this autopilot's encoding of integer parameters.
     pub fn set_parameter_cast(&mut self, cast: ParameterCast) {
         self.cast = cast;
     }
 
-    /// The type of a parameter that was seen.
+    /// The type of a parameter, if it was received.
     pub fn parameter_type(&self, name: &str) -> Option<MavParamType> {
         self.parameter_types.get(name).copied()
     }
 
-    /// The message of a frame; `None` if it is not one of those understood, or only a part.
+    /// Decodes a frame. Returns `None` for an unsupported message, or for a STATUSTEXT chunk that
+    /// does not complete its text.
     ///
     /// # Errors
-    /// [`Refusal`] if the content cannot be true.
+    /// [`Refusal`] if the content is malformed or impossible.
     pub fn decode(&mut self, frame: &Frame) -> Result<Option<Decoded>, Refusal> {
         if frame.id() == HEARTBEAT_DATA::ID {
             return Ok(Some((None, heartbeat(frame.payload()))));
@@ -96,7 +97,7 @@ impl Codec {
         let message = frame.message().map_err(|_| Refusal::Malformed)?;
         let decoded = self.message(&message)?;
         if let Some((Some(time), _)) = decoded {
-            // Late frames change nothing; a clock that is far back began anew.
+            // Late frames change nothing; a clock that is far behind has restarted.
             let is_late = time < self.latest && self.latest.seconds_since(time) < LATE_MAX_S;
             if !is_late {
                 self.latest = time;
@@ -184,8 +185,8 @@ impl Codec {
     }
 }
 
-/// The value nearest to `latest` whose lower half is `low`. One that is back by more than
-/// `late_max` is no late one: the vehicle was started since, and counts from zero.
+/// The value nearest to `latest` whose lower half is `low`. A value further back than `late_max`
+/// means that the vehicle has restarted and counts from zero.
 fn unwrap(latest: u64, low: u32, late_max: f64) -> u64 {
     let ahead = i64::from(low.wrapping_sub(latest as u32) as i32);
     match latest.checked_add_signed(ahead) {
@@ -194,7 +195,7 @@ fn unwrap(latest: u64, low: u32, late_max: f64) -> u64 {
     }
 }
 
-/// Whether a message holds the time of its sample, so that none is like another.
+/// Whether a message carries the time of its sample, which makes each one unique.
 pub fn is_stamped(id: u32) -> bool {
     matches!(
         id,
@@ -224,7 +225,8 @@ fn is_understood(id: u32) -> bool {
         )
 }
 
-/// HEARTBEAT, read byte by byte: a vehicle type that the dialect lacks must not hide the vehicle.
+/// Decodes a HEARTBEAT byte by byte: a vehicle type that the dialect lacks must not hide the
+/// vehicle.
 pub fn heartbeat(payload: &[u8]) -> Inbound {
     let byte = |index: usize| payload.get(index).copied().unwrap_or(0);
     Inbound::Heartbeat {
@@ -301,8 +303,8 @@ fn outputs(source: MotorSource, time: VehicleTime, outputs: [f32; 4]) -> Result<
     }
 }
 
-/// Cells are in mV and 65535 where unused. Autopilots that know only the pack put it in the first
-/// cell, and what does not fit there in the next: the sum is right for both.
+/// Cells are in mV, 65535 if unused. Autopilots that measure only the pack put its voltage in the
+/// first cell and the overflow in the next, so the sum is right in both cases.
 fn battery(data: &BATTERY_STATUS_DATA) -> Inbound {
     let cells = data.voltages.iter().filter(|&&cell| cell != u16::MAX);
     let further = data.voltages_ext.iter().filter(|&&cell| cell != 0 && cell != u16::MAX);
@@ -368,7 +370,7 @@ fn unit(q: [f32; 4]) -> Result<Attitude, Refusal> {
     Attitude::from_wire(q).ok_or(Refusal::Quaternion)
 }
 
-/// The numbers in f64, all of them finite and within `limit` of zero.
+/// Converts to f64; all values must be finite and within `limit` of zero.
 fn bounded<const N: usize>(values: [f32; N], limit: f64) -> Result<[f64; N], Refusal> {
     let values = values.map(f64::from);
     // NaN is not within any limit.

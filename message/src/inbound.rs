@@ -1,8 +1,8 @@
-//! What a vehicle says, in SI units and typed frames. The dialect's types stop here.
+//! Messages from a vehicle, in SI units and typed frames. The dialect's types end here.
 
 use vehicle::frame::{Attitude, Frd, Ned};
 
-/// The messages of an autopilot that are understood.
+/// A decoded message from an autopilot.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Inbound {
@@ -16,24 +16,24 @@ pub enum Inbound {
         armed: bool,
         /// Autopilot-specific mode.
         custom_mode: u32,
-        /// What the vehicle says of itself as a whole.
+        /// Overall state of the system.
         system: SystemState,
     },
     /// CURRENT_MODE.
     CurrentMode {
-        /// The mode in force.
+        /// The active mode.
         custom_mode: u32,
-        /// The mode that was asked for last.
+        /// The mode requested last.
         intended_custom_mode: u32,
     },
-    /// A word of the mode that gives a permission, and may be a copy of an old one: which mode is in
-    /// force is not known until the next.
+    /// A report of a mode that grants permission and may be a delayed duplicate. The active mode is
+    /// unknown until the next report.
     DoubtfulMode,
     /// ATTITUDE_QUATERNION or ATTITUDE.
     Attitude {
-        /// Which of the two: their estimates are never mixed.
+        /// Which of the two messages; their estimates are never mixed.
         source: AttitudeSource,
-        /// Body to world.
+        /// Attitude, body to world.
         attitude: Attitude,
         /// Body rate, rad/s.
         body_rate: Frd,
@@ -45,38 +45,38 @@ pub enum Inbound {
         /// Velocity, m/s.
         velocity: Ned,
     },
-    /// ODOMETRY, with pose and velocity in world NED whatever its child frame was.
+    /// ODOMETRY, with pose and velocity in world NED, whatever its child frame.
     Odometry {
         /// Position, m.
         position: Ned,
         /// Velocity in world axes, m/s.
         velocity: Ned,
-        /// Body to world.
+        /// Attitude, body to world.
         attitude: Attitude,
         /// Body rate, rad/s.
         body_rate: Frd,
-        /// Counts jumps of the estimate.
+        /// Counts resets of the estimate, modulo 256.
         reset_counter: u8,
     },
-    /// HIGHRES_IMU, accelerometer and gyro.
+    /// Accelerometer and gyro of HIGHRES_IMU.
     Imu {
         /// Specific force, m/s^2; (0, 0, -g) at hover.
         specific_force: Frd,
         /// Body rate, rad/s.
         body_rate: Frd,
     },
-    /// ACTUATOR_OUTPUT_STATUS or SERVO_OUTPUT_RAW, as sent.
+    /// ACTUATOR_OUTPUT_STATUS or SERVO_OUTPUT_RAW, in the message's units.
     MotorOutputs {
-        /// Which of the two: their units differ.
+        /// Which of the two messages; their units differ.
         source: MotorSource,
-        /// The first outputs of the message.
+        /// The first four outputs of the message.
         outputs: [f32; 4],
     },
     /// BATTERY_STATUS.
     Battery(Battery),
-    /// ATTITUDE_TARGET: the vehicle's echo of the setpoint in force.
+    /// ATTITUDE_TARGET: the vehicle's echo of the active setpoint.
     AttitudeTarget {
-        /// Desired body to world, where valid.
+        /// Desired attitude, body to world; `None` if invalid.
         attitude: Option<Attitude>,
         /// Desired body rate, rad/s.
         body_rate: Frd,
@@ -89,14 +89,15 @@ pub enum Inbound {
     SysStatus {
         /// Sensors that are present and enabled but not healthy, MAV_SYS_STATUS_SENSOR bits.
         unhealthy: u32,
-        /// Health bits.
+        /// Health, MAV_SYS_STATUS_SENSOR bits.
         health: u32,
-        /// Bits of what is enabled: what is not in use need not be healthy.
+        /// Enabled sensors, MAV_SYS_STATUS_SENSOR bits. A sensor that is not enabled need not be
+        /// healthy.
         enabled: u32,
     },
     /// EXTENDED_SYS_STATE.
     LandedState(LandedState),
-    /// STATUSTEXT, chunks joined.
+    /// STATUSTEXT, with its chunks joined.
     StatusText {
         /// MAV_SEVERITY: 0 emergency to 7 debug.
         severity: u8,
@@ -105,9 +106,9 @@ pub enum Inbound {
     },
     /// AUTOPILOT_VERSION.
     AutopilotVersion {
-        /// Vendor of the board.
+        /// Board vendor.
         vendor_id: u16,
-        /// Product of the vendor.
+        /// Product of that vendor.
         product_id: u16,
         /// Firmware version as major, minor, patch, type from the highest byte.
         flight_sw_version: u32,
@@ -119,7 +120,7 @@ pub enum Inbound {
         /// MAV_RESULT.
         result: u8,
     },
-    /// PARAM_VALUE, undone from PX4's byte cast where the type says integer.
+    /// PARAM_VALUE, with integers decoded from PX4's bytewise encoding.
     Parameter {
         /// Name.
         name: String,
@@ -128,7 +129,7 @@ pub enum Inbound {
     },
 }
 
-/// Where an attitude came from.
+/// Message that carried an attitude.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttitudeSource {
     /// ATTITUDE_QUATERNION.
@@ -137,7 +138,7 @@ pub enum AttitudeSource {
     Euler,
 }
 
-/// Where motor outputs came from.
+/// Message that carried motor outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MotorSource {
     /// ACTUATOR_OUTPUT_STATUS.
@@ -149,7 +150,7 @@ pub enum MotorSource {
 /// EXTENDED_SYS_STATE.landed_state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LandedState {
-    /// Not known.
+    /// The autopilot does not know.
     Undefined,
     /// On the ground.
     OnGround,
@@ -161,44 +162,44 @@ pub enum LandedState {
     Landing,
 }
 
-/// The pack, as far as it is known.
+/// State of the battery pack, as far as reported.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Battery {
-    /// V
+    /// Voltage of the pack, V.
     pub voltage: Option<f64>,
-    /// A
+    /// Current, A.
     pub current: Option<f64>,
     /// Remaining charge, 0..1.
     pub remaining: Option<f64>,
-    /// What the vehicle makes of it.
+    /// The vehicle's verdict on the charge.
     pub charge: ChargeState,
 }
 
-/// BATTERY_STATUS.charge_state, by what follows from it.
+/// BATTERY_STATUS.charge_state, grouped by consequence.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ChargeState {
-    /// Not told.
+    /// Not reported.
     #[default]
     Unknown,
-    /// Nothing follows: in use or charging.
+    /// No consequence: in use or charging.
     Ok,
-    /// Low: to be watched.
+    /// Low: watch it.
     Low,
-    /// Critical, in an emergency, failed or unhealthy: to be landed with.
+    /// Critical, emergency, failed or unhealthy: land.
     Critical,
 }
 
-/// HEARTBEAT.system_status (MAV_STATE), by what follows from it.
+/// HEARTBEAT.system_status (MAV_STATE), grouped by consequence.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SystemState {
-    /// Not told, or not one that matters here.
+    /// Not reported, or irrelevant here.
     #[default]
     Unknown,
     /// On the ground, ready to fly.
     Standby,
     /// Flying.
     Active,
-    /// The vehicle is in a failsafe: critical, in an emergency, or ending its flight.
+    /// In a failsafe: critical, emergency, or flight termination.
     Failsafe,
 }
 
@@ -210,7 +211,7 @@ impl SystemState {
 }
 
 impl From<u8> for SystemState {
-    /// From MAV_STATE.
+    /// Converts a MAV_STATE.
     fn from(state: u8) -> Self {
         match state {
             3 => Self::Standby,

@@ -1,9 +1,10 @@
-//! MAVLink messages as quantities: what an autopilot says and takes, in SI units and typed frames.
+//! MAVLink messages as physical quantities: an autopilot's reports and setpoints, in SI units and
+//! typed frames.
 //!
-//! [`Codec`] makes [`Inbound`] messages of checked frames and refuses what cannot be true, so that
-//! nothing behind it meets the units, frames and unset markers of MAVLink. [`parameters`] is what an
-//! autopilot's parameters say of its vehicle. [`clock`] and [`setpoint`] are the types that the link,
-//! the log and the controller share.
+//! [`Codec`] decodes checked frames into [`Inbound`] messages and refuses impossible values. The
+//! code behind it never sees MAVLink's units, frames and markers for unset fields. [`parameters`]
+//! derives vehicle properties from an autopilot's parameters. [`clock`] and [`setpoint`] hold the
+//! types that the link, the log and the controller share.
 //!
 //! ```
 //! use message::{Codec, Inbound};

@@ -1,8 +1,8 @@
-//! Parameters on the wire: always a float, which PX4 fills with the bytes of its integers.
+//! Parameter values on the wire: always a float, which PX4 fills with the bytes of its integers.
 
 use wire::dialect::MavParamType;
 
-/// How an autopilot sends integer parameters in the float field.
+/// An autopilot's encoding of integer parameters in the float field.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ParameterCast {
     /// Converted to float (ArduPilot).
@@ -12,7 +12,7 @@ pub enum ParameterCast {
     Bytes,
 }
 
-/// A parameter's value from the float field.
+/// Decodes a parameter's value from the float field.
 pub(crate) fn decode(wire: f32, kind: MavParamType, cast: ParameterCast) -> f64 {
     use MavParamType as T;
     let bits = wire.to_bits();
@@ -28,7 +28,8 @@ pub(crate) fn decode(wire: f32, kind: MavParamType, cast: ParameterCast) -> f64 
     }
 }
 
-/// The float field for a parameter's value; integers are rounded and limited to their range.
+/// Encodes a parameter's value in the float field. With [`ParameterCast::Bytes`], integers are
+/// rounded and clamped to their type's range.
 pub fn encode(value: f64, kind: MavParamType, cast: ParameterCast) -> f32 {
     use MavParamType as T;
     let whole = value.round();
@@ -44,7 +45,7 @@ pub fn encode(value: f64, kind: MavParamType, cast: ParameterCast) -> f32 {
     }
 }
 
-/// A parameter's name: up to 16 bytes, ended by a zero if shorter.
+/// Decodes a parameter's name: up to 16 bytes, zero-terminated if shorter.
 pub(crate) fn name(id: &[u8; 16]) -> String {
     let len = id.iter().position(|&byte| byte == 0).unwrap_or(id.len());
     String::from_utf8_lossy(&id[..len]).into_owned()

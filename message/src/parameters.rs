@@ -1,7 +1,7 @@
-//! What an autopilot's parameters say about the vehicle that it flies: which outputs drive its
-//! motors and over which range, where the motors are, and its attitude loop.
+//! Vehicle properties from an autopilot's parameters: the outputs that drive the motors and their
+//! range, the motors' positions, and the attitude loop.
 //!
-//! Names and meanings are those of the parameter references of PX4 and ArduPilot.
+//! Names and meanings follow the parameter references of PX4 and ArduPilot.
 
 mod attitude;
 mod file;
@@ -16,17 +16,17 @@ pub use file::{NotParameters, parse};
 pub use mixer::Mixer;
 pub use rotors::RotorFact;
 
-/// Autopilots whose parameters are understood.
+/// Autopilots whose parameters are supported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Autopilot {
-    /// PX4.
+    /// PX4, multicopter parameters.
     Px4,
-    /// ArduCopter.
+    /// ArduCopter, the multicopter firmware of ArduPilot.
     ArduCopter,
 }
 
 impl Autopilot {
-    /// Its name.
+    /// The autopilot's name for people.
     pub fn name(self) -> &'static str {
         match self {
             Self::Px4 => "PX4",
@@ -34,7 +34,7 @@ impl Autopilot {
         }
     }
 
-    /// The parameters that say what its vehicle is, of those that have one value each.
+    /// The relevant parameters without an index in their names.
     fn names(self) -> &'static [&'static str] {
         match self {
             Self::Px4 => PX4,
@@ -42,16 +42,16 @@ impl Autopilot {
         }
     }
 
-    /// Every parameter that says something of a quadrotor: what is read over a link. A vehicle has
-    /// not all of them.
+    /// Every parameter that describes a quadrotor, to request over a link. A vehicle need not have
+    /// all.
     pub fn wanted(self) -> Vec<String> {
         let mut wanted: Vec<String> = self.names().iter().map(|name| (*name).to_owned()).collect();
         wanted.extend(self.wanted_of_outputs());
         wanted
     }
 
-    /// Those of them that say which output drives which rotor, where it is, and over which range:
-    /// what logs of the vehicle need.
+    /// The subset that maps outputs to rotors, with the rotors' positions and the outputs' range.
+    /// Logs of the vehicle need it.
     pub fn wanted_of_outputs(self) -> Vec<String> {
         let numbered = |from: u32, to: u32, names: &[[&str; 2]]| -> Vec<String> {
             let each = |[start, end]: &[&str; 2]| {
@@ -178,7 +178,7 @@ const ARDUCOPTER: &[&str] = &[
     "SCHED_LOOP_RATE",
 ];
 
-/// Parameters by name, integers as their numbers.
+/// Parameter values by name; integers are converted to floats.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters(BTreeMap<String, f64>);
 
@@ -203,17 +203,17 @@ impl FromIterator<(String, f64)> for Parameters {
 }
 
 impl Parameters {
-    /// A parameter that is there and a number.
+    /// A parameter's value, if it is present and finite.
     pub fn number(&self, name: &str) -> Option<f64> {
         self.0.get(name).copied().filter(|value| value.is_finite())
     }
 
-    /// Takes in a parameter.
+    /// Adds or replaces a parameter.
     pub fn set(&mut self, name: String, value: f64) {
         self.0.insert(name, value);
     }
 
-    /// Whose they are: names of both are never in one set.
+    /// The autopilot, inferred from the names; a set never has names of both.
     pub fn autopilot(&self) -> Option<Autopilot> {
         let has = |starts: &[&str]| {
             self.0.keys().any(|name| starts.iter().any(|start| name.starts_with(start)))
@@ -227,10 +227,9 @@ impl Parameters {
         }
     }
 
-    /// Whether PX4 simulates the vehicle itself (SIH): then its body is known.
+    /// Whether PX4 simulates the vehicle itself (SIH). The parameters then describe its body.
     pub fn is_simulated_in_hardware(&self) -> bool {
-        // Every build with the module has SIH_*; outputs that have functions but no range are
-        // simulated ones.
+        // Every build with the module has SIH_*; outputs with functions but no range are simulated.
         const QUADROTOR: f64 = 0.0;
         let has_ranges = self.0.keys().any(|name| name.starts_with("PWM_MAIN_MIN"));
         self.number("SIH_MASS").is_some()
@@ -238,19 +237,20 @@ impl Parameters {
             && !has_ranges
     }
 
-    /// Where the autopilot believes its rotors to be, motor 1 first; empty where it does not say.
+    /// The rotors as configured in the autopilot, motor 1 first; empty if the parameters do not
+    /// tell.
     pub fn rotors(&self) -> Vec<RotorFact> {
         rotors::of(self)
     }
 
-    /// Motors that it drives.
+    /// Number of motors that the autopilot drives.
     pub fn motor_count(&self) -> Option<u32> {
         rotors::count(self)
     }
 }
 
-/// Whether a parameter says what a vehicle is, its outputs mean, or its loop does: what a log's
-/// facts keep.
+/// Whether a parameter describes the vehicle, its outputs or its attitude loop. A log's facts keep
+/// these.
 pub fn is_of_vehicle(name: &str) -> bool {
     const STARTS: &[&str] = &[
         "ATC_",
@@ -293,7 +293,7 @@ pub(crate) mod tests {
     /// PX4's SIH quadrotor with PX4's defaults of March 2026.
     pub(crate) const SIH: &str = include_str!("../tests/parameters/px4_sih.params");
 
-    /// ArduCopter's own simulated quadrotor "+".
+    /// ArduCopter's simulated "+" quadrotor.
     pub(crate) const COPTER: &str = include_str!("../tests/parameters/arducopter.parm");
 
     #[test]
@@ -315,7 +315,7 @@ pub(crate) mod tests {
     #[test]
     fn only_a_vehicle_that_px4_simulates_has_its_body_in_parameters() {
         assert!(parameters(SIH).is_simulated_in_hardware());
-        // A real one may have the module.
+        // A real vehicle may have the module.
         let real = format!("{SIH}\nPWM_MAIN_MIN1 1100\nPWM_MAIN_MAX1 1900");
         assert!(!parameters(&real).is_simulated_in_hardware());
         assert!(!parameters(COPTER).is_simulated_in_hardware());

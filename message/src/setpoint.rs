@@ -1,10 +1,11 @@
-//! What the controller asks of the vehicle, and what it tracks.
+//! The controller's setpoint and reference.
 
 use vehicle::frame::{Euler, Frd, Ned};
 
 pub use vehicle::rigid_body::State;
 
-/// The commanded input `u_hat = (u1, zeta_des, omega_des)` of the PD-augmented vehicle, in R^7.
+/// The commanded input `u_hat = (u1, zeta_des, omega_des)` in R^7 of the vehicle with its PD
+/// attitude loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Setpoint {
     /// Collective thrust along -z body in N; hover is m g.
@@ -16,7 +17,7 @@ pub struct Setpoint {
 }
 
 impl Setpoint {
-    /// The sum of two, component by component: feed-forward and feedback.
+    /// Component-wise sum, such as feed-forward plus feedback.
     pub fn plus(self, other: Self) -> Self {
         let (a, b) = (self.attitude, other.attitude);
         Self {
@@ -34,7 +35,7 @@ impl Setpoint {
     }
 }
 
-/// A point of the reference: the state `s*` and its input `u_hat*`.
+/// A point on the reference: the state `s*` and its input `u_hat*`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reference {
     /// Position in world axes, m.
@@ -49,18 +50,18 @@ pub struct Reference {
     pub feedforward: Setpoint,
 }
 
-/// What the model behind a reference expects beside thrust, weight and the attitude loop, such as
-/// drag: the reference's input has it already.
+/// What the model behind a reference expects in addition to thrust, weight and the attitude loop,
+/// such as drag. The reference's input already accounts for it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Expected {
     /// Acceleration in world axes, m/s^2.
     pub acceleration: Ned,
-    /// Attitude beside the one that the loop would give, rad.
+    /// Attitude in addition to the loop's response, rad.
     pub attitude: [f64; 3],
 }
 
 impl Expected {
-    /// By how much this is more than `other`.
+    /// The difference of this and `other`.
     pub fn beyond(&self, other: &Self) -> Self {
         Self {
             acceleration: self.acceleration - other.acceleration,

@@ -2,7 +2,7 @@
 
 use wire::dialect::STATUSTEXT_DATA;
 
-/// Most bytes of one text: 256 chunks, which is what the chunk number can count.
+/// Length limit of a text in bytes: 256 chunks, the range of the chunk number.
 const TEXT_MAX: usize = 256 * 50;
 
 /// Joins the chunks of a text.
@@ -14,8 +14,8 @@ pub(crate) struct TextAssembler {
 }
 
 impl TextAssembler {
-    /// The whole text, once its last chunk is here. A text whose end never comes is given up when
-    /// another begins; a chunk that was lost leaves dots.
+    /// Adds a chunk and returns the whole text once its last chunk arrives. Drops an incomplete
+    /// text when another begins; a lost chunk leaves dots.
     pub(crate) fn push(&mut self, data: &STATUSTEXT_DATA) -> Option<String> {
         let chunk: &[u8] = &data.text[..];
         let len = chunk.iter().position(|&byte| byte == 0).unwrap_or(chunk.len());
@@ -43,7 +43,7 @@ impl TextAssembler {
     }
 }
 
-/// PX4 ends texts that also exist as events in a tab.
+/// Trims the end: PX4 appends a tab to texts that also exist as events.
 fn clean(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).trim_end().to_owned()
 }

@@ -1,8 +1,8 @@
 """downwash: simulate, learn, plan and diagnose quadrotors.
 
-World axes are north, east, down; body axes front, right, down; SI and radians. Names end in the unit.
-What downwash refuses raises `DownwashError` with the command line's sentence and its ``exit_code``;
-an argument that is wrong by itself raises ValueError or TypeError.
+World axes are north, east, down; body axes are front, right, down. Units are SI and radians; names end in
+the unit. Errors raise `DownwashError` with the command line's message and its ``exit_code``; an argument
+that is invalid by itself raises ValueError or TypeError.
 """
 
 from ._compare import Comparison, compare

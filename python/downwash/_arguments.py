@@ -1,4 +1,4 @@
-"""Arguments as the native part takes them: arrays of float64 without a gap, and JSON."""
+"""Converts arguments for the native part: contiguous float64 arrays, and JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 _T = TypeVar("_T")
-# Items of a list, such as seeds or logs.
+# Largest number of items in a list, such as seeds or logs.
 _MOST = 1_000_000
 
 Array: TypeAlias = NDArray[np.float64]
@@ -21,9 +21,9 @@ Effects: TypeAlias = "Mapping[str, Mapping[str, float | Sequence[float]]]"
 
 
 def numbers(what: str, value: ArrayLike, *shape: int | str) -> Array:
-    """``value`` as float64, without a copy where it is that already.
+    """Converts ``value`` to a contiguous float64 array, without a copy where possible.
 
-    ``shape`` are the axes: a number that must be met, or the name of one that may be any.
+    ``shape`` gives the axes: a required length, or a name for an axis of any length.
     """
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
@@ -38,12 +38,12 @@ def numbers(what: str, value: ArrayLike, *shape: int | str) -> Array:
 
 
 def flat(array: Array) -> Array:
-    """The same numbers in one row: a view."""
+    """A one-dimensional view of the array."""
     return array.reshape(-1)
 
 
 def count(what: str, value: int, least: int, most: int) -> int:
-    """A whole number within bounds."""
+    """Checks a whole number against bounds."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{what}: expected a whole number, found {type(value).__name__}")
     if not least <= value <= most:
@@ -52,7 +52,7 @@ def count(what: str, value: int, least: int, most: int) -> int:
 
 
 def listed(what: str, given: Iterable[_T]) -> list[_T]:
-    """The items of a list that is not beyond reason: of an array that is broadcast there is no end."""
+    """The items of a list, limited in number: a broadcast array may be huge."""
     if isinstance(given, (str, bytes)):
         raise TypeError(f"{what}: expected a list, found one word")
     found = list(islice(iter(given), _MOST + 1))
@@ -62,12 +62,12 @@ def listed(what: str, given: Iterable[_T]) -> list[_T]:
 
 
 def seed_of(value: int) -> int:
-    """A seed."""
+    """Checks a seed, an unsigned 64-bit integer."""
     return count("seed", value, 0, 2**64 - 1)
 
 
 def to_json(what: str, value: Any) -> str:
-    """JSON of what a user wrote; NumPy's numbers and arrays too."""
+    """Encodes a user's value, including NumPy numbers and arrays, as JSON."""
 
     def plain(other: Any) -> Any:
         if isinstance(other, (np.ndarray, np.generic)):
@@ -87,7 +87,7 @@ def to_json(what: str, value: Any) -> str:
 
 
 def effects_json(effects: Effects | None) -> str:
-    """JSON of effects."""
+    """Encodes effects as JSON."""
     if effects is None:
         return "{}"
     if not isinstance(effects, Mapping):
@@ -96,7 +96,7 @@ def effects_json(effects: Effects | None) -> str:
 
 
 def paths(what: str, given: Path | Sequence[Path]) -> list[Path]:
-    """One path, or several."""
+    """A list of one or more paths."""
     import os
 
     if isinstance(given, (str, os.PathLike)):

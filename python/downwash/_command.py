@@ -1,4 +1,4 @@
-"""The command line, as it comes with the wheel."""
+"""The command line of the wheel."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from . import _downwash as _native
 
 
 def main() -> NoReturn:
-    """``downwash``: what the program of that name does."""
-    # Its own: Python would only note Ctrl-C until the command is over.
+    """Runs the command line ``downwash``."""
+    # The default handler: Python's would only record Ctrl-C until the command ends.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     sys.exit(_native.main(os.path.abspath(sys.argv[0]), sys.argv[1:]))

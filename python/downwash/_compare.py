@@ -1,4 +1,4 @@
-"""Comparisons: flights in two groups, side by side."""
+"""Comparisons of two groups of flights."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from ._page import framed
 
 @dataclass(frozen=True)
 class Comparison:
-    """What differs between two groups of flights. Every field of the JSON of ``downwash compare`` is in
-    `answer`, by its name. In a notebook it shows its page."""
+    """The differences between two groups of flights. `answer` has every field of the JSON of ``downwash
+    compare``. In a notebook it shows its page."""
 
     answer: dict[str, Any]
     """The comparison's JSON."""
     html: str = field(repr=False)
-    """The page, which stands by itself."""
+    """The page, a self-contained HTML document."""
 
     @property
     def outcome(self) -> str:
-        """worse, better, no_difference or undecided: B against A."""
+        """B compared with A: worse, better, no_difference or undecided."""
         found: str = self.answer["outcome"]
         return found
 
@@ -54,8 +54,8 @@ def compare(
     pair: Literal["auto", "order", "none"] = "auto",
     mapping: Path | None = None,
 ) -> Comparison:
-    """Lays the flights ``b`` beside the flights ``a``, of any logs, as ``downwash compare`` does: errors
-    with the interval that chance leaves, and what differs between vehicles, settings and versions."""
+    """Compares the flights ``b`` with the flights ``a``, from logs of any format, as ``downwash compare``
+    does: errors with intervals for chance, and the differences between vehicles, settings and versions."""
     text, html = _native.compare(paths("a", a), paths("b", b), align, pair, mapping)
     answer: dict[str, Any] = json.loads(text)
     return Comparison(answer, html)

@@ -1,4 +1,5 @@
-"""Diagnoses: where simulator and flights part, which effect causes it, how far the gap shrinks."""
+"""Diagnoses: where simulator and flights differ, which effect explains it, and how much of the gap it
+closes."""
 
 from __future__ import annotations
 
@@ -18,19 +19,19 @@ from ._vehicle import Vehicle
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The answer. Every field of the JSON of ``downwash diagnose`` is in `answer`, by its name; those
-    that most people look for are properties. In a notebook it shows its report."""
+    """The result of a diagnosis. `answer` has every field of the JSON of ``downwash diagnose``; the most
+    common ones are properties. In a notebook it shows its report."""
 
     answer: dict[str, Any]
     """The answer's JSON."""
     html: str = field(repr=False)
-    """The report: a page that stands by itself."""
+    """The report, a self-contained HTML page."""
     text: str = field(repr=False)
     """The answer in words."""
     vehicle: Vehicle = field(repr=False)
-    """The vehicle with the effects that were found."""
+    """The vehicle with the effects found."""
     law_file: str | None = field(default=None, repr=False)
-    """With ``discover``, where a law is named: the text of an effects file with it."""
+    """With ``discover``, if a law is named: the text of an effects file with the law."""
 
     @property
     def verdict(self) -> str:
@@ -46,26 +47,26 @@ class Diagnosis:
 
     @property
     def effects(self) -> list[dict[str, Any]]:
-        """Effects with probability, parameters and 90 % intervals, the most probable first."""
+        """Effects with probabilities, parameters and 90 % intervals, most probable first."""
         found: list[dict[str, Any]] = self.answer["effects"]
         return found
 
     @property
     def gap(self) -> dict[str, Any] | None:
-        """The gap on the flights held out, before and after, in units of the noise."""
+        """The gap on the hold-out flights, before and after, in units of the noise."""
         found: dict[str, Any] | None = self.answer["gap"]
         return found
 
     @property
     def attribution(self) -> list[dict[str, Any]]:
-        """Shares of the squared gap."""
+        """Shares of the squared gap, by effect."""
         found: list[dict[str, Any]] = self.answer["attribution"]
         return found
 
     @property
     def law(self) -> dict[str, Any] | None:
-        """With ``discover``: the law that explains what no effect does, where the search found one, with
-        its formulas, and whether it is ``named``."""
+        """With ``discover``: the law that explains what no effect does, if the search found one, with its
+        formulas and whether it is ``named``."""
         found: dict[str, Any] | None = self.answer.get("law")
         return found
 
@@ -76,8 +77,8 @@ class Diagnosis:
         return found
 
     def save(self, folder: Path) -> None:
-        """Writes report.html, report.json and the vehicle file improved.toml into a folder, and law.toml
-        where a law is named."""
+        """Writes report.html, report.json and the vehicle file improved.toml into a folder, and law.toml if
+        a law is named."""
         out = _FilePath(folder)
         save_report(out, self.html, self.answer)
         self.vehicle.save(out / "improved.toml")
@@ -107,11 +108,11 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnoses flight logs against a vehicle file, as ``downwash diagnose`` does.
 
-    The last of the logs is held out from the fit, of a single one its second half, unless ``holdout``
-    names others. ``twins`` flights without an effect say how large chance makes the evidence. With
-    ``discover`` it also looks for a law, a formula that explains what no effect of the catalogue does.
-    The trajectory file of the flight that would tell most next is written to ``next_flight``. Ctrl-C
-    returns at once, and the work ends soon after.
+    The hold-out set is the last log, or the second half of a single log, unless ``holdout`` names others.
+    ``twins`` simulated flights without an effect calibrate how large the evidence gets by chance. With
+    ``discover`` it also searches for a law, a formula that explains what no effect of the catalogue does.
+    It writes the trajectory file of the most informative next flight to ``next_flight``. Ctrl-C returns at
+    once, and the work ends soon after.
     """
     with TemporaryDirectory() as folder:
         if isinstance(vehicle, Vehicle):

@@ -1,4 +1,5 @@
-"""The native part: flat arrays in, flat arrays and JSON out. Use the package's own functions."""
+"""The native part, which takes flat arrays and returns flat arrays and JSON. Use the package's functions
+instead."""
 
 from collections.abc import Callable, Sequence
 from os import PathLike

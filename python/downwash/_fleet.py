@@ -1,4 +1,4 @@
-"""Many vehicles of one kind, stepped together."""
+"""Many identical vehicles, stepped together."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _MOST_VEHICLES = 1_000_000
 
 
 class Fleet:
-    """``vehicles`` vehicles that are stepped together, by the processor's widest vectors.
+    """``vehicles`` vehicles, stepped together with the processor's widest vector instructions.
 
-    Each flies as a `Plant` does: to rounding in float64, to some 1e-5 m a second in float32, which is
-    the faster. Gusts of vehicle i are drawn from ``seed + i``. Without ``airborne`` there is a floor at
-    down 0. Many steps at once are shared among the cores.
+    Each matches a `Plant`: to rounding error in float64, and to about 1e-5 m per second in float32, which
+    is faster. ``seed + i`` seeds the gusts of vehicle i. Without ``airborne`` there is a floor at down 0.
+    The cores share the work of many steps.
     """
 
     def __init__(
@@ -57,31 +57,31 @@ class Fleet:
 
     @property
     def instructions(self) -> str:
-        """Name of the vector instructions that step the vehicles."""
+        """Name of the vector instruction set in use."""
         return self._native.instructions
 
     @property
     def state(self) -> Floats:
-        """The states, shape (vehicles, 13), named by `STATE`."""
+        """The states, shape (vehicles, 13), with the columns `STATE`."""
         states = np.empty((self._count, len(STATE)), self._dtype)
         self._native.state(states.reshape(-1))
         return states
 
     def set_state(self, state: ArrayLike, rotor_states: ArrayLike = (0.0,) * 4) -> None:
-        """Puts every vehicle into one state, or each into its own, shape (vehicles, 13); likewise the
-        rotors, four numbers in 0..1."""
+        """Sets one state for all vehicles, or one for each, shape (vehicles, 13); likewise the rotor
+        states, four numbers in 0..1."""
         self._native.set_state(
             self._rows("state", state, len(STATE)), self._rows("rotor_states", rotor_states, 4)
         )
 
     @property
     def rotor_states(self) -> Floats:
-        """What the rotors give of their full thrust, shape (vehicles, 4)."""
+        """The rotor states as fractions of full thrust, shape (vehicles, 4)."""
         return np.array(self._native.rotor_states, self._dtype).reshape(self._count, 4)
 
     def step(self, outputs: ArrayLike, steps: int = 1) -> Floats:
-        """Holds outputs, four numbers for all or shape (vehicles, 4), for ``steps`` steps; the states
-        after them."""
+        """Holds outputs, four numbers for all or shape (vehicles, 4), for ``steps`` steps. Returns the
+        states after them."""
         steps = count("steps", steps, 1, _MOST_STEPS)
         rows = self._rows("outputs", outputs, 4)
         states = np.empty((self._count, len(STATE)), self._dtype)
@@ -89,7 +89,7 @@ class Fleet:
         return states
 
     def _rows(self, what: str, value: ArrayLike, length: int) -> Floats:
-        """A row for each vehicle, flat, in the fleet's dtype."""
+        """One row for each vehicle, flattened, in the fleet's dtype."""
         array = np.asarray(value)
         if array.ndim == 1:
             array = np.broadcast_to(numbers(what, array, length), (self._count, length))

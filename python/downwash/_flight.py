@@ -1,4 +1,4 @@
-"""Flights of the simulated vehicle in lockstep, and what they follow."""
+"""Flights of the simulated vehicle in lockstep."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ._vehicle import Vehicle, vehicle_of
 def settings_of(
     settings: Mapping[str, Any] | None, controller: str | Mapping[str, Any] | None
 ) -> str:
-    """JSON of settings by their dotted paths, the controller's among them."""
+    """Encodes settings by dotted path as JSON, including the controller's."""
     found = dict(settings or {})
     if isinstance(controller, str):
         found["control.law"] = controller
@@ -54,15 +54,15 @@ def fly(
     jobs: int | None = None,
     progress: Progress = None,
 ) -> Rows:
-    """Flies the simulated vehicle in lockstep, once for each seed, and gives a row for each flight.
+    """Flies the simulated vehicle in lockstep, once for each seed, and returns a row for each flight.
 
-    The controller knows the vehicle's file; the vehicle also has ``effects``, and from an instant of its
-    clock on those of ``onsets``, pairs of a time in s and effects. ``controller`` is the
-    name of a law, or settings of ``control``; ``settings`` are any others by their dotted paths, over
-    the configuration file ``config``. ``simulation`` are keys of the simulated vehicle's own
-    configuration. With ``logs``, each flight's log goes into the folder ``seed-N`` there. ``jobs``
-    flights are flown at once, one for each core without a number. The rows are those of
-    ``downwash simulate --json``, in the order of the seeds, and depend on nothing else.
+    The controller knows the vehicle file. The vehicle also has ``effects``, and those of ``onsets``, pairs
+    of a time in s on its clock and effects. ``controller`` is the name of a law, or settings of
+    ``control``; ``settings`` are other settings by dotted path, which override the configuration file
+    ``config``. ``simulation`` has keys of the simulated vehicle's configuration. With ``logs``, each
+    flight's log goes into the subfolder ``seed-N``. ``jobs`` flights run at once, by default one for each
+    core. The rows are those of ``downwash simulate --json``, in the order of the seeds, whatever ``jobs``
+    is.
     """
     of = [seeds] if isinstance(seeds, (int, np.integer)) else listed("seeds", seeds)
     if jobs is not None:

@@ -1,4 +1,4 @@
-"""Flight logs of any kind as arrays."""
+"""Flight logs of any format as arrays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ._arguments import Array, Path, count, paths
 
 @dataclass(frozen=True)
 class Stream:
-    """Samples of one quantity at its own rate, on the flight's one clock."""
+    """Samples of one quantity at its native rate, on the flight's common clock."""
 
     name: str
     time_s: Array
@@ -21,7 +21,7 @@ class Stream:
     values: Array
     """Values, shape (n, columns)."""
     columns: tuple[str, ...]
-    """What each column is, with its unit."""
+    """Names of the columns, with units."""
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -43,7 +43,7 @@ class Stream:
 
 
 class Log(Mapping[str, Stream]):
-    """A flight: streams by name (``log["position"]``), and what the log says of itself."""
+    """A flight: streams by name (``log["position"]``), and facts about the log."""
 
     def __init__(self, native: _native.Log) -> None:
         if not isinstance(native, _native.Log):
@@ -53,7 +53,7 @@ class Log(Mapping[str, Stream]):
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Format, SHA-256, what is known of the vehicle, and what was left out of the file."""
+        """Format, SHA-256, facts about the vehicle, and data dropped from the file."""
         found: dict[str, Any] = json.loads(self._native.facts())
         return found
 
@@ -69,14 +69,14 @@ class Log(Mapping[str, Stream]):
         return len(self._columns)
 
     def to_pandas(self) -> Any:
-        """One pandas DataFrame of every stream, over all of their times; NaN between samples."""
+        """One pandas DataFrame of all streams over all their times, with NaN between samples."""
         import pandas
 
         frames = [stream.to_pandas().add_prefix(f"{stream.name}.") for stream in self.values()]
         return pandas.concat(frames, axis=1).sort_index()
 
     def audit(self) -> dict[str, Any]:
-        """What is wrong with it; see `audit`."""
+        """The problems of this log; see `audit`."""
         found: dict[str, Any] = audit(self.facts["path"])["logs"][0]
         return found
 
@@ -85,16 +85,16 @@ class Log(Mapping[str, Stream]):
 
 
 def read(path: Path, *, mapping: Path | None = None, boot: int | None = None) -> Log:
-    """Reads a flight log, whatever it is: .mcap, .tlog, ULog, DataFlash, or a table with the mapping
-    file that says what its columns are. ``boot``: which start of the vehicle, from 1."""
+    """Reads a flight log of any format: .mcap, .tlog, ULog, DataFlash, or a table with the mapping file
+    that defines its columns. ``boot`` selects a boot of the vehicle, counted from 1."""
     if boot is not None:
         boot = count("boot", boot, 1, 2**32)
     return Log(_native.Log.read(path, mapping, boot))
 
 
 def audit(logs: Path | Sequence[Path], *, mapping: Path | None = None) -> dict[str, Any]:
-    """What is wrong with logs before any physics: the JSON of ``downwash log audit``, with the logs
-    that cannot be read under ``refused``."""
+    """The problems of logs, before any physics: the JSON of ``downwash log audit``, with unreadable logs
+    under ``refused``."""
     text, refused = _native.audit(paths("logs", logs), mapping)
     found: dict[str, Any] = json.loads(text)
     if not found["logs"]:

@@ -26,10 +26,10 @@ MOTION: Final = (
     "pitch_rad",
     "yaw_rad",
 )
-"""Names of what a model sees of the motion: velocity in world axes, body rate, Euler angles."""
+"""Names of a model's motion inputs: velocity in world axes, body rate, Euler angles."""
 
 INPUT: Final = ("thrust_n", "roll_n_m", "pitch_n_m", "yaw_n_m")
-"""Names of its input: collective thrust along -z body, moments about the body's axes."""
+"""Names of a model's control inputs: collective thrust along -z body, moments about the body axes."""
 
 ACCELERATIONS: Final = (
     "north_m_s2",
@@ -39,11 +39,11 @@ ACCELERATIONS: Final = (
     "pitch_rad_s2",
     "yaw_rad_s2",
 )
-"""Names of what it gives: linear acceleration in world axes, angular acceleration in body axes."""
+"""Names of a model's outputs: linear acceleration in world axes, angular acceleration in body axes."""
 
 
 class Model:
-    """A model file: networks, fitted physics, and their sum."""
+    """A model file with three models: a network, fitted physics, and their sum."""
 
     __slots__ = ("_bytes", "_native")
 
@@ -61,17 +61,17 @@ class Model:
         _FilePath(path).write_bytes(self._bytes)
 
     def to_onnx(self, path: Path, kind: Literal["net", "hybrid"] = "net") -> None:
-        """Writes the networks as an ONNX file: those of the net, or what those of the hybrid add to the
+        """Writes the networks as an ONNX file: those of the net, or those that the hybrid adds to the
         physics."""
         _FilePath(path).write_bytes(self._native.to_onnx(kind))
 
     @property
     def preferred(self) -> str:
-        """Which of its models did best on validation: net, physics or hybrid."""
+        """The model with the best validation result: net, physics or hybrid."""
         return self._native.preferred
 
     def info(self) -> dict[str, Any]:
-        """How it was trained: the JSON of ``downwash model info``."""
+        """Facts about the training: the JSON of ``downwash model info``."""
         found: dict[str, Any] = json.loads(self._native.info())
         return found
 
@@ -88,9 +88,9 @@ class Model:
     def accelerations(
         self, x: ArrayLike, u: ArrayLike, *, jacobian: bool = False, kind: str | None = None
     ) -> Array | tuple[Array, Array]:
-        """Accelerations at motions ``x``, shape (n, 9), under inputs ``u``, shape (n, 4): shape
-        (n, 6). With ``jacobian`` also their exact derivatives by ``x`` and ``u``, shape (n, 6, 13).
-        One motion and one input, of shapes (9,) and (4,), give one row without its axis."""
+        """Accelerations, shape (n, 6), at motions ``x``, shape (n, 9), under inputs ``u``, shape (n, 4).
+        With ``jacobian``, also the exact derivatives with respect to ``x`` and ``u``, shape (n, 6, 13). A
+        single motion and input, of shapes (9,) and (4,), return results without the axis n."""
         single = np.ndim(x) == 1
         motions = numbers("x", np.atleast_2d(np.asarray(x)), "n", len(MOTION))
         inputs = numbers("u", np.atleast_2d(np.asarray(u)), len(motions), len(INPUT))
@@ -106,7 +106,7 @@ class Model:
         return (found[0], slopes[0]) if single else (found, slopes)
 
     def evaluate(self, logs: Path | Sequence[Path], *, mapping: Path | None = None) -> dict[str, Any]:
-        """Errors on logs, at once and in open loop: the JSON of ``downwash model eval``."""
+        """Errors on logs, one-step and open-loop: the JSON of ``downwash model eval``."""
         with TemporaryDirectory() as folder:
             path = _FilePath(folder, "model.safetensors")
             self.save(path)
@@ -142,10 +142,10 @@ _PARAMETERS = (
 
 
 class Learner:
-    """Learns a vehicle's dynamics from flight logs, in scikit-learn's manners.
+    """Learns a vehicle's dynamics from flight logs, with scikit-learn's interface.
 
     A parameter that is None takes the default of ``downwash train``. After `fit`, ``model_`` is the
-    `Model` and ``summary_`` what was learned from, and how well.
+    `Model`, and ``summary_`` describes the data and the result.
     """
 
     def __init__(
@@ -186,8 +186,7 @@ class Learner:
         return self
 
     def fit(self, logs: Path | Sequence[Path], y: None = None, *, mapping: Path | None = None) -> Learner:
-        """Learns from flight logs, which are split by whole flights for training, validation and
-        test."""
+        """Learns from flight logs, split by whole flights into training, validation and test sets."""
         params = self.get_params()
         settings = {key: value for key, value in params.items() if value is not None}
         settings = {key: value for key, value in settings.items() if key not in ("vehicle", "kind")}
@@ -207,15 +206,14 @@ class Learner:
         return self.model_
 
     def predict(self, X: ArrayLike) -> Array:
-        """Accelerations, shape (n, 6), at points of 9 numbers of motion and 4 of input, shape
-        (n, 13)."""
+        """Accelerations, shape (n, 6), at points of 9 motion and 4 input numbers, shape (n, 13)."""
         points = numbers("X", X, "n", len(MOTION) + len(INPUT))
         motions, inputs = points[:, : len(MOTION)], points[:, len(MOTION) :]
         return self._fitted().accelerations(motions, inputs, kind=self.kind)
 
     def score(self, logs: Path | Sequence[Path], y: None = None) -> float:
-        """Share of the accelerations' variance on these logs that the model explains, the mean over
-        the six: 1 is all, 0 is as good as their means."""
+        """Share of the accelerations' variance that the model explains on these logs, averaged over the six
+        components: 1 is perfect, 0 is no better than the means."""
         model = self._fitted()
         kind = self.kind or model.preferred
         for errors in model.evaluate(logs)["one_step"]:

@@ -1,4 +1,4 @@
-"""Changes: when something of a vehicle changed, in a flight or between flights."""
+"""Changes of a vehicle, within a flight or between flights."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from ._vehicle import Vehicle
 
 @dataclass(frozen=True)
 class Changes:
-    """What changed. Every field of the JSON of ``downwash onset`` is in `answer`, by its name. In a
-    notebook it shows its report."""
+    """The changes found. `answer` has every field of the JSON of ``downwash onset``. In a notebook it shows
+    its report."""
 
     answer: dict[str, Any]
     """The answer's JSON."""
     html: str = field(repr=False)
-    """The report: a page that stands by itself."""
+    """The report, a self-contained HTML page."""
     text: str = field(repr=False)
     """The answer in words."""
 
     @property
     def rows(self) -> Rows:
-        """A row for each change within a flight: its ``log``, and what the JSON says of it."""
+        """A row for each change within a flight: its ``log`` and its fields in the JSON."""
         flights = self.answer["flights"]
         return Rows({"log": of["log"]} | change for of in flights for change in of["changes"])
 
     @property
     def steps(self) -> list[dict[str, Any]]:
-        """What changed between flights."""
+        """The changes between flights."""
         found: list[dict[str, Any]] = self.answer["steps"]
         return found
 
@@ -58,9 +58,9 @@ def onset(
     mapping: Path | None = None,
     false_alarm_h: float | None = None,
 ) -> Changes:
-    """Says when something of the vehicle changed, what, and by how much, as ``downwash onset`` does:
-    within each of the logs, and between them, in the order of their dates. ``false_alarm_h`` is the mean
-    time between false alarms that the bound on the evidence is for, in h of flight."""
+    """Finds when the vehicle changed, what changed, and by how much, as ``downwash onset`` does: within
+    each log, and between logs in the order of their dates. ``false_alarm_h`` is the mean time between false
+    alarms, in h of flight, which sets the threshold on the evidence."""
     with TemporaryDirectory() as folder:
         if isinstance(vehicle, Vehicle):
             file: Path = _FilePath(folder, "vehicle.toml")

@@ -32,7 +32,7 @@ PLAN_STATE: Final = (
     "pitch_rad_s",
     "yaw_rad_s",
 )
-"""Names of a planned state's numbers: world axes, Euler angles, body rates."""
+"""Names of a planned state's components: position and velocity in world axes, Euler angles, body rates."""
 
 PLAN_INPUT: Final = (
     "thrust_n",
@@ -43,11 +43,11 @@ PLAN_INPUT: Final = (
     "pitch_rad_s",
     "yaw_rad_s",
 )
-"""Names of a planned input's numbers: collective thrust, desired attitude and body rate."""
+"""Names of a planned input's components: collective thrust, desired attitude and body rate."""
 
 
 class Plan:
-    """States with the inputs that lead through them. `fly` takes it in place of a trajectory."""
+    """States with the inputs that lead through them. `fly` accepts a plan in place of a trajectory."""
 
     __slots__ = ("_native",)
 
@@ -58,11 +58,11 @@ class Plan:
 
     @classmethod
     def load(cls, path: Path) -> Plan:
-        """Reads a plan's file."""
+        """Reads a plan file."""
         return cls(_native.Plan.load(path))
 
     def save(self, path: Path) -> None:
-        """Writes its file, which ``downwash fly`` takes."""
+        """Writes the plan file, which ``downwash fly`` accepts."""
         _FilePath(path).write_text(self._native.to_json(), encoding="utf-8")
 
     @property
@@ -72,7 +72,7 @@ class Plan:
 
     @property
     def not_flyable(self) -> str | None:
-        """Why it may not be flown; None where it may."""
+        """Why the plan must not be flown; None if it may."""
         return self._native.not_flyable
 
     @property
@@ -82,12 +82,12 @@ class Plan:
 
     @property
     def passed_s(self) -> list[float] | None:
-        """When each passage of a course is passed, s; None of another plan, and of one from a file."""
+        """Time of each passage of a course, s; None for other plans and for a plan from a file."""
         return self._native.passed_s
 
     @property
     def cost_m(self) -> float:
-        """Sum of the distances from the desired states; of the fastest way its time, s."""
+        """Sum of the distances from the desired states, m; for a time-optimal plan its duration, s."""
         return self._native.cost
 
     @property
@@ -102,17 +102,17 @@ class Plan:
 
     @property
     def states(self) -> Array:
-        """Planned states, shape (n + 1, 12), named by `PLAN_STATE`."""
+        """Planned states, shape (n + 1, 12), with the columns `PLAN_STATE`."""
         return self._native.states().reshape(-1, len(PLAN_STATE))
 
     @property
     def desired(self) -> Array:
-        """Desired states, as `states`."""
+        """Desired states, in the shape of `states`."""
         return self._native.desired().reshape(-1, len(PLAN_STATE))
 
     @property
     def inputs(self) -> Array:
-        """Planned inputs, shape (n, 7), named by `PLAN_INPUT`."""
+        """Planned inputs, shape (n, 7), with the columns `PLAN_INPUT`."""
         return self._native.inputs().reshape(-1, len(PLAN_INPUT))
 
     def __repr__(self) -> str:
@@ -140,11 +140,11 @@ def plan(
     config: Path | None = None,
     progress: Progress = None,
 ) -> Plan:
-    """Plans a feasible reference near a trajectory, through the vehicle's own physics or one of a
-    model's ``kind`` (net, physics, hybrid; the one that did best without a name).
+    """Plans a feasible reference near a trajectory, with the vehicle's physics or the ``kind`` of a model
+    (net, physics, hybrid; by default the preferred one).
 
-    Of the family ``time-optimal``, which says where to fly and not when, as the shipped ``race``, it
-    plans the fastest way."""
+    For the family ``time-optimal``, which states where to fly and not when, such as the shipped ``race``,
+    it plans the fastest flight."""
     from ._model import Model
 
     if not (model is None or isinstance(model, Model)):

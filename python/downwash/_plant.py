@@ -1,4 +1,4 @@
-"""The simulated vehicle without its autopilot: motor outputs in, motion out."""
+"""The simulated vehicle without its autopilot, which turns motor outputs into motion."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ STATE: Final = (
     "pitch_rad_s",
     "yaw_rad_s",
 )
-"""Names of a state's numbers: position and velocity in world axes (north, east, down), the rotation
-from body to world as a quaternion, the body rate in body axes (front, right, down)."""
+"""Names of a state's components: position and velocity in world axes (north, east, down), the rotation from
+body to world as a quaternion, the body rate in body axes (front, right, down)."""
 
 REST: Final[tuple[float, ...]] = (0.0,) * 6 + (1.0,) + (0.0,) * 6
-"""A state at rest in the origin, level, heading north."""
+"""A state at rest at the origin, level, heading north."""
 
 _MOST_STEPS = 1_000_000
-# So many steps take about half a second: between two calls Ctrl-C is looked at.
+# About half a second of work; Ctrl-C is checked between two calls.
 _STEPS_A_CALL = 1_000_000
 _LONGEST = 10_000_000
 
 
 class Plant:
-    """A vehicle that is stepped by motor outputs in 0..1, thrust over full thrust of each rotor.
+    """A vehicle driven by motor outputs in 0..1, each rotor's thrust over its full thrust.
 
-    ``effects`` is what the vehicle has beyond its file. A step is `Plant.step_s` long. The floor lies
-    at down 0.
+    ``effects`` are what the vehicle has beyond its file. A step takes `Plant.step_s`. The floor is at down
+    0.
     """
 
     step_s: Final = _native.Plant.STEP_S
@@ -64,7 +64,7 @@ class Plant:
 
     @property
     def state(self) -> Array:
-        """The state, 13 numbers named by `STATE`."""
+        """The state, 13 numbers in the order of `STATE`."""
         state = np.empty(len(STATE))
         self._native.state(state)
         return state
@@ -75,7 +75,7 @@ class Plant:
 
     @property
     def rotor_states(self) -> Array:
-        """What the rotors give of their full thrust, behind their lag: four numbers in 0..1."""
+        """The rotors' states after their lag, as fractions of full thrust: four numbers in 0..1."""
         return np.array(self._native.rotor_states)
 
     @rotor_states.setter
@@ -83,12 +83,12 @@ class Plant:
         self._native.set_rotor_states(numbers("rotor_states", states, 4))
 
     def step(self, outputs: ArrayLike, steps: int = 1) -> Array:
-        """Holds four outputs for ``steps`` steps; the state after them."""
+        """Holds four outputs for ``steps`` steps. Returns the state after them."""
         return flat(self.rollout(numbers("outputs", outputs, 4)[np.newaxis], steps))
 
     def rollout(self, outputs: ArrayLike, steps: int = 1) -> Array:
-        """Goes through rows of outputs, shape (n, 4), each held for ``steps`` steps; the state after
-        each, shape (n, 13)."""
+        """Applies rows of outputs, shape (n, 4), each held for ``steps`` steps. Returns the state after
+        each row, shape (n, 13)."""
         rows = numbers("outputs", outputs, "n", 4)
         steps = count("steps", steps, 1, _MOST_STEPS)
         states = np.empty((len(rows), len(STATE)))
@@ -100,7 +100,7 @@ class Plant:
 
     @property
     def specific_force_m_s2(self) -> Array:
-        """What an ideal accelerometer reads in body axes, m/s^2."""
+        """Reading of an ideal accelerometer in body axes, m/s^2."""
         return np.array(self._native.specific_force_m_s2)
 
     @property
@@ -129,7 +129,7 @@ class Plant:
         return self._native.time_s
 
     def copy(self) -> Plant:
-        """The same vehicle at the same instant, to go on by itself."""
+        """An independent copy of the vehicle in its present state."""
         copy = object.__new__(Plant)
         copy._native = self._native.copy()
         return copy
@@ -147,13 +147,13 @@ def rollouts(
     seed: int = 0,
     airborne: bool = True,
 ) -> Array:
-    """Many vehicles at once, on every core.
+    """Simulates many vehicles at once, on every core.
 
-    ``outputs`` has shape (vehicles, n, 4); ``start`` is one state, or one for each vehicle, shape
-    (vehicles, 13); ``effects`` is one set, or one for each vehicle. Rotors begin in the first outputs.
-    Gusts of vehicle i are drawn from ``seed + i``. Without ``airborne`` there is a floor at down 0.
+    ``outputs`` has shape (vehicles, n, 4). ``start`` is one state, or one for each vehicle, shape
+    (vehicles, 13). ``effects`` is one set, or one for each vehicle. The rotors start at the first outputs.
+    ``seed + i`` seeds the gusts of vehicle i. Without ``airborne`` there is a floor at down 0.
 
-    The states after each row of outputs, shape (vehicles, n, 13).
+    Returns the states after each row of outputs, shape (vehicles, n, 13).
     """
     rows = numbers("outputs", outputs, "vehicles", "n", 4)
     vehicles, length, _ = rows.shape

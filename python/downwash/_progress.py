@@ -1,4 +1,4 @@
-"""Progress for people who wait: a bar where tqdm is installed, else a line on stderr."""
+"""Progress display: a bar if tqdm is installed, else a line on stderr."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Progress: TypeAlias = "bool | Callable[[str, int, int], object] | None"
 
 
 def teller(progress: Progress) -> Callable[[str, int, int], object] | None:
-    """What is called with ``(stage, done, of)``; ``of`` is 0 where the end is not known."""
+    """The function to call with ``(stage, done, of)``; ``of`` is 0 if the end is unknown."""
     if progress is None or progress is False:
         return None
     if progress is not True:

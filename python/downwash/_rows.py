@@ -19,17 +19,17 @@ def _flat(prefix: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 class Rows(list[dict[str, Any]]):
-    """Rows as dictionaries; tables inside them are columns with a dot when made a table."""
+    """Rows as dictionaries. In a table, nested tables become columns with dotted names."""
 
     metadata: dict[str, str]
-    """What the whole table says of itself."""
+    """Metadata of the table."""
 
     def __init__(self, rows: Iterable[dict[str, Any]] = ()) -> None:
         super().__init__(rows)
         self.metadata = {}
 
     def flat(self) -> list[dict[str, Any]]:
-        """The rows without tables inside: ``effects.rotor_drag.d_xy`` is a column."""
+        """The rows without nested tables, with dotted keys such as ``effects.rotor_drag.d_xy``."""
         return [dict(_flat("", row)) for row in self]
 
     def to_pandas(self) -> Any:
@@ -43,13 +43,13 @@ class Rows(list[dict[str, Any]]):
         import pyarrow
 
         rows = self.flat()
-        # Of a list of rows pyarrow would take the first one's columns alone.
+        # From a list of rows, pyarrow would take only the columns of the first.
         names = dict.fromkeys(name for row in rows for name in row)
         columns = {name: [row.get(name) for row in rows] for name in names}
         return pyarrow.table(columns).replace_schema_metadata(self.metadata or None)
 
     def to_parquet(self, path: str | PathLike[str]) -> None:
-        """Writes a Parquet file, by pyarrow."""
+        """Writes a Parquet file with pyarrow."""
         import pyarrow.parquet
 
         pyarrow.parquet.write_table(self.to_arrow(), path)

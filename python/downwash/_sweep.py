@@ -1,4 +1,4 @@
-"""Many flights, diagnoses or cases of an exam, on any number of workers, into one table."""
+"""Sweeps: many flights, diagnoses or exam cases, on any number of workers, in one table."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def sweep(
     jobs: int | None = None,
     progress: Progress = None,
 ) -> dict[str, Any]:
-    """Does one worker's share of a sweep, as ``downwash sweep`` does: of n workers on one folder
-    ``out`` the i-th has ``shard=(i, n)``, i from 1. A point is a flight, a diagnosis or a case of an
-    exam, as the manifest says. Rows that are there are not made again. Whichever worker finds every row
-    there writes the table.
+    """Computes one worker's share of a sweep, as ``downwash sweep`` does. Of n workers on one folder
+    ``out``, the i-th has ``shard=(i, n)``, with i from 1. A point is a flight, a diagnosis or an exam case,
+    according to the manifest. Existing rows are kept. The worker that finds all rows present writes the
+    table.
 
-    Gives the summary: ``points``, ``done``, ``failures``, ``ended_early``, and ``table``, its path once
-    it is whole.
+    Returns the summary: ``points``, ``done``, ``failures``, ``ended_early``, and ``table``, the table's
+    path once it is complete.
     """
     index, of = shard
     text = _native.sweep(
@@ -58,7 +58,7 @@ def _cell(text: str) -> Any:
 
 
 def table(out: Path) -> Rows:
-    """The whole table of a sweep's folder, a row for each point, in their order. ``to_parquet`` writes
+    """Reads the complete table of a sweep's folder, one row for each point, in order. ``to_parquet`` writes
     it with the manifest's hash and the version in the file's metadata."""
     folder = _FilePath(out)
     header = json.loads((folder / "sweep.json").read_text(encoding="utf-8"))

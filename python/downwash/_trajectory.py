@@ -25,12 +25,12 @@ POINT: Final = (
     "yaw_rad",
     "yaw_rad_s",
 )
-"""Names of a desired point's numbers, in world axes."""
+"""Names of a desired point's components, in world axes."""
 
 
 class Trajectory:
-    """What a vehicle is to fly: a trajectory file, a shipped one by its name, or a file's keys as a
-    table, such as ``Trajectory({"family": "hover", "altitude_m": 1.0, "duration_s": 10.0})``."""
+    """A desired trajectory: a trajectory file, a shipped one by name, or a file's keys as a table, such as
+    ``Trajectory({"family": "hover", "altitude_m": 1.0, "duration_s": 10.0})``."""
 
     __slots__ = ("_native", "_source")
 
@@ -48,17 +48,17 @@ class Trajectory:
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """Name of the trajectory."""
         return self._native.name
 
     @property
     def duration_s(self) -> float:
-        """Its length, s."""
+        """Duration, s."""
         return self._native.duration_s
 
     def sample(self, time_s: ArrayLike) -> Array:
-        """The desired points at these times, shape (n, 11), named by `POINT`; times before the start
-        and after the end are those."""
+        """The desired points at these times, shape (n, 11), with the columns `POINT`. Times are clamped to
+        the start and the end."""
         times = numbers("time_s", time_s, "n")
         points = np.empty((len(times), len(POINT)))
         self._native.sample(times, flat(points))
@@ -72,5 +72,5 @@ class Trajectory:
 
 
 def trajectory_of(given: Trajectory | Mapping[str, Any] | Path) -> Trajectory:
-    """A trajectory, or what makes one."""
+    """Converts to a `Trajectory`, if it is not one already."""
     return given if isinstance(given, Trajectory) else Trajectory(given)

@@ -14,9 +14,9 @@ from ._rows import Rows
 
 
 class Vehicle:
-    """What a simulator believes about a quadrotor: a vehicle file.
+    """A simulator's nominal model of a quadrotor: a vehicle file.
 
-    ``Vehicle("crazyflie")`` takes a file's path, or the name of a shipped vehicle.
+    ``Vehicle("crazyflie")`` accepts the path of a file, or the name of a shipped vehicle.
     """
 
     __slots__ = ("_native",)
@@ -31,7 +31,7 @@ class Vehicle:
 
     @classmethod
     def parse(cls, text: str, name: str = "vehicle") -> Vehicle:
-        """A vehicle from its file's text; ``name`` stands for the file in messages."""
+        """Parses the text of a vehicle file; ``name`` identifies it in messages."""
         return cls._of(_native.Vehicle.parse(text, name))
 
     @classmethod
@@ -51,10 +51,10 @@ class Vehicle:
         motor_lag_s: float | None = None,
         cells: int | None = None,
     ) -> Vehicle:
-        """A vehicle from an autopilot's parameters and from measured numbers.
+        """Creates a vehicle from an autopilot's parameters and measured numbers.
 
-        ``parameters`` is a parameter file or a log of PX4 or ArduPilot. What no source says raises
-        `DownwashError`, with the way to measure it.
+        ``parameters`` is a parameter file or a log of PX4 or ArduPilot. A number that no source gives
+        raises `DownwashError`, which explains how to measure it.
         """
         measured = {
             "name": name,
@@ -83,35 +83,35 @@ class Vehicle:
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """Name of the vehicle."""
         return self._native.name
 
     @property
     def text(self) -> str:
-        """Its file's text."""
+        """Text of the vehicle file."""
         return self._native.text
 
     def to_dict(self) -> dict[str, Any]:
-        """Its file's keys."""
+        """The vehicle file's keys and values."""
         found: dict[str, Any] = json.loads(self._native.to_json())
         return found
 
     def check(self) -> list[dict[str, Any]]:
-        """Which of its numbers do not fit each other; empty where all do."""
+        """Remarks on numbers that do not fit each other; empty if all do."""
         found: list[dict[str, Any]] = json.loads(self._native.remarks())
         return found
 
     def with_effects(self, effects: Effects) -> Vehicle:
-        """The vehicle with these effects in its file, beside those that are there or in their place."""
+        """The vehicle with these effects added to its file or replacing existing ones."""
         return self._of(self._native.with_effects(effects_json(effects)))
 
     def save(self, path: Path) -> None:
-        """Writes its file: JSON where the name ends so, else TOML."""
+        """Writes the vehicle file: JSON if the name ends in .json, else TOML."""
         _FilePath(path).write_text(self._native.to_text(path), encoding="utf-8")
 
     def export(self, to: str) -> tuple[str, list[str]]:
-        """The text of this vehicle, its modelled effects included, for another simulator: "rotorpy",
-        "drone-models", "px4-sih", "mujoco" or "casadi"; and what that one does not express."""
+        """Exports the vehicle with its modelled effects to another simulator: "rotorpy", "drone-models",
+        "px4-sih", "mujoco" or "casadi". Returns the text, and what that simulator cannot express."""
         if not isinstance(to, str):
             raise TypeError(f"to: expected a name, found {type(to).__name__}")
         return self._native.export(to)
@@ -124,7 +124,7 @@ class Vehicle:
 
 
 def vehicle_of(given: Vehicle | Path) -> Vehicle:
-    """A vehicle, or the one at a path."""
+    """Converts a path to a `Vehicle`, if it is not one already."""
     if isinstance(given, Vehicle):
         return given
     if isinstance(given, (str, os.PathLike)):
@@ -133,9 +133,9 @@ def vehicle_of(given: Vehicle | Path) -> Vehicle:
 
 
 def effects() -> Rows:
-    """The catalogue of effects, a row for each parameter.
+    """The catalogue of effects, one row for each parameter.
 
-    Columns: id, parameter, unit, shape (scalar, vector, index), least and most accepted value,
-    default, neutral value, equation, and more about it with its source.
+    Columns: id, parameter, unit, shape (scalar, vector, index), least and most accepted value, default,
+    neutral value, equation, and a description with the source.
     """
     return Rows(json.loads(_native.effects()))

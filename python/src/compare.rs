@@ -1,4 +1,4 @@
-//! Flights side by side.
+//! Comparisons of flights.
 
 use std::path::PathBuf;
 
@@ -18,7 +18,7 @@ fn choice<T: ValueEnum>(argument: &str, word: &str) -> PyResult<T> {
     })
 }
 
-/// Compares the logs `a` with the logs `b`: the JSON of the comparison, and its page.
+/// Compares the logs `a` with the logs `b`. Returns the comparison as JSON and as an HTML page.
 #[pyfunction]
 pub fn compare(
     py: Python<'_>,

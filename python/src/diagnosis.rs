@@ -1,4 +1,4 @@
-//! Diagnoses.
+//! Diagnoses of flight logs.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -11,7 +11,7 @@ use vehicle::effects::EffectId;
 use crate::errors::{exception, wrong};
 use crate::watch::watched;
 
-/// An answer with its report.
+/// The result of a diagnosis, with its report.
 #[pyclass(frozen, module = "downwash._downwash")]
 pub struct Diagnosis {
     finding: Finding,
@@ -31,12 +31,12 @@ impl Diagnosis {
         self.finding.to_text()
     }
 
-    /// The text of an effects file with the law that was named and what acts beside it.
+    /// The text of an effects file with the law that was found and the other effects.
     fn law(&self, py: Python<'_>) -> PyResult<Option<String>> {
         self.finding.law().map_err(|error| exception(py, &error))
     }
 
-    /// The text of the vehicle file with the effects that were found.
+    /// The text of the vehicle file with the effects found.
     fn improved(&self, py: Python<'_>, name: PathBuf) -> PyResult<String> {
         self.finding.improved(Path::new(&name)).map_err(|error| exception(py, &error))
     }

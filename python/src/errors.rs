@@ -1,4 +1,4 @@
-//! Errors as exceptions: the command line's sentences.
+//! Errors as exceptions, with the command line's messages.
 
 use downwash::command::{Exit, exit_of, in_words};
 use pyo3::exceptions::{PyException, PyValueError};
@@ -12,7 +12,7 @@ pub fn add(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("DownwashError", class)
 }
 
-/// The exception of an error, with the exit code that the command line would have ended with.
+/// The exception for an error, with the command line's exit code.
 pub fn exception(py: Python<'_>, error: &anyhow::Error) -> PyErr {
     raised(py, in_words(error), exit_of(error))
 }
@@ -25,7 +25,7 @@ fn raised(py: Python<'_>, words: String, exit: Exit) -> PyErr {
     }
 }
 
-/// What a library reads, or the exception of a file that is refused.
+/// The result of reading a file, or the exception for a refused one.
 pub fn read<T, E: Into<anyhow::Error>>(py: Python<'_>, result: Result<T, E>) -> PyResult<T> {
     result.map_err(|error| raised(py, in_words(&error.into()), Exit::Usage))
 }
@@ -35,15 +35,14 @@ pub fn wrong(what: impl Into<String>) -> PyErr {
     PyValueError::new_err(what.into())
 }
 
-/// The exception of JSON that says something wrong. Where in the JSON is nothing to a user who did
-/// not write it.
+/// The exception for invalid JSON, without the position, since the user did not write the JSON.
 pub fn unread(what: &str, error: &serde_json::Error) -> PyErr {
     let text = error.to_string();
     let said = text.rsplit_once(" at line ").map_or(text.as_str(), |(said, _)| said);
     wrong(format!("{what}: {said}"))
 }
 
-/// The exception of a panic: a fault of this program.
+/// The exception for a panic, which is a bug in this program.
 pub fn fault(panic: &(dyn std::any::Any + Send)) -> PyErr {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");

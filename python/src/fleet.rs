@@ -1,4 +1,4 @@
-//! Many vehicles stepped together.
+//! Fleets: many vehicles stepped together.
 
 use numpy::{PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::prelude::*;
@@ -13,12 +13,12 @@ use crate::plant::{STATE, from_array, to_array};
 use crate::vehicle::{Vehicle, effects_of};
 use crate::watch::on_every_core;
 
-/// Vehicles of a job for one core: small enough to share a fleet evenly, large enough to be worth it.
+/// Vehicles in a job for one core: small enough to balance the load, large enough for low overhead.
 const JOB: usize = 256;
-/// Steps of all vehicles from which on they are shared among the cores.
+/// Number of steps, over all vehicles, above which the cores share the work.
 const MANY: usize = 500_000;
 
-/// Vehicles of one kind, stepped together.
+/// Identical vehicles, stepped together.
 #[pyclass(module = "downwash._downwash")]
 pub struct Fleet {
     jobs: Jobs,
@@ -29,21 +29,21 @@ enum Jobs {
     Double(Vec<Batch<f64>>),
 }
 
-/// Numbers of a NumPy array, in either precision.
+/// A NumPy array of numbers in either precision.
 #[derive(FromPyObject)]
 pub enum Numbers<'py> {
     Single(PyReadonlyArray1<'py, f32>),
     Double(PyReadonlyArray1<'py, f64>),
 }
 
-/// Room for numbers.
+/// A writable NumPy array in either precision.
 #[derive(FromPyObject)]
 pub enum Room<'py> {
     Single(PyReadwriteArray1<'py, f32>),
     Double(PyReadwriteArray1<'py, f64>),
 }
 
-/// The batches of a fleet, a job for each.
+/// The batches of a fleet, one for each job.
 pub fn batches<F: Precision>(
     vehicle: &Vehicle,
     effects: &str,
@@ -62,12 +62,12 @@ pub fn batches<F: Precision>(
     (0..count).step_by(JOB).map(of).collect()
 }
 
-/// A row of four outputs.
+/// The first four outputs; missing ones are 0.
 pub fn row<F: Precision>(outputs: &[F]) -> [F; ROTORS] {
     std::array::from_fn(|rotor| outputs.get(rotor).copied().unwrap_or_default())
 }
 
-/// Writes the vehicles' states, a row each.
+/// Writes the vehicles' states, one row for each.
 pub fn write_states<F: Precision>(batch: &Batch<F>, states: &mut [F]) {
     for (index, into) in states.chunks_exact_mut(STATE).enumerate() {
         let state = batch.state(index).unwrap_or_default();
@@ -77,17 +77,17 @@ pub fn write_states<F: Precision>(batch: &Batch<F>, states: &mut [F]) {
     }
 }
 
-/// Vehicles from their starts through rows of outputs, each held for `every` steps.
+/// Rollouts of vehicles from their starts through rows of outputs, each held for `every` steps.
 pub struct Rolls<'a> {
     pub starts: &'a [State],
-    /// Of each vehicle in turn, its rows of four.
+    /// Rows of four outputs, vehicle by vehicle.
     pub outputs: &'a [f64],
-    /// Rows of a vehicle.
+    /// Number of rows for each vehicle.
     pub rows: usize,
     pub every: usize,
 }
 
-/// Writes the states after each row, of each vehicle in turn.
+/// Writes the states after each row, vehicle by vehicle.
 pub fn roll(
     py: Python<'_>,
     jobs: Vec<Batch<f64>>,
@@ -104,7 +104,7 @@ pub fn roll(
         jobs.for_each(|(job, (mut batch, states))| {
             let first = job * JOB;
             for (index, start) in starts.iter().skip(first).take(batch.len()).enumerate() {
-                // As if the first outputs had been held before.
+                // The rotors start as if the first outputs had been held before.
                 batch.set(index, *start, outputs_of(first + index, 0));
             }
             for at in 0..rows {
@@ -246,7 +246,7 @@ impl Fleet {
         }
     }
 
-    /// The vector instructions that step the vehicles.
+    /// Name of the vector instruction set in use.
     #[getter]
     fn instructions(&self) -> &'static str {
         match &self.jobs {

@@ -18,16 +18,16 @@ use crate::plan::Plan;
 use crate::vehicle::{Vehicle, effects_of};
 use crate::watch::watched;
 
-/// Numbers of a desired point: position, velocity, acceleration, yaw, yaw rate.
+/// Length of a desired point: position, velocity, acceleration, yaw, yaw rate.
 const POINT: usize = 11;
 
-/// What a vehicle is to fly.
+/// A desired trajectory.
 #[pyclass(frozen, module = "downwash._downwash")]
 pub struct Trajectory {
     pub trajectory: downwash::plan::Trajectory,
 }
 
-/// What is planned: a trajectory, or places to be passed as fast as it goes.
+/// The input of the planner: a trajectory, or a course to fly as fast as possible.
 #[pyclass(frozen, module = "downwash._downwash")]
 pub struct Wish {
     pub file: TrajectoryFile,
@@ -40,7 +40,7 @@ impl Wish {
         Ok(Self { file: read(py, TrajectoryFile::load(&path))? })
     }
 
-    /// From the keys of a trajectory file, as JSON.
+    /// Parses the keys of a trajectory file, given as JSON.
     #[staticmethod]
     fn parse(py: Python<'_>, keys: &str, name: PathBuf) -> PyResult<Self> {
         let file = TrajectoryFile::parse(&keys_of(keys)?.to_string(), &name);
@@ -48,7 +48,7 @@ impl Wish {
     }
 }
 
-/// The keys of a trajectory file from their JSON.
+/// Parses the keys of a trajectory file from JSON.
 fn keys_of(text: &str) -> PyResult<toml::Table> {
     serde_json::from_str(text).map_err(|error| unread("trajectory", &error))
 }
@@ -61,7 +61,7 @@ impl Trajectory {
         Ok(Self { trajectory })
     }
 
-    /// From the keys of a trajectory file, as JSON.
+    /// Parses the keys of a trajectory file, given as JSON.
     #[staticmethod]
     fn parse(py: Python<'_>, keys: &str, name: PathBuf) -> PyResult<Self> {
         let trajectory = downwash::plan::Trajectory::parse(&keys_of(keys)?.to_string(), &name);
@@ -100,12 +100,12 @@ impl Trajectory {
     }
 }
 
-/// Settings from their JSON, by dotted paths.
+/// Parses settings by dotted path from JSON.
 pub fn settings_of(text: &str) -> PyResult<BTreeMap<String, toml::Value>> {
     serde_json::from_str(text).map_err(|error| unread("settings", &error))
 }
 
-/// Effects that set in, from their JSON: pairs of a time and a set.
+/// Parses onsets from JSON: pairs of a time and a set of effects.
 fn onsets_of(text: &str) -> PyResult<Vec<Onset>> {
     let pairs: Vec<(f64, EffectSet)> =
         serde_json::from_str(text).map_err(|error| unread("onsets", &error))?;
@@ -117,7 +117,7 @@ fn onsets_of(text: &str) -> PyResult<Vec<Onset>> {
     Ok(schedule.onsets)
 }
 
-/// A trajectory or a plan as what is flown.
+/// Converts a trajectory or a plan to a course.
 fn course(given: &Bound<'_, PyAny>) -> PyResult<Course> {
     if let Ok(plan) = given.cast::<Plan>() {
         return Ok(Course::Planned(Arc::clone(&plan.get().plan)));
@@ -126,8 +126,8 @@ fn course(given: &Bound<'_, PyAny>) -> PyResult<Course> {
     Ok(Course::Desired(trajectory.get().trajectory.clone()))
 }
 
-/// One flight for each seed, `jobs` at once: the rows of `simulate`, as JSON, in the order of the
-/// seeds. With a folder, each log goes into its folder `seed-N`.
+/// Flies once for each seed, `jobs` flights at once. Returns the rows of `simulate` as JSON, in the
+/// order of the seeds. With `logs`, each log goes into the subfolder `seed-N`.
 #[pyfunction]
 #[allow(clippy::too_many_arguments, reason = "one for each argument of the Python function")]
 pub fn fly(

@@ -1,8 +1,8 @@
-//! The native part of the Python package `downwash`: each function hands its arguments to the
-//! library and its results back. What a user sees is in `downwash/*.py`, which makes arrays of what
-//! it is given: here every array is flat and contiguous.
+//! The native part of the Python package `downwash`. Each function passes its arguments to the
+//! library and returns the results. The user-facing API is in `downwash/*.py`, which shapes the
+//! arrays; here every array is flat and contiguous.
 
-// PyO3's macros write paths and conversions of their own.
+// PyO3's macros generate such conversions.
 #![allow(clippy::useless_conversion)]
 
 mod compare;
@@ -24,7 +24,7 @@ use std::path::PathBuf;
 
 use pyo3::prelude::*;
 
-/// Runs the command line; the first argument is the program's own path. Its exit code.
+/// Runs the command line and returns its exit code; `program` is the path of the program.
 #[pyfunction]
 fn main(py: Python<'_>, program: PathBuf, args: Vec<OsString>) -> u8 {
     py.detach(|| {

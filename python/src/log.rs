@@ -1,4 +1,4 @@
-//! Flight logs of any kind as arrays.
+//! Flight logs of any format as arrays.
 
 use std::path::PathBuf;
 
@@ -12,13 +12,13 @@ use vehicle::frame::{Attitude, Frd, Ned};
 use crate::errors::wrong;
 use crate::watch::watched;
 
-/// A flight as it was logged.
+/// A logged flight.
 #[pyclass(frozen, module = "downwash._downwash")]
 pub struct Log {
     flight: Flight,
 }
 
-/// A stream's times, and its values row by row.
+/// A stream's times, and its values in row-major order.
 type Arrays<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
 const NED_M: [&str; 3] = ["north_m", "east_m", "down_m"];
@@ -60,7 +60,7 @@ impl Log {
         Ok(Self { flight })
     }
 
-    /// Names of the streams with samples, and their columns.
+    /// Names and columns of the streams that have samples.
     #[getter]
     fn streams(&self) -> Vec<(&'static str, Vec<&'static str>)> {
         let flight = &self.flight;
@@ -114,7 +114,7 @@ impl Log {
         Ok((times.into_pyarray(py), values.into_pyarray(py)))
     }
 
-    /// What the log says of itself and of its vehicle, as JSON.
+    /// Facts about the log and its vehicle, as JSON.
     fn facts(&self) -> PyResult<String> {
         let flight = &self.flight;
         let clock = match flight.clock {
@@ -137,14 +137,14 @@ impl Log {
         Ok(facts.to_string())
     }
 
-    /// Text of the vehicle file inside the log.
+    /// Content of the vehicle file inside the log, if any.
     #[getter]
     fn vehicle_file(&self) -> Option<&str> {
         self.flight.vehicle_file.as_deref()
     }
 }
 
-/// What is wrong with logs, as the JSON of `log audit`, and sentences on those that cannot be read.
+/// Audits logs. Returns the JSON of `log audit`, and a sentence for each log that cannot be read.
 #[pyfunction]
 pub fn audit(
     py: Python<'_>,

@@ -1,4 +1,4 @@
-//! Learned models: training, judging, evaluating.
+//! Learned models: training and evaluation.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -17,12 +17,12 @@ use serde::Deserialize;
 use crate::errors::{exception, read, unread, wrong};
 use crate::watch::watched;
 
-/// Numbers of a point's motion: velocity, body rate, roll, pitch and yaw.
+/// Length of a point's motion: velocity, body rate, roll, pitch and yaw.
 const MOTION: usize = 9;
-/// Numbers of its input: thrust and moments.
+/// Length of a point's input: thrust and moments.
 const INPUT: usize = VARIABLES - MOTION;
 
-/// A model file.
+/// A loaded model file.
 #[pyclass(frozen, module = "downwash._downwash")]
 pub struct Model {
     file: Arc<ModelFile>,
@@ -30,7 +30,7 @@ pub struct Model {
 }
 
 impl Model {
-    /// One of its models to plan through.
+    /// One of the file's models, for the planner.
     pub fn plan_model(&self, kind: Option<&str>) -> anyhow::Result<PlanModel> {
         PlanModel::learned(&self.file, self.kind(kind)?, &self.sha256)
     }
@@ -58,7 +58,8 @@ impl Model {
         serde_json::to_string(&ModelInfo::of(&self.file)).map_err(|e| wrong(e.to_string()))
     }
 
-    /// The bytes of an ONNX file of the networks: of the net's, or of what the hybrid adds.
+    /// The networks as the bytes of an ONNX file: those of the net, or those that the hybrid adds
+    /// to the physics.
     fn to_onnx<'py>(&self, py: Python<'py>, kind: &str) -> PyResult<Bound<'py, PyBytes>> {
         let kind = named::<Networks>("kind", kind)?;
         Ok(PyBytes::new(py, &onnx::encode(&self.file, kind)))
@@ -69,7 +70,7 @@ impl Model {
         self.file.preferred.name()
     }
 
-    /// Accelerations at points, and with `jacobians` their derivatives.
+    /// Writes accelerations at points and, with `jacobians`, their derivatives.
     fn accelerations(
         &self,
         py: Python<'_>,
@@ -121,7 +122,7 @@ impl Model {
     }
 }
 
-/// Flags of `train` that may be set.
+/// Optional flags of `train`.
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct Training {
@@ -134,7 +135,7 @@ struct Training {
     seed: Option<u64>,
 }
 
-/// A value of a flag by its name.
+/// Parses the value of a flag.
 fn named<T: ValueEnum>(what: &str, name: &str) -> PyResult<T> {
     T::from_str(name, false).map_err(|_| {
         let known = T::value_variants().iter().filter_map(ValueEnum::to_possible_value);
@@ -143,7 +144,7 @@ fn named<T: ValueEnum>(what: &str, name: &str) -> PyResult<T> {
     })
 }
 
-/// Trains into the model file `out`. The summary, as JSON.
+/// Trains a model and writes it to `out`. Returns the summary as JSON.
 #[pyfunction]
 pub fn train(
     py: Python<'_>,
@@ -184,7 +185,7 @@ pub fn train(
     })
 }
 
-/// Judges a model file on logs: the JSON of `model eval`.
+/// Evaluates a model file on logs. Returns the JSON of `model eval`.
 #[pyfunction]
 pub fn evaluate(
     py: Python<'_>,

@@ -1,4 +1,4 @@
-//! When something of a vehicle changed.
+//! Detection of changes of a vehicle.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use crate::errors::{exception, wrong};
 use crate::watch::watched;
 
-/// What changed, with its report.
+/// The changes found, with their report.
 #[pyclass(frozen, module = "downwash._downwash")]
 pub struct Changes {
     changes: command::Changes,
@@ -30,7 +30,7 @@ impl Changes {
     }
 }
 
-/// Looks for changes in logs of the vehicle file at `vehicle`.
+/// Searches logs for changes of the vehicle, given the vehicle file at `vehicle`.
 #[pyfunction]
 pub fn onset(
     py: Python<'_>,

@@ -19,11 +19,11 @@ use crate::model::Model;
 use crate::vehicle::Vehicle;
 use crate::watch::watched;
 
-/// States with the inputs that lead through them.
+/// A plan: states with the inputs that lead through them.
 #[pyclass(frozen, module = "downwash._downwash")]
 pub struct Plan {
     pub plan: Arc<planned::Plan>,
-    /// When each passage of a course is passed, s.
+    /// Time of each passage of a course, s.
     passed_s: Option<Vec<f64>>,
 }
 
@@ -64,7 +64,7 @@ impl Plan {
         self.plan.period_s
     }
 
-    /// Why it may not be flown.
+    /// Why the plan must not be flown, if so.
     #[getter]
     fn not_flyable(&self) -> Option<String> {
         self.plan.check_flyable().err().map(|reason| reason.to_string())
@@ -83,7 +83,7 @@ impl Plan {
     }
 }
 
-/// Plans a trajectory for a vehicle, through its own physics or a model.
+/// Plans a trajectory for a vehicle, with its physics or a learned model.
 #[pyfunction]
 #[allow(clippy::too_many_arguments, reason = "one for each argument of the Python function")]
 pub fn plan(

@@ -1,4 +1,4 @@
-//! The simulated vehicle without its autopilot: motor outputs in, motion out.
+//! The simulated vehicle without its autopilot, which turns motor outputs into motion.
 
 use numpy::{PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::prelude::*;
@@ -13,10 +13,10 @@ use crate::fleet;
 use crate::vehicle::{Vehicle, effects_of};
 use crate::watch::on_every_core;
 
-/// Numbers of a state: position, velocity, quaternion, body rate.
+/// Length of a state: position, velocity, quaternion, body rate.
 pub const STATE: usize = 13;
 
-/// A vehicle that is stepped.
+/// A simulated vehicle.
 #[pyclass(module = "downwash._downwash")]
 pub struct Plant {
     plant: vehicle::plant::Plant,
@@ -53,7 +53,7 @@ fn new(vehicle: &Vehicle, effects: &str, seed: u64) -> PyResult<vehicle::plant::
         .map_err(|error| wrong(error.to_string()))
 }
 
-/// Motor outputs of a row.
+/// The four motor outputs of a row; missing ones are 0.
 fn row(outputs: &[f64]) -> [f64; ROTORS] {
     std::array::from_fn(|rotor| outputs.get(rotor).copied().unwrap_or(0.0))
 }
@@ -68,7 +68,7 @@ fn roll(plant: &mut vehicle::plant::Plant, outputs: &[f64], every: usize, states
     }
 }
 
-/// Checks the lengths of flat arrays.
+/// Checks the lengths of flat arrays, and that outputs are finite.
 fn fits(outputs: &[f64], states: &[f64], every: usize) -> PyResult<()> {
     if every == 0 {
         return Err(wrong("steps: expected at least 1, found 0"));
@@ -103,7 +103,7 @@ impl Plant {
         let (outputs, states) = (outputs.as_slice()?, states.as_slice_mut()?);
         fits(outputs, states, every)?;
         let plant = &mut self.plant;
-        // A few steps are over before the lock could be given away and taken back.
+        // A few steps take less time than releasing and reacquiring the lock.
         if outputs.len() * every < 400 {
             roll(plant, outputs, every, states);
         } else {
@@ -175,9 +175,8 @@ impl Plant {
     }
 }
 
-/// Many vehicles at once, each from its own start through its own outputs: `outputs` of n vehicles,
-/// each rows of four; the states after each row into `states`. Gusts of vehicle i are drawn from
-/// `seed + i`.
+/// Simulates many vehicles at once, each from its own start through its own rows of four outputs.
+/// Writes the states after each row to `states`. `seed + i` seeds the gusts of vehicle i.
 #[pyfunction]
 #[pyo3(signature = (vehicle, effects, seed, start, outputs, every, states, airborne))]
 #[allow(clippy::too_many_arguments, reason = "one for each argument of the Python function")]
@@ -223,7 +222,7 @@ pub fn rollouts(
             plant = plant.airborne();
         }
         plant.set_state(start);
-        // As if the first outputs had been held before.
+        // The rotors start as if the first outputs had been held before.
         plant.set_rotor_states(row(outputs));
         roll(&mut plant, outputs, every, states);
         Ok::<(), VehicleError>(())

@@ -1,4 +1,4 @@
-//! Many simulated flights, diagnoses or cases of an exam, one worker's share of them.
+//! Sweeps of simulated flights, diagnoses or exam cases: one worker's share.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use crate::errors::wrong;
 use crate::watch::watched;
 
-/// Does what is missing of shard `index` of `count`: the JSON of `sweep`.
+/// Computes the missing points of shard `index` of `count`. Returns the JSON of `sweep`.
 #[pyfunction]
 #[allow(clippy::too_many_arguments, reason = "one for each argument of the Python function")]
 pub fn sweep(
@@ -27,7 +27,7 @@ pub fn sweep(
             "shard: expected (i, n) with i from 1 to n, found {index}/{count}"
         )));
     }
-    // An exam diagnoses in processes of their own.
+    // An exam runs its diagnoses in separate processes.
     set_program(program);
     watched(py, jobs, progress.as_ref(), move |watch| {
         let shard = Shard { index, count };

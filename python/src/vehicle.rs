@@ -11,13 +11,13 @@ use vehicle::export::Peer;
 
 use crate::errors::{exception, unread, wrong};
 
-/// A vehicle file.
+/// A checked vehicle file.
 #[pyclass(frozen, module = "downwash._downwash")]
 pub struct Vehicle {
     pub file: VehicleFile,
 }
 
-/// Effects from their JSON.
+/// Parses effects from JSON.
 pub fn effects_of(text: &str) -> PyResult<EffectSet> {
     serde_json::from_str(text).map_err(|error| unread("effects", &error))
 }
@@ -36,8 +36,8 @@ impl Vehicle {
         Ok(Self { file })
     }
 
-    /// The text of a new vehicle file, what is missing and what is estimated, as JSON. `measured`
-    /// holds numbers under the names of the flags of `vehicle init`.
+    /// Creates a vehicle file. Returns its text, and what is missing and estimated, as JSON.
+    /// `measured` holds numbers under the names of the flags of `vehicle init`.
     #[staticmethod]
     fn init(py: Python<'_>, parameters: Option<PathBuf>, measured: &str) -> PyResult<String> {
         let measured: Measured =
@@ -66,7 +66,7 @@ impl Vehicle {
         serde_json::to_string(&self.file.params).map_err(|error| wrong(error.to_string()))
     }
 
-    /// What is unlikely of it, as JSON.
+    /// Remarks on implausible numbers, as JSON.
     fn remarks(&self) -> PyResult<String> {
         serde_json::to_string(&self.file.params.remarks()).map_err(|e| wrong(e.to_string()))
     }
@@ -77,7 +77,7 @@ impl Vehicle {
         Ok(Self { file })
     }
 
-    /// The text for another simulator, and what that one does not express.
+    /// The text for another simulator, and what that simulator cannot express.
     fn export(&self, peer: &str) -> PyResult<(String, Vec<String>)> {
         let names = Peer::ALL.map(Peer::name);
         let peer = Peer::ALL.into_iter().find(|known| known.name() == peer);
@@ -87,13 +87,13 @@ impl Vehicle {
         Ok((exported.text, exported.lost))
     }
 
-    /// The text for a file of this name.
+    /// The text for a file with this name, whose extension selects the format.
     fn to_text(&self, py: Python<'_>, path: PathBuf) -> PyResult<String> {
         self.file.to_text(Path::new(&path)).map_err(|error| exception(py, &error))
     }
 }
 
-/// Numbers of `vehicle init`, by its flags' names.
+/// Arguments of `vehicle init`, by flag name.
 #[derive(serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 #[derive(Default)]
@@ -144,7 +144,7 @@ impl Measured {
     }
 }
 
-/// The catalogue, a row for each parameter, as JSON.
+/// The catalogue of effects as JSON, one row for each parameter.
 #[pyfunction]
 pub fn effects() -> String {
     let rows = EffectId::ALL.into_iter().flat_map(|id| {

@@ -1,4 +1,4 @@
-//! Work beside the interpreter: without its lock, in threads of this process, ended by Ctrl-C.
+//! Runs work without the interpreter's lock, in threads of this process, and ends it on Ctrl-C.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,17 +14,17 @@ use crate::errors::{exception, fault};
 
 /// How often the waiting thread checks Python's signals.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// Of a worker, bytes: that of a main thread.
+/// Stack size of a worker, bytes: that of a main thread.
 const STACK: usize = 8 << 20;
 
-/// The work's side of a watch: it reads whether to stop, and reports progress.
+/// The worker's side of a watch: it checks whether to stop and reports progress.
 #[derive(Clone)]
 pub struct Watch {
     stop: Arc<AtomicBool>,
     news: SyncSender<News>,
 }
 
-/// How far the work is: a stage with its steps done, of how many.
+/// A progress report: a stage with the steps done and their total.
 struct News {
     stage: String,
     done: u64,
@@ -32,7 +32,7 @@ struct News {
 }
 
 impl Watch {
-    /// Set by Ctrl-C.
+    /// The stop flag, which Ctrl-C sets.
     pub fn stop(&self) -> &Arc<AtomicBool> {
         &self.stop
     }
@@ -41,17 +41,17 @@ impl Watch {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Tells how far the work is.
+    /// Reports progress.
     pub fn tell(&self, stage: &str, done: u64, of: u64) {
-        // Nobody to tell after Ctrl-C.
+        // Nobody listens after Ctrl-C.
         let _ = self.news.send(News { stage: stage.to_owned(), done, of });
     }
 }
 
-/// The threads that this process works with: those of a parent are not in a forked child.
+/// The thread pool of this process: a forked child does not inherit its parent's threads.
 pub fn pool(threads: Option<usize>) -> anyhow::Result<Arc<ThreadPool>> {
     type Pools = Vec<(u32, Option<usize>, Arc<ThreadPool>)>;
-    // Never dropped: in a child that would wait for the parent's threads.
+    // Never dropped: in a child, a drop would wait for the parent's threads.
     static POOLS: Mutex<Pools> = Mutex::new(Vec::new());
     let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
     let process = std::process::id();
@@ -65,8 +65,8 @@ pub fn pool(threads: Option<usize>) -> anyhow::Result<Arc<ThreadPool>> {
     Ok(pool)
 }
 
-/// Works in `threads` threads, one for each core without a number, and shows `progress` how far it
-/// is as `(stage, done, of)`. Ctrl-C returns at once; the work ends when it next looks.
+/// Runs `work` in `threads` threads, by default one for each core, and calls `progress` with
+/// `(stage, done, of)`. Ctrl-C returns at once; the work ends at its next check.
 pub fn watched<T: Send + 'static>(
     py: Python<'_>,
     threads: Option<usize>,
@@ -76,18 +76,18 @@ pub fn watched<T: Send + 'static>(
     let pool = py.detach(|| pool(threads)).map_err(|error| exception(py, &error))?;
     let stop = Arc::new(AtomicBool::new(false));
     let (news, heard) = sync_channel(64);
-    // Locked by nobody else: what waits without the interpreter's lock must be `Sync`.
+    // Nobody else locks it: a value used without the interpreter's lock must be `Sync`.
     let heard = Mutex::new(heard);
     let listen = || heard.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(LOOK_EVERY);
     let (finished, result) = sync_channel(1);
     let watch = Watch { stop: Arc::clone(&stop), news };
     pool.spawn(move || {
         let done = catch_unwind(AssertUnwindSafe(|| work(&watch)));
-        // Without its sender, the news end after the result is there.
+        // Dropping the sender ends the progress reports after the result is sent.
         let _ = finished.send(done);
         drop(watch);
     });
-    // Shown and looked at with the interpreter's lock; waited without.
+    // Calls Python with the interpreter's lock and waits without it.
     let stopped = loop {
         match py.detach(listen) {
             Ok(News { stage, done, of }) => {
@@ -114,7 +114,7 @@ pub fn watched<T: Send + 'static>(
     }
 }
 
-/// Short work on every core, without the interpreter's lock; its panic is a fault.
+/// Runs short work on every core without the interpreter's lock; a panic becomes an exception.
 pub fn on_every_core<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
     let done = py.detach(|| {
         let pool = pool(None)?;

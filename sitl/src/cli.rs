@@ -18,66 +18,67 @@ use crate::server::Server;
 use vehicle::effects::{EffectsRefused, Schedule};
 use vehicle::{VehicleError, VehicleParams};
 
-/// Options of `sitl`.
+/// Options of the simulated vehicle.
 #[derive(Clone, Debug, clap::Args)]
 pub struct SitlArgs {
     /// Vehicle file (TOML or JSON)
     #[arg(long, value_name = "FILE")]
     pub vehicle: PathBuf,
-    /// The autopilot to behave as, on the wire and in the air, in place of the one in --config
+    /// Autopilot to simulate, on the wire and in flight; overrides the one in --config
     #[arg(long, value_name = "NAME")]
     pub autopilot: Option<Autopilot>,
-    /// Where to be reached; may be given several times, and each serves several peers:
+    /// MAVLink endpoint; may be given several times, and each serves several peers:
     /// udpin:HOST:PORT, udpout:HOST:PORT, tcpin:HOST:PORT, tcp:HOST:PORT, serial:PATH:BAUD
     #[arg(long = "link", value_name = "URL", default_value = "udpin:127.0.0.1:14580")]
     pub links: Vec<Endpoint>,
-    /// The simulation's own settings: sensors, battery, home, start (TOML)
+    /// Settings of the simulation: sensors, battery, home, start (TOML)
     #[arg(long, visible_alias = "sitl-config", value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Vehicle seconds per second. `downwash fly` and `downwash daemon` run in real time and need
-    /// 1; other factors are for clients that go by the vehicle's own clock
+    /// 1; other factors are for clients that follow the vehicle's clock
     #[arg(long, value_name = "X", default_value = "1")]
     pub speed: Speed,
-    /// Signs with the key in this file (64 hexadecimal digits, mode 0600), and believes only what is
+    /// Signs with the key in this file (64 hexadecimal digits, mode 0600), and accepts only frames
     /// signed with it [default: a key that SETUP_SIGNING sets]
     #[arg(long, value_name = "FILE")]
     pub signing_key: Option<PathBuf>,
-    /// Seed of every random number
+    /// Seed of all random numbers
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Effects to switch on: a TOML table of parameters for each id
+    /// Effects to apply: a TOML table of parameters for each id
     #[arg(long, value_name = "FILE")]
     pub effects: Option<PathBuf>,
-    /// One such effect, over those of the file, such as motor_lag:tau_s=0.03 or
-    /// inertia:scale=[1.2,1.1,1.0]; may be given several times. With @41.2 behind it, it sets in at
-    /// 41.2 s of the vehicle's clock
+    /// One effect, which overrides the file, such as motor_lag:tau_s=0.03 or
+    /// inertia:scale=[1.2,1.1,1.0]; may be given several times. With the suffix @41.2 it sets in at
+    /// 41.2 s on the vehicle's clock
     #[arg(long, value_name = "ID:KEY=VALUE,...[@S]")]
     pub effect: Vec<String>,
-    /// The room.
+    /// The motion-capture room.
     #[command(flatten)]
     pub room: RoomArgs,
 }
 
-/// The motion-capture room around the vehicle: it tells of `quad`, the vehicle, and of `cart`, which stands on
-/// the floor. In it the vehicle knows its position by VISION_POSITION_ESTIMATE or ODOMETRY alone.
+/// The motion-capture room around the vehicle. It reports `quad`, the vehicle, and `cart`, a body
+/// on the floor. In it the vehicle gets its position from VISION_POSITION_ESTIMATE or ODOMETRY
+/// only.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct RoomArgs {
-    /// Where the room sends its poses to, as lines of JSON (docs/mocap.md)
+    /// Address to which the room sends poses as lines of JSON (docs/mocap.md)
     #[arg(long, value_name = "HOST:PORT")]
     pub mocap: Option<String>,
-    /// Where the room serves its poses as NatNet 4.1 to whoever asks (unicast)
+    /// Address at which the room serves poses as NatNet 4.1 on request (unicast)
     #[arg(long, value_name = "HOST:PORT")]
     pub mocap_natnet: Option<String>,
-    /// Frames a second
+    /// Frames per second
     #[arg(long, value_name = "HZ", default_value_t = 100.0)]
     pub mocap_rate: f64,
-    /// The room's axis that points up
+    /// Axis of the room that points up
     #[arg(long, value_name = "AXIS", default_value = "z")]
     pub mocap_up: RoomUp,
     /// Heading of the room's x axis, clockwise from north, degrees
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_hyphen_values = true)]
     pub mocap_x_heading: f64,
-    /// What goes wrong in the room, in seconds after arming: swap, freeze or drop-out, such as freeze@8, or
+    /// Fault of the room, in seconds after arming: swap, freeze or drop-out, such as freeze@8, or
     /// swap@8+2 for two seconds; may be given several times
     #[arg(long, value_name = "FAULT@S[+S]")]
     pub mocap_fault: Vec<RoomFault>,
@@ -104,7 +105,7 @@ impl RoomArgs {
     }
 }
 
-/// Vehicle seconds per second, 0.01 to 1000.
+/// Simulation speed in vehicle seconds per second, 0.01 to 1000.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Speed(f64);
 
@@ -126,40 +127,40 @@ impl fmt::Display for Speed {
     }
 }
 
-/// Why the vehicle does not run.
+/// Why the vehicle cannot run.
 #[derive(Debug, thiserror::Error)]
 pub enum SitlError {
-    /// The vehicle file.
+    /// The vehicle file is refused.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
-    /// The vehicle cannot be simulated.
+    /// The vehicle and its settings cannot be simulated.
     #[error(transparent)]
     Refused(#[from] VehicleRefused),
-    /// The settings file.
+    /// The settings file is refused.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The effects.
+    /// The requested effects are refused.
     #[error(transparent)]
     Effects(#[from] EffectsRefused),
-    /// The signing key.
+    /// The signing key cannot be read or is invalid.
     #[error("--signing-key: {0}")]
     Key(#[from] KeyError),
-    /// A link.
+    /// A link does not open.
     #[error("--link: {0}")]
     Link(#[from] OpenError),
-    /// The room cannot be.
+    /// The room's frame rate is outside 1 to 1000 Hz.
     #[error("--mocap-rate: expected 1 to 1000 Hz, found {0}")]
     RoomRate(f64),
-    /// A socket of the room.
+    /// A socket of the room does not open.
     #[error("--mocap, --mocap-natnet: {0}; expected HOST:PORT")]
     RoomSocket(std::io::Error),
-    /// The runtime or its signal handlers.
+    /// The runtime or its signal handlers cannot start.
     #[error("cannot start: {0}")]
     Runtime(#[from] std::io::Error),
 }
 
 impl SitlError {
-    /// 2 for what was asked for, 3 for a link, 1 for the rest.
+    /// Exit code 2 for invalid input, 3 for a link, 1 for the rest.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Vehicle(_)
@@ -175,7 +176,7 @@ impl SitlError {
     }
 }
 
-/// What ended a run that began well.
+/// The signal that ended a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stop {
     /// Ctrl-C.
@@ -185,7 +186,7 @@ pub enum Stop {
 }
 
 impl Stop {
-    /// 130 after Ctrl-C, else 0.
+    /// Exit code 130 after Ctrl-C, 0 after SIGTERM.
     pub fn exit_code(self) -> ExitCode {
         ExitCode::from(match self {
             Self::Interrupt => 130,
@@ -194,10 +195,10 @@ impl Stop {
     }
 }
 
-/// The vehicle that the options describe.
+/// Creates the vehicle that the options describe. Prints a remark if wind has no effect on it.
 ///
 /// # Errors
-/// Any [`SitlError`] but [`SitlError::Link`].
+/// Any [`SitlError`] except those of links, sockets and the runtime.
 pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
     let params = VehicleParams::load(&args.vehicle)?;
     let mut config = match &args.config {
@@ -223,16 +224,16 @@ pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
     Ok(vehicle)
 }
 
-/// Runs the vehicle until a signal stops it. Says on stderr, a line for each link, where it can be
-/// reached.
+/// Runs the vehicle until a signal stops it. Prints each link's address to stderr.
 ///
 /// # Errors
-/// [`SitlError`]; it names the file or link and what to do.
+/// [`SitlError`], which names the file or link.
 pub fn run(args: &SitlArgs) -> Result<Stop, SitlError> {
     run_watched(args, |_| {})
 }
 
-/// The same; `watch` sees the vehicle whenever its time has gone on, and must not wait.
+/// As [`run`]; calls `watch` with the vehicle whenever its time has advanced. `watch` must not
+/// block.
 ///
 /// # Errors
 /// As [`run`].
@@ -251,7 +252,7 @@ pub fn run_watched(args: &SitlArgs, watch: impl FnMut(&Vehicle)) -> Result<Stop,
     })
 }
 
-/// Ready when a signal asks to stop; listens from the call on.
+/// Installs handlers for SIGINT and SIGTERM; the future resolves at the first signal.
 #[cfg(unix)]
 fn signals() -> std::io::Result<impl Future<Output = Stop>> {
     use tokio::signal::unix::{SignalKind, signal};
@@ -268,7 +269,7 @@ fn signals() -> std::io::Result<impl Future<Output = Stop>> {
 #[cfg(not(unix))]
 fn signals() -> std::io::Result<impl Future<Output = Stop>> {
     Ok(async {
-        // Without a handler the run goes on until the process is ended.
+        // Without a handler, the run continues until the process is killed.
         if tokio::signal::ctrl_c().await.is_err() {
             std::future::pending::<()>().await;
         }

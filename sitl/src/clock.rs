@@ -1,12 +1,12 @@
-//! The vehicle's clock against the host's: it may run slow or fast, and stand still for moments.
+//! The vehicle's clock relative to the host's: it may run slow or fast, and stall briefly.
 
 use crate::config::{ClockConfig, Stall};
 
-/// Ties vehicle time to host time, both in us since the vehicle was switched on.
+/// Maps between vehicle time and host time, both in us since power-on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clock {
     rate: f64,
-    /// Host time that the vehicle's clock stands still for at a vehicle time, in order.
+    /// Stalls as (vehicle time of the stall, its length in host time), in us, in order.
     stalls: Vec<(u64, u64)>,
 }
 
@@ -26,7 +26,7 @@ impl Clock {
         (vehicle_us as f64 / self.rate).ceil() as u64 + stood
     }
 
-    /// What the vehicle's clock shows at a host time.
+    /// The vehicle's clock at a host time.
     pub fn vehicle_us(&self, host_us: u64) -> u64 {
         let mut running_us = host_us;
         for (at, length) in &self.stalls {
@@ -36,7 +36,7 @@ impl Clock {
             }
             running_us = begins.max(running_us.saturating_sub(*length));
         }
-        // A thousandth makes up for the rounding of `host_us`.
+        // The 1e-3 compensates for the rounding in `host_us`.
         (running_us as f64 * self.rate + 1e-3) as u64
     }
 }

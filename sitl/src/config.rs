@@ -1,4 +1,4 @@
-//! What belongs to the simulation and not to the vehicle: noise, pack, clock, home, start, floor.
+//! Settings of the simulation, as opposed to the vehicle: noise, pack, clock, home, start, floor.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -14,36 +14,36 @@ pub use vehicle::plant::Start;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SitlConfig {
-    /// Which autopilot the vehicle behaves as.
+    /// The autopilot that the vehicle simulates.
     pub autopilot: Autopilot,
-    /// The vehicle never notices that it has landed, as in strong wind: it stays armed.
+    /// The vehicle never detects that it has landed, as in strong wind, and stays armed.
     pub landing_goes_unnoticed: bool,
-    /// Where on earth the local frame's origin is.
+    /// Geodetic position of the local frame's origin.
     pub home: Home,
-    /// Where the vehicle begins.
+    /// Position and heading of the vehicle at the start.
     pub start: Start,
     /// Down coordinate of the floor in m.
     pub floor_down_m: f64,
-    /// The pack.
+    /// Capacity, resistance and initial charge of the pack.
     pub battery: BatteryConfig,
-    /// Noise and bias.
+    /// Noise and bias of the sensors.
     pub sensors: SensorConfig,
-    /// Lines of the rotors in gyro and accelerometer.
+    /// Vibration of the rotors in gyro and accelerometer.
     pub vibration: Vibration,
-    /// Errors of the position estimate beyond noise.
+    /// Errors of the position and velocity estimate beyond noise.
     pub estimator: EstimatorConfig,
-    /// How the vehicle's clock runs.
+    /// Rate and stalls of the vehicle's clock.
     pub clock: ClockConfig,
-    /// Parameters of the autopilot that differ from its defaults, by name.
+    /// Autopilot parameters that differ from their defaults, by name.
     pub parameters: BTreeMap<String, f64>,
 }
 
-/// What the rotors shake gyro and accelerometer by: a sine for each rotor at its speed, with the
-/// same amplitude about or along every axis and another phase.
+/// Vibration of the rotors in gyro and accelerometer: a sine for each rotor at its speed, with the
+/// same amplitude on every axis and a different phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Vibration {
-    /// Turns of a rotor at full speed, Hz.
+    /// Rotation frequency of a rotor at full speed, Hz.
     pub rotor_max_hz: f64,
     /// Amplitude of each rotor in the gyro, rad/s.
     pub gyro_rad_s: f64,
@@ -51,31 +51,31 @@ pub struct Vibration {
     pub accelerometer_m_s2: f64,
 }
 
-/// Errors of the estimated position.
+/// Errors of the estimated position and velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EstimatorConfig {
-    /// Standard deviation of a slow wander, per axis, m; it begins at zero.
+    /// Standard deviation of a slow drift of the position on each axis, m; it starts at zero.
     pub wander_m: f64,
-    /// Time constant of the wander, s.
+    /// Time constant of the position's drift, s.
     pub wander_time_s: f64,
-    /// Standard deviation per axis of a slow error of the velocity that the position has no part
-    /// in, m/s: an estimator that corrects its position does not say so in its velocity.
+    /// Standard deviation on each axis of a slow velocity error without a matching position error,
+    /// m/s: an estimator that corrects its position does not show it in its velocity.
     pub velocity_wander_m_s: f64,
-    /// Time constant of that, s.
+    /// Time constant of the velocity's drift, s.
     pub velocity_wander_time_s: f64,
-    /// Time after switching on from which the position is known, s.
+    /// Time after power-on from which the position is known, s.
     pub ready_after_s: f64,
-    /// The position comes from VISION_POSITION_ESTIMATE or ODOMETRY alone: none is known before the
-    /// first, nor long after the last.
+    /// The position comes from VISION_POSITION_ESTIMATE or ODOMETRY only. It is unknown before the
+    /// first message and soon after the last.
     pub from_vision: bool,
-    /// GPS that is wrong for a while.
+    /// A temporary GPS error.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gps_glitch: Option<GpsGlitch>,
-    /// How long GPS that contradicts the estimate is rejected before the estimate goes over to it, s.
+    /// Time for which the estimator rejects contradicting GPS before it resets to it, s.
     pub reset_after_s: f64,
-    /// Time constant with which the estimate slides over to GPS that is right again, without a word
-    /// of it in its velocity, as ArduCopter's was seen to, s; 0 is a jump there too.
+    /// Time constant with which the estimate slides back to correct GPS, s. The velocity does not
+    /// show it, as observed on ArduCopter. With 0 the estimate jumps back as well.
     pub slide_time_s: f64,
 }
 
@@ -95,35 +95,35 @@ impl Default for EstimatorConfig {
     }
 }
 
-/// GPS that is wrong by an offset for a while.
+/// A GPS error: a constant offset for a limited time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GpsGlitch {
-    /// Vehicle time at which it begins, s.
+    /// Vehicle time of its start, s.
     pub at_s: f64,
-    /// How long it lasts, s.
+    /// Duration, s.
     pub for_s: f64,
-    /// North, east, down, m.
+    /// Offset north, east, down, m.
     pub offset_m: [f64; 3],
 }
 
-/// How the vehicle's clock runs against the host's.
+/// The vehicle's clock relative to the host's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClockConfig {
-    /// Vehicle seconds in a second.
+    /// Vehicle seconds per host second.
     pub rate: f64,
-    /// Moments in which the simulation stands still.
+    /// Stalls of the simulation.
     pub stalls: Vec<Stall>,
 }
 
-/// A moment in which the simulation stands still.
+/// A stall of the simulation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stall {
-    /// Vehicle time, s.
+    /// Vehicle time of the stall, s.
     pub at_s: f64,
-    /// Host time that passes, s.
+    /// Host time that passes during the stall, s.
     pub for_s: f64,
 }
 
@@ -133,17 +133,17 @@ impl Default for ClockConfig {
     }
 }
 
-/// The autopilot that the vehicle behaves as, on the wire and in the air.
+/// The autopilot that the vehicle simulates, on the wire and in flight.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "server", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Autopilot {
-    /// PX4's protocol, with a PD on attitude and rates together.
+    /// PX4's protocol, with a PD law on attitude and rates.
     #[default]
     Bundled,
-    /// PX4.
+    /// PX4, with its attitude and rate cascade.
     Px4,
-    /// ArduCopter.
+    /// ArduCopter, with its attitude and rate cascade.
     Arducopter,
 }
 
@@ -165,7 +165,7 @@ impl Default for Home {
     }
 }
 
-/// Standard deviations, per axis. The defaults are motion capture and a small MEMS IMU.
+/// Standard deviations for each axis. The defaults represent motion capture and a small MEMS IMU.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SensorConfig {
@@ -177,9 +177,9 @@ pub struct SensorConfig {
     pub attitude_noise_rad: f64,
     /// Correlation time of the attitude's error in s.
     pub attitude_correlation_s: f64,
-    /// The gyro.
+    /// Errors of the gyro, rad/s.
     pub gyro: ImuNoise,
-    /// The accelerometer.
+    /// Errors of the accelerometer, m/s^2.
     pub accelerometer: ImuNoise,
 }
 
@@ -187,11 +187,11 @@ pub struct SensorConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImuNoise {
-    /// White noise of a sample.
+    /// White noise of each sample.
     pub noise: f64,
-    /// Bias drawn once for a flight.
+    /// Standard deviation of the bias, drawn once per flight.
     pub bias: f64,
-    /// Walk of the bias in a second, per square root of second.
+    /// Random walk of the bias, per square root of second.
     pub bias_walk: f64,
 }
 
@@ -209,10 +209,10 @@ impl Default for SensorConfig {
 }
 
 impl SensorConfig {
-    /// Correlation time of the attitude's error where nothing else is said, s.
+    /// Default correlation time of the attitude's error, s.
     pub const ATTITUDE_CORRELATION_S: f64 = 0.05;
 
-    /// Perfect sensors.
+    /// Sensors without errors.
     pub const IDEAL: Self = Self {
         position_noise_m: 0.0,
         velocity_noise_m_s: 0.0,
@@ -239,7 +239,7 @@ pub enum ConfigError {
     Syntax {
         /// The file.
         path: PathBuf,
-        /// What the parser found and where.
+        /// The parser's message with the position.
         message: String,
     },
     /// A value is impossible.
@@ -247,9 +247,9 @@ pub enum ConfigError {
     Value {
         /// Path of the field.
         field: &'static str,
-        /// What would be right.
+        /// The accepted values.
         expected: &'static str,
-        /// What is there.
+        /// The value found.
         found: f64,
     },
 }
@@ -258,7 +258,7 @@ impl SitlConfig {
     /// Reads and checks a TOML file.
     ///
     /// # Errors
-    /// A file that cannot be read, does not follow the schema, or holds impossible values.
+    /// The file cannot be read, violates the schema, or holds an impossible value.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
         let path = path.as_ref();
         let text = bounded::read_to_string(path, bounded::WRITTEN_MAX)
@@ -271,10 +271,10 @@ impl SitlConfig {
         })
     }
 
-    /// A configuration from TOML text.
+    /// Parses and checks a configuration in TOML.
     ///
     /// # Errors
-    /// As [`SitlConfig::load`], naming no file.
+    /// The text violates the schema or holds an impossible value. The error names no file.
     pub fn from_toml_str(text: &str) -> Result<Self, ConfigError> {
         let config: Self = toml::from_str(text).map_err(|error| ConfigError::Syntax {
             path: PathBuf::from("(text)"),
@@ -283,7 +283,7 @@ impl SitlConfig {
         config.checked()
     }
 
-    /// What of it the plant begins with.
+    /// The initial conditions of the plant.
     pub fn plant(&self) -> Setup {
         Setup { start: self.start, floor_down_m: self.floor_down_m, battery: self.battery }
     }
@@ -358,7 +358,7 @@ impl SitlConfig {
         require("clock.rate", *rate, (0.5..=2.0).contains(rate), expected)?;
         for Stall { at_s, for_s } in stalls {
             require("clock.stalls.at_s", *at_s, *at_s >= 0.0, "0 or more s")?;
-            // The server lets go of real time when it is a second behind.
+            // The server gives up real time when it lags by a second.
             let expected = "a time in 0..=0.9 s";
             require("clock.stalls.for_s", *for_s, (0.0..=0.9).contains(for_s), expected)?;
         }

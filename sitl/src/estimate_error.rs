@@ -1,4 +1,4 @@
-//! Errors of the position estimate beyond noise: a wander, and GPS that is wrong for a while.
+//! Errors of the position estimate beyond noise: slow drift, and a temporary GPS error.
 
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
@@ -7,12 +7,12 @@ use rand_pcg::Pcg64Mcg;
 use crate::config::{EstimatorConfig, GpsGlitch};
 use vehicle::frame::Ned;
 
-/// What the estimator says of itself.
+/// The estimator's status.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EstimatorStatus {
-    /// Jumps of the estimate so far, modulo 256.
+    /// Number of resets of the estimate, modulo 256.
     pub reset_count: u8,
-    /// Whether what GPS says is rejected.
+    /// Whether the estimator rejects GPS.
     pub rejects_gps: bool,
 }
 
@@ -23,7 +23,7 @@ pub(crate) struct EstimateError {
     pub velocity: [f64; 3],
 }
 
-/// An error that wanders: white noise behind two equal lags, `x'' + 2 w x' + w^2 x = n`.
+/// A drifting error: white noise through two equal lags, `x'' + 2 w x' + w^2 x = n`.
 #[derive(Clone, Copy, Debug, Default)]
 struct Wander {
     value: [f64; 3],
@@ -31,7 +31,7 @@ struct Wander {
 }
 
 impl Wander {
-    /// `elapsed` s later; `deviation` is that of each axis in the long run.
+    /// Advances by `elapsed` s. `deviation` is the stationary standard deviation of each axis.
     fn advance(&mut self, deviation: f64, time_s: f64, elapsed: f64, rng: &mut Pcg64Mcg) {
         let w = 1.0 / time_s;
         let kick = (4.0 * w.powi(3) * elapsed).sqrt() * deviation;
@@ -43,16 +43,17 @@ impl Wander {
     }
 }
 
-/// The errors as they go on.
+/// The state of the errors.
 ///
-/// The velocity's error is the slope of the position's, as a filter's is, and another beside it.
+/// The velocity's error is the derivative of the position's drift, as in a filter, plus an
+/// independent drift.
 #[derive(Clone, Debug)]
 pub(crate) struct ErrorModel {
     config: EstimatorConfig,
     rng: Pcg64Mcg,
     position: Wander,
     velocity: Wander,
-    /// Error that the estimate has taken over from GPS, m.
+    /// Error that the estimate has adopted from GPS, m.
     taken: [f64; 3],
     /// Vehicle time since which GPS contradicts the estimate, us.
     contradicts_since_us: Option<u64>,
@@ -76,7 +77,7 @@ impl ErrorModel {
         self.status
     }
 
-    /// The errors at `now_us`, `elapsed` s after the last.
+    /// The errors at `now_us`, `elapsed` s after the previous call.
     pub fn advance(&mut self, now_us: u64, elapsed: f64) -> EstimateError {
         let EstimatorConfig {
             wander_m,
@@ -104,8 +105,8 @@ impl ErrorModel {
         }
     }
 
-    /// GPS that contradicts the estimate is rejected for a time; then the estimate jumps to it. An
-    /// estimate that slides does so at once to GPS that is right again after such a jump.
+    /// Rejects GPS that contradicts the estimate for `reset_after_s`; then the estimate jumps to
+    /// it. With `slide_time_s`, the estimate instead slides back as soon as GPS is correct again.
     fn follow_gps(&mut self, glitch: &GpsGlitch, now_us: u64, elapsed: f64) {
         let now_s = now_us as f64 * 1e-6;
         let is_wrong = (glitch.at_s..glitch.at_s + glitch.for_s).contains(&now_s);

@@ -1,8 +1,8 @@
-//! A simulated quadrotor and its autopilot: physics, effects, sensors, and a vehicle that behaves
-//! on the MAVLink wire as PX4 does. It knows nothing of the daemon.
+//! A simulated quadrotor with its autopilot: physics, effects, sensors, and the MAVLink behaviour
+//! of PX4 or ArduCopter. It does not depend on the daemon.
 //!
-//! [`autopilot::Vehicle`] is the whole vehicle, sans I/O: bytes in, bytes out, on a clock that its owner
-//! advances. `server` (feature `server`) puts it on sockets in real time.
+//! [`autopilot::Vehicle`] is the whole vehicle, sans I/O: it takes and returns bytes, and its owner
+//! advances its clock. `server` (feature `server`) runs it on sockets in real time.
 //!
 //! ```
 //! use sitl::autopilot::{LinkKind, Peer, Vehicle};

@@ -1,4 +1,4 @@
-//! The simulated vehicle as a program of its own.
+//! The simulated vehicle as a standalone program.
 
 use std::process::ExitCode;
 

@@ -1,7 +1,7 @@
-//! A motion-capture room around the simulated vehicle, sans I/O: it sees the true state, with a room's rate,
-//! noise and faults, and tells it as a stream of lines and as NatNet 4.1.
+//! A motion-capture room around the simulated vehicle, sans I/O. It captures the true state with a
+//! room's rate, noise and faults, and encodes it as lines of JSON and as NatNet 4.1.
 //!
-//! Its bodies are `quad` (1 in NatNet), the vehicle, and `cart` (2), which stands on the floor.
+//! Its bodies are `quad` (1 in NatNet), the vehicle, and `cart` (2), a body on the floor.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -13,49 +13,49 @@ use rand_pcg::Pcg64Mcg;
 use serde_json::json;
 use vehicle::frame::{Attitude, Ned};
 
-/// What the room's clock shows more than the simulation's, s: it was switched on before.
+/// Lead of the room's clock over the simulation's, s: the room was switched on earlier.
 const AHEAD_S: f64 = 4321.0;
-/// From the exposure to the wire, us.
+/// Latency from exposure to sending, us.
 const LATENCY_US: u64 = 4_000;
-/// Standard deviation of a position, per axis, m.
+/// Standard deviation of a position on each axis, m.
 const NOISE_M: f64 = 2e-4;
 /// Standard deviation of an attitude, about each axis, rad.
 const NOISE_RAD: f64 = 2e-3;
-/// Where the other body stands.
+/// Position of the other body.
 const CART: Ned = Ned::new(1.5, 1.0, -0.2);
-/// The rate of the clock that NatNet's stamps are of, Hz.
+/// Rate of the clock of NatNet's time stamps, Hz.
 const TICKS_HZ: u64 = 10_000_000;
 
-/// Which of the room's axes points up.
+/// Axis of the room that points up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "server", derive(clap::ValueEnum))]
 pub enum RoomUp {
-    /// z.
+    /// The z axis points up.
     #[default]
     Z,
-    /// y.
+    /// The y axis points up.
     Y,
 }
 
-/// What goes wrong in a room.
+/// Kind of a room's fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RoomFaultKind {
-    /// The two bodies have each other's names.
+    /// The two bodies swap names.
     Swap,
-    /// The last poses again and again, under new stamps.
+    /// The room repeats the last poses with new time stamps.
     Freeze,
-    /// Nothing is sent.
+    /// The room sends nothing.
     DropOut,
 }
 
-/// A fault with its time.
+/// A fault with its start and duration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RoomFault {
-    /// What.
+    /// Kind of the fault.
     pub kind: RoomFaultKind,
-    /// When it begins, s after the vehicle was first armed.
+    /// Start, s after the vehicle first arms.
     pub at_s: f64,
-    /// How long it lasts, s.
+    /// Duration, s; may be infinite.
     pub for_s: f64,
 }
 
@@ -93,20 +93,20 @@ impl fmt::Display for RoomFault {
     }
 }
 
-/// How a room is.
+/// Settings of a room.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoomConfig {
-    /// Frames a second.
+    /// Frames per second.
     pub rate_hz: f64,
     /// The axis that points up.
     pub up: RoomUp,
     /// Heading of the x axis, clockwise from north, degrees.
     pub x_heading_deg: f64,
-    /// What goes wrong.
+    /// Faults of the room.
     pub faults: Vec<RoomFault>,
 }
 
-/// A body as the room sees it.
+/// A body as captured, in the room's axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Body {
     name: &'static str,
@@ -115,7 +115,7 @@ struct Body {
     rotation: Attitude,
 }
 
-/// A frame on its way out of the room.
+/// A captured frame that waits to be sent.
 #[derive(Clone, Debug)]
 pub struct RoomFrame {
     number: i32,
@@ -123,7 +123,7 @@ pub struct RoomFrame {
     bodies: Vec<Body>,
 }
 
-/// The room.
+/// A simulated motion-capture room.
 #[derive(Clone, Debug)]
 pub struct Room {
     config: RoomConfig,
@@ -136,7 +136,7 @@ pub struct Room {
 }
 
 impl Room {
-    /// A room that begins at time 0.
+    /// Creates a room that starts at time 0; `seed` seeds its noise.
     pub fn new(config: RoomConfig, seed: u64) -> Self {
         let rng = Pcg64Mcg::seed_from_u64(seed ^ 0x6d6f_6361);
         Self {
@@ -150,13 +150,13 @@ impl Room {
         }
     }
 
-    /// When it sees or sends something next, us.
+    /// Time at which the room next captures or sends a frame, us.
     pub fn next_us(&self) -> u64 {
         let leaves = self.leaving.front().map(|frame| frame.captured_us + LATENCY_US);
         leaves.unwrap_or(u64::MAX).min(self.next_us.ceil() as u64)
     }
 
-    /// It is `now_us`, and the vehicle is there: looks, where a frame is due.
+    /// Captures the vehicle's pose at `now_us` if a frame is due.
     pub fn look(&mut self, now_us: u64, position: Ned, attitude: Attitude, is_armed: bool) {
         if is_armed {
             self.armed_us.get_or_insert(now_us);
@@ -194,13 +194,13 @@ impl Room {
         self.leaving.push_back(RoomFrame { number, captured_us: now_us, bodies });
     }
 
-    /// A frame that leaves the room by `now_us`.
+    /// Returns the next frame whose latency has passed at `now_us`.
     pub fn take(&mut self, now_us: u64) -> Option<RoomFrame> {
         let leaves = self.leaving.front()?.captured_us + LATENCY_US <= now_us;
         if leaves { self.leaving.pop_front() } else { None }
     }
 
-    /// A body there, in the room's axes, with noise.
+    /// Captures a body, in the room's axes, with noise.
     fn body(
         &mut self,
         (name, number): (&'static str, i32),
@@ -215,7 +215,7 @@ impl Room {
         let (sin, cos) = self.config.x_heading_deg.to_radians().sin_cos();
         let [north, east, down] = position.to_array();
         let half = std::f64::consts::FRAC_1_SQRT_2;
-        // From the room's axes to north, east, down where x points north, and back.
+        // Rotation between the room's axes and north, east, down where x points north.
         let (upright, position_m) = match self.config.up {
             RoomUp::Z => (
                 Attitude { w: 0.0, x: 1.0, y: 0.0, z: 0.0 },
@@ -239,7 +239,7 @@ impl RoomFrame {
         self.captured_us as f64 * 1e-6 + AHEAD_S
     }
 
-    /// A datagram of the stream of lines.
+    /// Encodes the frame as a datagram of JSON lines, one for each body.
     pub fn lines(&self) -> Vec<u8> {
         let line = |body: &Body| {
             let Attitude { w, x, y, z } = body.rotation;
@@ -255,7 +255,7 @@ impl RoomFrame {
         self.bodies.iter().map(line).collect::<String>().into_bytes()
     }
 
-    /// A frame of NatNet 4.1: message 7, with rigid bodies and stamps.
+    /// Encodes the frame as NatNet 4.1 message 7, with rigid bodies and time stamps.
     pub fn natnet(&self) -> Vec<u8> {
         let mut out = self.number.to_le_bytes().to_vec();
         let mut section = |count: usize, content: &[u8]| {
@@ -272,7 +272,8 @@ impl RoomFrame {
             }
             bodies.extend(1u16.to_le_bytes());
         }
-        // Marker sets and other markers before; skeletons, assets, labelled markers, plates, devices after.
+        // Marker sets and other markers come before; skeletons, assets, labelled markers, plates
+        // and devices come after.
         section(0, &[]);
         section(0, &[]);
         section(self.bodies.len(), &bodies);
@@ -283,24 +284,25 @@ impl RoomFrame {
         for us in [self.captured_us, self.captured_us + 2_000, self.captured_us + LATENCY_US] {
             out.extend(ticks(us).to_le_bytes());
         }
-        // The precise stamp, parameters, the end.
+        // The precise time stamp, the parameters and the end mark.
         out.extend([0; 8 + 2 + 4]);
         packet(7, &out)
     }
 }
 
-/// What a server of NatNet says of itself: message 1.
+/// NatNet message 1, the server's description.
 pub fn natnet_server() -> Vec<u8> {
     let mut payload = vec![0; 256];
     payload.iter_mut().zip(b"downwash sitl").for_each(|(to, from)| *to = *from);
     payload.extend([1, 0, 0, 0, 4, 1, 0, 0]);
     payload.extend(TICKS_HZ.to_le_bytes());
-    // Port of the data, whether it is multicast, and to which group.
+    // Data port, multicast flag and multicast group.
     payload.extend([0; 7]);
     packet(1, &payload)
 }
 
-/// Whether a datagram asks a server of NatNet for something: who it is, or to go on.
+/// The message number of a request to a NatNet server: 0 connects, 10 keeps the connection alive.
+/// Returns `None` for any other datagram.
 pub fn natnet_request(datagram: &[u8]) -> Option<u16> {
     let [low, high, ..] = datagram else { return None };
     Some(u16::from_le_bytes([*low, *high])).filter(|message| matches!(message, 0 | 10))
@@ -320,7 +322,7 @@ mod tests {
         Room::new(config, 1)
     }
 
-    /// Where the room says `quad` is, frame by frame, while it climbs at 1 m/s, armed at 0.
+    /// Reported positions of `quad`, frame by frame, while it climbs at 1 m/s, armed at 0.
     fn told(room: &mut Room, seconds: f64) -> Vec<[f64; 3]> {
         let mut told = Vec::new();
         for ms in 0..(seconds * 1e3) as u64 {

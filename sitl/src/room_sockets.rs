@@ -1,6 +1,7 @@
-//! The sockets of the simulated room: lines to an address, NatNet to whoever asks for it.
+//! The sockets of the simulated room: lines of JSON to an address, NatNet to every client that
+//! asks.
 //!
-//! They never wait: what does not leave at once is lost, as on a network.
+//! They never block: a datagram that cannot be sent at once is lost, as on a network.
 
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
@@ -8,9 +9,9 @@ use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
 use crate::autopilot::Vehicle;
 use crate::room::{Room, natnet_request, natnet_server};
 
-/// Clients of NatNet at most.
+/// Largest number of NatNet clients.
 const CLIENTS_MAX: usize = 8;
-/// Requests that are read between two looks.
+/// Requests read in one call.
 const AT_ONCE: usize = 16;
 
 /// A room with its sockets.
@@ -22,7 +23,8 @@ pub(crate) struct RoomSockets {
 }
 
 impl RoomSockets {
-    /// Opens what is asked for: where lines go, and where NatNet is served.
+    /// Opens the requested sockets: `lines` is the destination of lines, `natnet` the address that
+    /// serves NatNet.
     pub(crate) fn open(room: Room, lines: Option<&str>, natnet: Option<&str>) -> io::Result<Self> {
         let lines = lines.map(|to| {
             let to = resolved(to)?;
@@ -44,19 +46,19 @@ impl RoomSockets {
         })
     }
 
-    /// One line for each: where it sends, or is served.
+    /// One line for each socket, with its address.
     pub(crate) fn describe(&self) -> impl Iterator<Item = String> + '_ {
         let lines = self.lines.iter().map(|(_, to)| format!("room: lines to {to}"));
         let at = self.natnet.iter().filter_map(|socket| socket.local_addr().ok());
         lines.chain(at.map(|at| format!("room: NatNet served at {at}")))
     }
 
-    /// When the room sees or sends something next, us.
+    /// Time at which the room next captures or sends a frame, us.
     pub(crate) fn next_us(&self) -> u64 {
         self.room.next_us()
     }
 
-    /// Looks at the vehicle and sends what leaves the room.
+    /// Captures the vehicle's pose if due, answers requests and sends due frames.
     pub(crate) fn serve(&mut self, vehicle: &Vehicle) {
         let now_us = vehicle.now_us();
         let state = vehicle.plant().state();

@@ -1,4 +1,4 @@
-//! The sensors: what the vehicle reports about its true state.
+//! Sensors and estimator: they turn the true state into what the vehicle reports.
 
 use std::collections::VecDeque;
 
@@ -15,27 +15,27 @@ use vehicle::frame::{Attitude, Frd, Ned};
 use vehicle::plant::Plant;
 use vehicle::rigid_body::State;
 
-/// What the sensors say at one instant.
+/// The sensors' readings at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Readings {
     /// Vehicle time of the readings, microseconds since the start.
     pub time_us: u64,
-    /// Pose and velocity as reported over the link, `estimator_latency` old, with noise and
-    /// `attitude_trim`; the body rate is the gyro's and not late.
+    /// Pose and velocity as reported over the link: `estimator_latency` old, with noise and
+    /// `attitude_trim`. The body rate is the gyro's, without latency.
     pub estimate: State,
-    /// What the on-board loop uses as attitude: with trim and noise, not late.
+    /// Attitude that the on-board loop uses: with trim and noise, without latency.
     pub onboard_attitude: Attitude,
     /// The gyro in true body axes, rad/s.
     pub gyro: Frd,
     /// The accelerometer in true body axes, m/s^2.
     pub specific_force: Frd,
-    /// The pack.
+    /// The power module's reading.
     pub battery: BatteryReading,
-    /// What the estimator says of itself.
+    /// The estimator's status.
     pub estimator: EstimatorStatus,
 }
 
-/// What the power module says.
+/// The power module's reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BatteryReading {
     /// Terminal voltage in V.
@@ -46,7 +46,7 @@ pub struct BatteryReading {
     pub remaining: f64,
 }
 
-/// The vehicle's sensors and estimator. Each has a random stream of its own.
+/// The vehicle's sensors and estimator. Each has its own random stream.
 #[derive(Clone, Debug)]
 pub struct Sensors {
     config: SensorConfig,
@@ -64,7 +64,7 @@ pub struct Sensors {
 }
 
 impl Sensors {
-    /// Sensors of a vehicle with these effects (modelled ones overlaid with the true ones).
+    /// Sensors of a vehicle with these effects (the modelled ones overlaid with the true ones).
     pub fn new(config: &SitlConfig, effects: &EffectSet, seed: u64) -> Self {
         let latency = effects.get::<EstimatorLatency>().map_or(0.0, |effect| effect.latency_s);
         let trim = effects.get::<AttitudeTrim>();
@@ -89,7 +89,7 @@ impl Sensors {
         }
     }
 
-    /// Remembers the plant's state for late reports; to be called after every step.
+    /// Records the plant's state for reports with latency; call it after every step.
     pub fn record(&mut self, plant: &Plant) {
         self.history.record(plant);
     }
@@ -134,7 +134,7 @@ impl Sensors {
         }
     }
 
-    /// A first-order process per axis, advanced exactly.
+    /// A first-order process on each axis, advanced exactly.
     fn advance_attitude_error(&mut self, elapsed: f64) {
         let correlation = self.config.attitude_correlation_s;
         let decay = if correlation > 0.0 { (-elapsed / correlation).exp() } else { 0.0 };
@@ -150,7 +150,7 @@ fn small_rotation([x, y, z]: [f64; 3]) -> Attitude {
     Attitude { w: 1.0, x: 0.5 * x, y: 0.5 * y, z: 0.5 * z }.normalized()
 }
 
-/// A random stream of one sensor.
+/// The random stream of one sensor.
 #[derive(Clone, Debug)]
 struct Stream(Pcg64Mcg);
 
@@ -170,7 +170,7 @@ impl Stream {
     }
 }
 
-/// A gyro or an accelerometer: white noise, a constant bias and a walking one.
+/// A gyro or an accelerometer, with white noise, a constant bias and a random walk of the bias.
 #[derive(Clone, Debug)]
 struct Imu {
     noise: ImuNoise,
@@ -191,13 +191,13 @@ impl Imu {
     }
 }
 
-/// The rotors' lines in gyro and accelerometer.
+/// The rotors' vibration in gyro and accelerometer.
 #[derive(Clone, Debug)]
 struct Shaking {
     config: Vibration,
-    /// Of each rotor, rad.
+    /// Phase of each rotor, rad.
     phases: [f64; ROTORS],
-    /// Of each axis after that, of the gyro and of the accelerometer, rad.
+    /// Phase offset of each axis of the gyro and of the accelerometer, rad.
     offsets: [[f64; 3]; 2],
 }
 
@@ -209,7 +209,7 @@ impl Shaking {
         Self { config, phases, offsets }
     }
 
-    /// What is added to the body rate [rad/s] and to the specific force [m/s^2].
+    /// Vibration to add to the body rate [rad/s] and to the specific force [m/s^2].
     fn advance(&mut self, plant: &Plant, elapsed: f64) -> [Frd; 2] {
         let Vibration { rotor_max_hz, gyro_rad_s, accelerometer_m_s2 } = self.config;
         if gyro_rad_s == 0.0 && accelerometer_m_s2 == 0.0 {
@@ -230,7 +230,7 @@ impl Shaking {
     }
 }
 
-/// The states of the last moments, one per step.
+/// The latest states, one for each step.
 #[derive(Clone, Debug)]
 struct History {
     latency: f64,
@@ -256,7 +256,7 @@ impl History {
         }
     }
 
-    /// The state `latency` ago, between steps interpolated; the oldest there is at the start,
+    /// The state `latency` ago, interpolated between steps, or the oldest one at the start. Returns
     /// `None` without latency.
     fn state(&self) -> Option<State> {
         let newest = self.states.len().checked_sub(1)?;

@@ -1,8 +1,8 @@
-//! The vehicle's face to the world: its links, and the clock that paces it.
+//! The server: it connects the vehicle to its links and paces its clock.
 //!
-//! One task does everything. What arrives is handled at once, at the vehicle time of its arrival;
-//! between arrivals the task sleeps until the vehicle has something to send. The vehicle's time is
-//! the host's monotonic clock times the speed factor, counted from the start, so it does not drift.
+//! One task does everything. It handles incoming bytes at once, at the vehicle time of their
+//! arrival, and otherwise sleeps until the vehicle has something to send. The vehicle's time is the
+//! host's monotonic clock times the speed factor, counted from the start, so it does not drift.
 
 use std::future::{Future, poll_fn};
 use std::pin::Pin;
@@ -16,16 +16,16 @@ use wire::transport::{self, Incoming, OpenError, RECEIVE_LEN, Transport};
 use crate::autopilot::{LinkKind, Peer, Vehicle};
 use crate::room_sockets::RoomSockets;
 
-/// A lost link is opened again after this long.
+/// Delay before reopening a lost link.
 const REOPEN_AFTER: Duration = Duration::from_millis(500);
 
-/// Vehicle time simulated between two looks at the links, us.
+/// Largest vehicle time simulated between two polls of the links, us.
 const ADVANCE_MAX_US: u64 = 20_000;
 
-/// The vehicle's clock lets go of real time when it is this far behind, in host time.
+/// Lag in host time at which the vehicle's clock gives up real time.
 const LAG_MAX: Duration = Duration::from_secs(1);
 
-/// Links that are open and peers that are served.
+/// The vehicle with its links and peers.
 pub struct Server {
     vehicle: Vehicle,
     room: Option<RoomSockets>,
@@ -35,7 +35,7 @@ pub struct Server {
     buffer: Vec<u8>,
 }
 
-/// Which remote end of which link a peer of the vehicle is.
+/// Maps a peer of the vehicle to a link and a remote address.
 struct Route {
     peer: Peer,
     link: usize,
@@ -52,7 +52,7 @@ enum LinkState {
     Reopening(Pin<Box<dyn Future<Output = Transport>>>),
 }
 
-/// What woke the server.
+/// The event that woke the server.
 enum Wake {
     Bytes(usize, transport::Peer, usize),
     Opened(usize, transport::Peer),
@@ -66,7 +66,7 @@ impl Server {
     /// Opens every link.
     ///
     /// # Errors
-    /// [`OpenError`] of the first that does not open.
+    /// [`OpenError`] of the first link that does not open.
     pub async fn open(vehicle: Vehicle, endpoints: &[Endpoint]) -> Result<Self, OpenError> {
         let mut links = Vec::with_capacity(endpoints.len());
         for endpoint in endpoints {
@@ -87,12 +87,12 @@ impl Server {
         Ok(server)
     }
 
-    /// The same vehicle in a motion-capture room.
+    /// Puts the vehicle into a motion-capture room.
     pub(crate) fn inside(self, room: Option<RoomSockets>) -> Self {
         Self { room, ..self }
     }
 
-    /// One line for each link: what it listens on or talks to.
+    /// One line for each link, with its local or remote address.
     pub fn describe(&self) -> impl Iterator<Item = String> + '_ {
         self.links.iter().map(|link| {
             let local = match &link.state {
@@ -107,14 +107,14 @@ impl Server {
         })
     }
 
-    /// When the vehicle or the room has something to do next, us.
+    /// Time of the next event of the vehicle or the room, us.
     fn next_event_us(&self) -> u64 {
         let room_us = self.room.as_ref().map_or(u64::MAX, RoomSockets::next_us);
         self.vehicle.next_event_us().min(room_us.max(self.vehicle.now_us() + 1))
     }
 
-    /// Serves until `stop` is ready. `speed` is vehicle seconds per host second; `watch` sees the
-    /// vehicle whenever its time has gone on, and must not wait.
+    /// Serves until `stop` resolves. `speed` is in vehicle seconds per host second. Calls `watch`
+    /// with the vehicle whenever its time has advanced; `watch` must not block.
     pub async fn run<S: Future>(
         &mut self,
         speed: f64,
@@ -154,7 +154,7 @@ impl Server {
         }
     }
 
-    /// What the vehicle's clock is to show at the host time `now`.
+    /// Target of the vehicle's clock at host time `now`.
     fn vehicle_us(&self, pacer: &mut Pacer, now: Instant) -> u64 {
         let clock = self.vehicle.clock();
         let reached_us = clock.host_us(self.vehicle.now_us());
@@ -202,7 +202,7 @@ impl Server {
         }
     }
 
-    /// Serves the peers that a link has from the start, before they say anything.
+    /// Connects the peers that a link has from the start, before they send anything.
     fn greet(&mut self, link: usize) {
         let LinkState::Open(transport) = &self.links[link].state else { return };
         for remote in transport.peers().collect::<Vec<_>>() {
@@ -210,7 +210,7 @@ impl Server {
         }
     }
 
-    /// The vehicle's peer for a remote end, new if need be.
+    /// The vehicle's peer for a remote address; connects a new one if needed.
     fn peer(&mut self, link: usize, remote: transport::Peer) -> Peer {
         let known = self.peers.iter().find(|r| r.link == link && r.remote == remote);
         if let Some(route) = known {
@@ -239,7 +239,7 @@ impl Server {
         vehicle.take_output(|peer, bytes| {
             let Some(route) = peers.iter().find(|route| route.peer == peer) else { return };
             if let LinkState::Open(transport) = &mut links[route.link].state {
-                // A full way out drops the frame; the transport counts it.
+                // A full send queue drops the frame; the transport counts it.
                 transport.send(route.remote, bytes);
             }
         });
@@ -271,8 +271,8 @@ async fn reopen(endpoint: Endpoint) -> Transport {
     }
 }
 
-/// Ties the simulation's time to the host's: the vehicle's time, where the vehicle's clock does not
-/// slip against the simulation's.
+/// Maps between the simulation's time and the host's. The vehicle's clock may in turn slip against
+/// the simulation's.
 struct Pacer {
     speed: f64,
     host: Instant,
@@ -284,8 +284,8 @@ impl Pacer {
         Self { speed, host: Instant::now(), simulated_us }
     }
 
-    /// The simulation's time that belongs to the host time `now`. A host that cannot keep up, or
-    /// was suspended, makes the simulation let go: it then continues from where it is.
+    /// The simulation's time at host time `now`. If the host cannot keep up or was suspended, the
+    /// simulation gives up the lost time and continues from where it is.
     fn simulated_us(&mut self, now: Instant, reached_us: u64) -> u64 {
         let passed = now.saturating_duration_since(self.host).as_secs_f64() * self.speed;
         let wanted = self.simulated_us + (passed * 1e6) as u64;

@@ -1,9 +1,9 @@
-//! Many vehicles of one kind, stepped together: the plant as a structure of arrays.
+//! Many identical vehicles, stepped together: the plant as a structure of arrays.
 //!
-//! A block of vehicles is stepped by one loop over its lanes, without branches, which the compiler
-//! turns into the widest vectors that the processor has; which ones is found out when a [`Batch`] is
-//! made. The equations are [`Physics`]', so that every effect acts as in a [`Plant`], and a lane near
-//! the floor is stepped as a plant is, by itself.
+//! One branch-free loop over its lanes steps a block of vehicles. The compiler vectorises the loop
+//! for each vector instruction set, and a new [`Batch`] picks the widest that the processor
+//! supports. The equations come from [`Physics`], so every effect acts as in a [`Plant`]. A lane
+//! near the floor is stepped separately, in scalar code.
 
 mod lane;
 mod motion;
@@ -26,9 +26,9 @@ use crate::plant::{BATTERY_STEPS, Plant, Setup};
 use crate::rigid_body::{Stage, State, rk4};
 use crate::rotor::Lag;
 
-/// Vehicles of one file and one set of effects, in single (`f32`) or double precision (`f64`).
+/// Vehicles with one file and one set of effects, in single (`f32`) or double precision (`f64`).
 ///
-/// In double precision a vehicle flies as a [`Plant`] with the same seed does, to rounding.
+/// In double precision a vehicle matches a [`Plant`] with the same seed to rounding error.
 #[derive(Clone, Debug)]
 pub struct Batch<F> {
     model: Model,
@@ -38,18 +38,18 @@ pub struct Batch<F> {
     steps: u64,
 }
 
-/// Up to [`LANES`] vehicles; lanes beyond them stand still.
+/// Up to [`LANES`] vehicles; surplus lanes are ignored.
 #[derive(Clone, Debug)]
 struct Block<F> {
     motion: Motion<F>,
     held: Held<F>,
-    /// The packs, where their voltage acts.
+    /// The packs; empty if their voltage has no effect.
     batteries: Vec<Battery>,
     turbulence: Vec<(Turbulence, Pcg64Mcg)>,
 }
 
 impl<F: Precision> Batch<F> {
-    /// `count` vehicles as [`Plant::new`] makes them; gusts of vehicle i are drawn from `seed + i`.
+    /// Creates `count` vehicles as [`Plant::new`] does; `seed + i` seeds the gusts of vehicle i.
     ///
     /// # Errors
     /// As [`Plant::new`].
@@ -118,36 +118,37 @@ impl<F: Precision> Batch<F> {
         })
     }
 
-    /// The vehicles without a floor to touch, as [`Plant::airborne`].
+    /// Removes contact with the floor, as [`Plant::airborne`].
     pub fn airborne(mut self) -> Self {
         self.model.floor = self.model.floor.out_of_reach();
         self
     }
 
-    /// The same, by no wider vector instructions than these.
+    /// Limits the vector instructions to at most `width`.
     pub fn at_most(mut self, width: Width) -> Self {
         self.width = self.width.min(width);
         self
     }
 
-    /// How many vehicles there are.
+    /// Number of vehicles.
     pub fn len(&self) -> usize {
         self.count
     }
 
-    /// Whether there is none.
+    /// Whether the batch has no vehicles.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// Name of the vector instructions that step the vehicles.
+    /// Name of the vector instruction set in use.
     pub fn instructions(&self) -> &'static str {
         self.width.name()
     }
 
     /// Advances every vehicle by `steps` steps of [`Plant::STEP`] with its motor outputs held.
-    /// Outputs are clipped to 0..=1; one that is not a number counts as 0. Vehicles without a row of
-    /// outputs stand still in time, and rows without a vehicle count for nothing.
+    /// Clips outputs to 0..=1 and treats NaN as 0. Ignores rows without a vehicle. A block of
+    /// [`LANES`] vehicles without any row does not advance; a vehicle without a row in another
+    /// block keeps its last outputs.
     pub fn step(&mut self, outputs: &[[F; ROTORS]], steps: usize) {
         for (block, outputs) in self.blocks.iter_mut().zip(outputs.chunks(LANES)) {
             for (lane, outputs) in outputs.iter().enumerate() {
@@ -162,21 +163,21 @@ impl<F: Precision> Batch<F> {
         self.steps += steps as u64;
     }
 
-    /// The state of a vehicle; `None` beyond the last.
+    /// The state of a vehicle; `None` if the index is out of range.
     pub fn state(&self, vehicle: usize) -> Option<State> {
         let block = self.blocks.get(vehicle / LANES).filter(|_| vehicle < self.count)?;
         Some(lane::state_of(&block.motion.state(vehicle % LANES)))
     }
 
-    /// s_i of a vehicle: its rotors' states, 0..=1; `None` beyond the last vehicle.
+    /// A vehicle's rotor states s_i, 0..=1; `None` if the index is out of range.
     pub fn rotor_states(&self, vehicle: usize) -> Option<[f64; ROTORS]> {
         let block = self.blocks.get(vehicle / LANES).filter(|_| vehicle < self.count)?;
         Some(block.motion.rotors(vehicle % LANES).map(|s| s.0.to_f64()))
     }
 
-    /// Puts a vehicle into `state` with its rotors in states s_i, as [`Plant::set_state`] and
-    /// [`Plant::set_rotor_states`]. A vehicle beyond the last, and a state that is not finite or whose
-    /// quaternion is 0, is ignored.
+    /// Sets a vehicle's state and rotor states s_i, as [`Plant::set_state`] and
+    /// [`Plant::set_rotor_states`]. Does nothing if the index is out of range, the state is not
+    /// finite, or its quaternion is 0.
     pub fn set(&mut self, vehicle: usize, state: State, rotors: [f64; ROTORS]) {
         let state = State { attitude: state.attitude.normalized(), ..state };
         let block = self.blocks.get_mut(vehicle / LANES).filter(|_| vehicle < self.count);
@@ -188,7 +189,7 @@ impl<F: Precision> Batch<F> {
     }
 }
 
-/// In 0..=1; 0 for what is not a number.
+/// Clips to 0..=1; NaN becomes 0.
 #[allow(clippy::manual_clamp, reason = "`max` gives 0 for NaN")]
 fn clipped(value: f64) -> f64 {
     value.max(0.0).min(1.0)
@@ -217,13 +218,13 @@ impl<F: Precision> Block<F> {
         }
     }
 
-    /// The lanes whose feet may reach the floor within a step, if any.
+    /// The lanes whose feet may reach the floor within a step; `None` if there are none.
     fn near_floor(&self, model: &Model) -> Option<Vec<usize>> {
         let is_near = |lane: &usize| {
             let state = lane::state_of(&self.motion.state(*lane));
             !model.floor.is_clear(&state, Plant::STEP)
         };
-        // The attitude says nothing here; a whole block in the air is the common case.
+        // A quick test that ignores attitude: the whole block is usually in the air.
         let lowest = self.motion.position[2]
             .iter()
             .fold(f64::NEG_INFINITY, |low, down| low.max(down.to_f64()));
@@ -236,7 +237,7 @@ impl<F: Precision> Block<F> {
         (!near.is_empty()).then_some(near)
     }
 
-    /// One lane's state a step later, with the floor.
+    /// One lane's state a step later, including contact with the floor.
     fn on_floor(&self, model: &Model, before: &Motion<F>, lane: usize) -> State {
         let environment = self.environment(model, lane);
         let outputs = self.held.outputs.each_ref().map(|values| values[lane].to_f64());

@@ -1,17 +1,17 @@
-//! The pack: charge, terminal voltage under load, current.
+//! The battery pack: charge, terminal voltage under load, and current.
 
 use serde::{Deserialize, Serialize};
 
 use crate::params::{ROTORS, VehicleParams};
 
-/// The pack beyond its nominal data.
+/// Settings of the pack that the vehicle file does not have.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BatteryConfig {
-    /// Capacity in mAh; missing: eight minutes of hover.
+    /// Capacity in mAh; by default enough for eight minutes of hover.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub capacity_mah: Option<f64>,
-    /// Internal resistance in ohm; missing: 4 % of the full voltage at hover.
+    /// Internal resistance in ohm; by default one that drops 4 % of the full voltage at hover.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resistance_ohm: Option<f64>,
     /// Charge at the start, 0..=1.
@@ -24,8 +24,7 @@ impl Default for BatteryConfig {
     }
 }
 
-/// Open-circuit voltage of a lithium polymer cell as a fraction of the full one, at these states
-/// of charge.
+/// Points (state of charge, open-circuit voltage over the full one) of a lithium polymer cell.
 const OPEN_CIRCUIT: [(f64, f64); 9] = [
     (0.0, 0.786),
     (0.05, 0.845),
@@ -41,21 +40,21 @@ const OPEN_CIRCUIT: [(f64, f64); 9] = [
 /// Ideal induced power over electrical power at hover, for small rotors and their motors.
 const EFFICIENCY: f64 = 0.45;
 
-/// How long a pack of the default capacity hovers, in s.
+/// Hover time of a pack with the default capacity, in s.
 const DEFAULT_HOVER_TIME: f64 = 480.0;
 
-/// Drop of the terminal voltage at hover over the full voltage, with the default resistance.
+/// Voltage drop at hover over the full voltage, with the default resistance.
 const DEFAULT_HOVER_DROP: f64 = 0.04;
 
-/// Electrical power that rotors take for their thrust: P = sum T^1.5 / (sqrt(2 rho A) efficiency),
-/// the induced power of momentum theory.
+/// Electrical power of the rotors: P = sum T^1.5 / (sqrt(2 rho A) efficiency), from the induced
+/// power of momentum theory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PowerModel {
     coefficient: f64,
 }
 
 impl PowerModel {
-    /// For a vehicle's rotor radius and air density.
+    /// Creates the model from a vehicle's rotor radius and air density.
     pub fn new(vehicle: &VehicleParams) -> Self {
         let disc = std::f64::consts::PI * vehicle.rotor_radius_m * vehicle.rotor_radius_m;
         Self { coefficient: 1.0 / ((2.0 * vehicle.air_density * disc).sqrt() * EFFICIENCY) }
@@ -68,7 +67,7 @@ impl PowerModel {
     }
 }
 
-/// A pack with an open-circuit voltage that follows its charge, and an internal resistance.
+/// A pack with an internal resistance and an open-circuit voltage that depends on the charge.
 #[derive(Clone, Debug)]
 pub struct Battery {
     full_voltage: f64,
@@ -81,8 +80,8 @@ pub struct Battery {
 }
 
 impl Battery {
-    /// The vehicle's pack at rest. Where the configuration names neither capacity nor resistance,
-    /// the pack hovers for eight minutes and loses 4 % of its voltage doing so.
+    /// The vehicle's pack without load. With the default capacity it hovers for eight minutes; with
+    /// the default resistance its voltage drops by 4 % in hover.
     pub fn new(vehicle: &VehicleParams, config: &BatteryConfig) -> Self {
         let hover = vehicle.mass * vehicle.gravity / ROTORS as f64;
         let hover_power = PowerModel::new(vehicle).power(&[hover; ROTORS]);
@@ -97,14 +96,14 @@ impl Battery {
         Self { full_voltage, capacity, resistance, charge, voltage, current: 0.0, held: None }
     }
 
-    /// From now on the terminal voltage is `voltage` (V) whatever is drawn, as when a logged
-    /// flight is replayed.
+    /// Holds the terminal voltage at `voltage` (V) from now on, whatever the load, to replay a
+    /// logged flight.
     pub fn hold(&mut self, voltage: f64) {
         self.held = Some(voltage);
         self.voltage = voltage;
     }
 
-    /// The pack is down to this charge, 0..1, at once; it never rises by that.
+    /// Drains the pack to `charge`, 0..1, at once; never raises it.
     pub fn drain(&mut self, charge: f64) {
         self.charge = self.charge.min(charge.max(0.0));
     }
@@ -121,7 +120,8 @@ impl Battery {
     /// Terminal voltage [V] and current [A] of the cells at `power` [W].
     fn terminal(&self, power: f64) -> (f64, f64) {
         let open = self.full_voltage * open_circuit(self.charge);
-        // V I = P with V = open - R I. No pack gives more than it does at half its voltage.
+        // V I = P with V = open - R I. A pack delivers its maximum power at half its open-circuit
+        // voltage.
         let limit = 0.5 * open;
         let root = (limit * limit - self.resistance * power).max(0.0).sqrt();
         let current =
@@ -129,7 +129,7 @@ impl Battery {
         (open - self.resistance * current, current)
     }
 
-    /// Terminal voltage in V.
+    /// Terminal voltage in V, under the last load or as held.
     pub fn voltage(&self) -> f64 {
         self.voltage
     }

@@ -1,17 +1,17 @@
-//! Files that are read whole, and so must not be larger than what they are for.
+//! Reads whole files, with a limit on their size.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
-/// Most bytes of a file that people write, such as a vehicle's: its values take a hundred times as
-/// much in memory.
+/// Size limit of a hand-written file, such as a vehicle file, in bytes. Its parsed values take
+/// about a hundred times as much memory.
 pub const WRITTEN_MAX: u64 = 4 << 20;
 
-/// A file's bytes, of which there are at most `most`.
+/// Reads a file of at most `most` bytes.
 ///
 /// # Errors
-/// A file that cannot be read, or is larger: also one that has no end.
+/// The file cannot be read or is larger, which includes a file without an end.
 pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(path)?.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
@@ -22,10 +22,10 @@ pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// As [`read`], a text's.
+/// Reads a UTF-8 text file of at most `most` bytes.
 ///
 /// # Errors
-/// As [`read`]; bytes that are no UTF-8.
+/// As [`read`]; also if the bytes are not UTF-8.
 pub fn read_to_string(path: &Path, most: u64) -> io::Result<String> {
     String::from_utf8(read(path, most)?)
         .map_err(|_| io::Error::new(ErrorKind::InvalidData, "stream did not contain valid UTF-8"))

@@ -1,28 +1,28 @@
-//! The floor: spring, damper and friction at the feet.
+//! Contact with the floor: spring, damper and friction at the feet.
 
 use crate::effects::Wrench;
 use crate::frame::Frd;
 use crate::physics::Constants;
 use crate::rigid_body::State;
 
-/// Natural frequency of the vehicle on its feet, rad/s: far above flight dynamics.
+/// Natural frequency of the vehicle on its feet, rad/s; far above flight dynamics.
 const FREQUENCY: f64 = 60.0;
-/// No mode of turning is faster, rad/s, even where a vehicle has next to no inertia: a step of
-/// 1 ms resolves it.
+/// Bound on the rotational modes, rad/s, even for a vehicle with almost no inertia. A step of 1 ms
+/// resolves it.
 const FASTEST: f64 = 400.0;
-/// Damping ratio: no bounce to speak of.
+/// Damping ratio, high enough to suppress bouncing.
 const DAMPING_RATIO: f64 = 0.7;
 /// Coulomb friction coefficient.
 const FRICTION: f64 = 0.6;
 
-/// Room for what a vehicle may gain on its velocity within a step, m.
+/// Margin for what acceleration adds to the travel within a step, m.
 const MARGIN: f64 = 1e-3;
 
-/// A flat floor under a foot below each rotor.
+/// A flat floor; the vehicle has a foot below each rotor.
 ///
-/// A foot in the floor is pushed out by a spring and damper that never pull, and held by friction
-/// that is viscous up to Coulomb's limit. At rest on four feet the centre of mass of a symmetric
-/// vehicle is at the floor's height exactly.
+/// A spring and damper push a foot out of the floor and never pull. Friction is viscous up to the
+/// Coulomb limit. At rest on four feet, the centre of mass of a symmetric vehicle is exactly at the
+/// floor's height.
 #[derive(Clone, Copy, Debug)]
 pub struct Floor {
     down: f64,
@@ -33,14 +33,14 @@ pub struct Floor {
 }
 
 impl Floor {
-    /// A floor at down coordinate `down` [m] under a vehicle, with gravity in m/s^2.
+    /// A floor at down coordinate `down` [m] for a vehicle; `gravity` is in m/s^2.
     pub fn new(down: f64, constants: &Constants, gravity: f64) -> Self {
         let rotors = &constants.rotors;
         let spread = |arm: fn(f64, f64) -> f64| -> f64 {
             rotors.iter().map(|r| arm(r.x, r.y)).sum::<f64>() / 4.0
         };
         let [ix, iy, iz] = constants.inertia;
-        // Mass that a foot would move if the vehicle turned about an axis instead of heaving.
+        // Effective mass at a foot when the vehicle rotates about an axis instead of heaving.
         let turning = (ix / spread(|_, y| y * y))
             .min(iy / spread(|x, _| x * x))
             .min(iz / spread(|x, y| x * x + y * y));
@@ -55,7 +55,7 @@ impl Floor {
         Self { down, feet, reach, stiffness, damping }
     }
 
-    /// The same floor out of reach.
+    /// Moves the floor to infinity, out of reach.
     pub fn out_of_reach(self) -> Self {
         Self { down: f64::INFINITY, ..self }
     }
@@ -66,13 +66,13 @@ impl Floor {
         self.is_clear_of(state.position.down(), state.velocity.down(), time)
     }
 
-    /// Likewise, of a vehicle at `down` [m] that sinks at `speed` [m/s].
+    /// As [`Floor::is_clear`], for a vehicle at `down` [m] that descends at `speed` [m/s].
     #[inline]
     pub fn is_clear_of(&self, down: f64, speed: f64, time: f64) -> bool {
         down + speed.max(0.0) * time + self.reach + MARGIN < self.down
     }
 
-    /// Whether a foot is in the floor.
+    /// Whether a foot penetrates the floor.
     pub fn touches(&self, state: &State) -> bool {
         !self.is_clear(state, 0.0) && self.feet.iter().any(|foot| self.depth(state, foot) > 0.0)
     }

@@ -1,10 +1,9 @@
-//! Vehicles for other simulators: what a vehicle file says, its modelled effects included, in the
-//! form that these read.
+//! Exports vehicles to other simulators: writes a vehicle file and its modelled effects in their
+//! formats.
 //!
-//! Each form has its own equations. What of a vehicle these cannot express is named in
-//! [`Export::lost`], and nothing else is left out. Bodies are front, left, up where the other
-//! simulator has them so: y and z change their signs, and a rotor's drag torque about down is the
-//! opposite about up.
+//! Each simulator has its own equations. [`Export::lost`] lists everything in a vehicle that they
+//! cannot express. Body axes are front, left, up where the other simulator uses them: y and z
+//! change sign, and so does a rotor's drag torque.
 
 mod casadi;
 mod drone_models;
@@ -19,18 +18,18 @@ use crate::frame::Ned;
 use crate::params::{VehicleError, VehicleParams};
 use crate::physics::{Constants, Physics};
 
-/// Speed of a rotor at full output where the vehicle file does not say it, rad/s. Thrusts and
-/// moments are the same for any.
+/// Rotor speed at full output if the vehicle file has none, rad/s. Thrusts and moments do not
+/// depend on it.
 const ASSUMED_SPEED: f64 = 2000.0;
 
-/// A simulator that vehicles are exported to.
+/// A simulator to which vehicles can be exported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Peer {
     /// RotorPy's parameters: a Python module.
     RotorPy,
-    /// A drone of `drone-models` (and `crazyflow`): its TOML.
+    /// `drone-models` (and `crazyflow`): a drone's TOML.
     DroneModels,
-    /// PX4's simulator on board, SIH: a parameter file.
+    /// PX4's simulation in hardware, SIH: a parameter file.
     Px4Sih,
     /// MuJoCo: an XML model.
     MuJoCo,
@@ -39,7 +38,7 @@ pub enum Peer {
 }
 
 impl Peer {
-    /// Every one.
+    /// Every supported simulator.
     pub const ALL: [Self; 5] =
         [Self::RotorPy, Self::DroneModels, Self::Px4Sih, Self::MuJoCo, Self::CasAdi];
 
@@ -55,19 +54,19 @@ impl Peer {
     }
 }
 
-/// A vehicle as another simulator reads it.
+/// A vehicle in another simulator's format.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Export {
-    /// The file's text.
+    /// Content of the file.
     pub text: String,
-    /// What of the vehicle the other simulator cannot express, a sentence each.
+    /// The parts of the vehicle that the other simulator cannot express, one phrase each.
     pub lost: Vec<String>,
 }
 
 /// Writes `vehicle` for `peer`.
 ///
 /// # Errors
-/// A vehicle whose mixer cannot be inverted, or an effect that the file lacks a number for.
+/// The vehicle's mixer cannot be inverted, or the file lacks a number that an effect needs.
 pub fn export(vehicle: &VehicleParams, peer: Peer) -> Result<Export, VehicleError> {
     let physics = Physics::new(vehicle, &EffectSet::new())?;
     let mut model = Model {
@@ -100,13 +99,13 @@ struct Model<'a> {
 }
 
 impl Model<'_> {
-    /// An effect of the vehicle, beside those in its constants.
+    /// An effect that the vehicle models, if present.
     fn effect<E: Effect>(&self) -> Option<E> {
         self.vehicle.modelled_effects.get()
     }
 
-    /// What acts on the air-relative velocity in proportion, N per m/s along front, right and down,
-    /// with the rotors at the speed of hover; and whether it is proportional to their speed.
+    /// Linear drag on the air-relative velocity, N per m/s along front, right and down, at the
+    /// hover rotor speed; and whether it is proportional to the rotor speed.
     fn linear_drag(&self) -> Option<([f64; 3], bool)> {
         if let Some(drag) = self.vehicle.linear_drag_n_per_m_s {
             return Some(([drag; 3], false));
@@ -114,12 +113,12 @@ impl Model<'_> {
         self.effect().map(|RotorDrag { d_xy, d_z }| ([d_xy, d_xy, d_z], true))
     }
 
-    /// n at hover, as a fraction of the full speed.
+    /// Rotor speed at hover as a fraction of full speed.
     fn hover_speed(&self) -> f64 {
         self.vehicle.hover_thrust.sqrt()
     }
 
-    /// The rotors' mean thrust at full output, N, and drag torque per thrust, m.
+    /// The rotors' mean thrust at full output, N, and mean drag torque per thrust, m.
     fn mean_rotor(&self) -> (f64, f64) {
         let rotors = &self.constants.rotors;
         let mean = |of: &dyn Fn(usize) -> f64| {
@@ -132,7 +131,7 @@ impl Model<'_> {
         self.lost.push(what.into());
     }
 
-    /// Names the effects in force that are not among `expressed`, and what else no peer takes.
+    /// Lists as lost the effects that are not in `expressed`, and all laws, which no peer supports.
     fn lose_but(&mut self, expressed: &[EffectId]) {
         let given = |id: &EffectId| id.place() == Place::Constant || expressed.contains(id);
         let effects = self.vehicle.modelled_effects.iter().map(|(id, _)| id);
@@ -145,7 +144,7 @@ impl Model<'_> {
         }
     }
 
-    /// One thrust and one torque stand for all rotors.
+    /// Notes the loss where one thrust and one torque represent all rotors.
     fn lose_unlike_rotors(&mut self) {
         let (thrust, torque) = self.mean_rotor();
         let is_off = |value: f64, mean: f64| (value - mean).abs() > 1e-9 * mean;
@@ -178,7 +177,7 @@ impl Model<'_> {
         }
     }
 
-    /// The first lines of a file: what it is of, and what it lacks; each behind `mark`.
+    /// The header of a file: the vehicle's name and the losses, as comments that start with `mark`.
     fn head(&self, mark: &str) -> String {
         let mut head =
             format!("{mark} {}, by `downwash vehicle export`.\n", one_line(self.vehicle));
@@ -189,18 +188,18 @@ impl Model<'_> {
     }
 }
 
-/// The vehicle's name, of any characters, for a comment or a quoted word.
+/// The vehicle's name with unsafe characters replaced, for a comment or a quoted string.
 fn one_line(vehicle: &VehicleParams) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || " _-.".contains(c);
     vehicle.name.chars().map(|c| if plain(c) { c } else { '_' }).collect()
 }
 
-/// A number that every reader takes for a real one.
+/// Formats a number so that every reader parses it as a float.
 fn real(value: f64) -> String {
     format!("{value:e}")
 }
 
-/// Numbers between commas.
+/// Formats numbers separated by commas.
 fn reals(values: &[f64]) -> String {
     values.iter().map(|value| real(*value)).collect::<Vec<_>>().join(", ")
 }

@@ -1,5 +1,5 @@
-//! What the catalogue of effects does not have: disturbances from outside, and other laws than the
-//! catalogue's for causes that it knows. Checks of a diagnosis are made with them.
+//! Effects outside the catalogue: external disturbances, and different laws for causes that the
+//! catalogue has. They serve to test a diagnosis.
 
 mod active;
 
@@ -7,13 +7,14 @@ use serde::{Deserialize, Serialize};
 
 pub(crate) use self::active::{Active, Scene};
 
-/// A disturbance, or another law.
+/// An external disturbance, or a law that differs from the catalogue's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Foreign {
-    /// A load that is part of the vehicle's mass but swings on a line. With w^2 = g / l,
-    /// r'' = -(w^2 r + 2 c w r' + a), r its horizontal place under the vehicle and a the vehicle's
-    /// horizontal acceleration; against a fixed load it adds the force m (w^2 r + a).
+    /// A load that is part of the vehicle's mass and swings on a line. With w^2 = g / l, r'' =
+    /// -(w^2 r + 2 c w r' + a), where r is its horizontal offset from the vehicle and a the
+    /// vehicle's horizontal acceleration. Compared with a fixed load it adds the force m (w^2 r +
+    /// a).
     SlungLoad {
         /// m, kg.
         mass_kg: f64,
@@ -22,88 +23,87 @@ pub enum Foreign {
         /// c, the damping ratio.
         damping: f64,
     },
-    /// A load that is added at the centre of mass: mass times 1 + share. What the rotors give is then
-    /// spread over more; against the vehicle alone it adds the force -F share / (1 + share), F the
-    /// rotors' force.
+    /// A load at the centre of mass: the mass is multiplied by 1 + share. It acts as an added force
+    /// -F share / (1 + share) on the unloaded vehicle, where F is the rotors' force.
     Payload {
-        /// Over the vehicle's mass; negative for a load that is dropped.
+        /// Load over the vehicle's mass; negative for a dropped load.
         share: f64,
     },
-    /// A line to a place in the world that pulls like a spring where it is taut.
+    /// A line to a fixed anchor that pulls like a spring when taut.
     Tether {
-        /// North, east, down, m.
+        /// Anchor north, east, down, m.
         anchor_m: [f64; 3],
-        /// Length at which it begins to pull, m.
+        /// Length above which it pulls, m.
         slack_m: f64,
-        /// N/m
+        /// Stiffness, N/m.
         stiffness_n_m: f64,
     },
-    /// A force in the world that swings, whatever the vehicle does.
+    /// A sinusoidal force in world axes, independent of the vehicle.
     Periodic {
         /// North, east, down, N.
         force_n: [f64; 3],
         /// s
         period_s: f64,
     },
-    /// A force in the world around a place, as of a fan: by exp(-(d / radius)^2) of the horizontal
-    /// distance d.
+    /// A force in world axes around a place, as from a fan: it falls off as exp(-(d / radius)^2)
+    /// with the horizontal distance d.
     Jet {
-        /// North, east, m.
+        /// Centre north, east, m.
         centre_m: [f64; 2],
         /// m
         radius_m: f64,
         /// North, east, down, N.
         force_n: [f64; 3],
     },
-    /// Pushes in random directions at random times.
+    /// Half-sine pushes in random directions at random times.
     Bumps {
         /// N
         force_n: f64,
         /// s
         duration_s: f64,
-        /// Mean time between them, s.
+        /// Mean time from the end of one to the start of the next, s.
         interval_s: f64,
     },
-    /// One rotor loses thrust for moments at random times.
+    /// One rotor loses thrust briefly at random times.
     ThrustBursts {
-        /// Which.
+        /// Index of the rotor, from 0.
         rotor: usize,
-        /// Share that is lost.
+        /// Share of the thrust that is lost.
         loss: f64,
         /// s
         duration_s: f64,
-        /// Mean time between them, s.
+        /// Mean time from the end of one to the start of the next, s.
         interval_s: f64,
     },
-    /// A force to the right of the body that grows with the yaw rate.
+    /// A force to the right of the body, proportional to the yaw rate.
     YawRateForce {
         /// N s/rad
         force_ns: f64,
     },
-    /// Drag that grows with another power of the speed: F = -c |v|^(p - 1) v on the velocity
-    /// relative to the air.
+    /// Drag with a different power of the speed: F = -c |v|^(p - 1) v, v the velocity relative to
+    /// the air.
     DragPower {
         /// c, N / (m/s)^p.
         coefficient: f64,
         /// p
         exponent: f64,
     },
-    /// Quadratic drag of a body that is not a sphere: F_i = -q_i |v| v_i, with a cross term that
-    /// lifts it: F_z += -x |v_h|^2.
+    /// Quadratic drag of a non-spherical body, F_i = -q_i |v| v_i, with a lifting cross term F_z +=
+    /// -x |v_h|^2.
     DragBody {
         /// q along body front, right, down, N s^2/m^2.
         quadratic: [f64; 3],
         /// x, N s^2/m^2.
         cross: f64,
     },
-    /// Drag of flat plates: each axis by its own component's square, F_i = -q_i |v_i| v_i.
+    /// Drag of flat plates, where each axis depends on its own component: F_i = -q_i |v_i| v_i.
     DragPlates {
         /// q along body front, right, down, N s^2/m^2.
         quadratic: [f64; 3],
     },
-    /// Rotors that follow by two equal lags in a row.
+    /// Rotors with two equal first-order lags in series.
     LagSecondOrder {
-        /// Each, s.
+        /// Time constant of each lag, s.
         tau_s: f64,
     },
     /// Rotors that spin down more slowly than up.
@@ -120,10 +120,10 @@ pub enum Foreign {
         /// m
         length_m: f64,
     },
-    /// Each rotor near the floor for itself, by 1 / (1 - (c R / 4 h_i)^2) at its own height h_i
-    /// (Cheeseman and Bennett 1955): a tilted vehicle is levelled.
+    /// Ground effect for each rotor at its own height h_i, 1 / (1 - (c R / 4 h_i)^2) (Cheeseman and
+    /// Bennett 1955). It levels a tilted vehicle.
     GroundPerRotor {
-        /// c R: the radius of a rotor, with what four side by side gain, m.
+        /// c R: the radius of a rotor, times the gain of four side by side, m.
         radius_m: f64,
     },
     /// Thrust that grows with the speed v across the rotors and saturates:
@@ -136,69 +136,69 @@ pub enum Foreign {
     },
     /// A worn rotor: it loses thrust, and a smaller share of its drag torque.
     RotorWear {
-        /// Which.
+        /// Index of the rotor, from 0.
         rotor: usize,
         /// Share of the thrust that is lost.
         loss: f64,
-        /// Share of the drag torque that is lost, over that of the thrust.
+        /// Lost share of the drag torque over the lost share of the thrust.
         torque_share: f64,
     },
-    /// Drag torque that grows with another power of the rotor's speed, and differs by its spin:
-    /// torque_i = (1 + by +- apart) (f_i / f_hover)^(power - 1) of the nominal.
+    /// Drag torque with a different power of the rotor's thrust, and a difference between the
+    /// spins: torque_i = (1 + by +- apart) (f_i / f_hover)^(power - 1) times the nominal.
     YawTorquePower {
         /// by
         by: f64,
-        /// apart; plus where the spin is +1.
+        /// apart; added where the spin is +1, else subtracted.
         apart: f64,
         /// power
         power: f64,
-        /// Thrust of a rotor in hover, N.
+        /// f_hover: thrust of a rotor in hover, N.
         hover_n: f64,
     },
-    /// Thrust times 1 - slope (1 - V / full): affine in the voltage inside the pack, behind a
-    /// first-order lag.
+    /// Thrust times 1 - slope (1 - V / full): affine in the terminal voltage V behind a first-order
+    /// lag.
     SagAffine {
         /// -
         slope: f64,
         /// s
         recovery_s: f64,
     },
-    /// Thrust times (V / full)^exponent, V the terminal voltage behind a first-order lag: the pack
-    /// recovers.
+    /// Thrust times (V / full)^exponent, V the terminal voltage behind a first-order lag, like a
+    /// pack that recovers slowly.
     SagRecovery {
         /// -
         exponent: f64,
         /// s
         recovery_s: f64,
     },
-    /// Thrust by s + b (s^3 - s).
+    /// Thrust as a cubic in the rotor's state: s + b (s^3 - s).
     CurveCubic {
         /// b
         b: f64,
     },
-    /// Thrust by a dead zone and a power: ((s - dead) / (1 - dead))^power.
+    /// Thrust with a dead zone and a power: ((s - dead) / (1 - dead))^power.
     CurvePower {
         /// -
         dead: f64,
         /// -
         power: f64,
     },
-    /// Gusts of another spectrum than Dryden's: eddies of many lengths with energy by the length to
-    /// 5/3 (Kolmogorov), carried past at a speed.
+    /// Gusts with a different spectrum than Dryden's: eddies of many lengths with a spectral
+    /// density as the length to 5/3 (Kolmogorov), carried past at a constant speed.
     GustEddies {
-        /// Standard deviation per axis, m/s.
+        /// Standard deviation along each axis, m/s.
         sigma_m_s: f64,
         /// The longest eddy, m.
         length_m: f64,
         /// m/s
         speed_m_s: f64,
     },
-    /// A payload on a rod below the rotors: the drag of the vehicle, which has its centre above the
-    /// new centre of mass, turns it; M = z x F with F = -c v.
+    /// A payload on a rod below the rotors. The vehicle's drag acts above the new centre of mass
+    /// and exerts the moment M = z x F with F = -c v.
     PayloadLever {
         /// c, N s/m.
         drag_ns_m: f64,
-        /// z: how far the centre of mass has sunk, m.
+        /// z: downward shift of the centre of mass, m.
         sunk_m: f64,
     },
     /// Wind that grows with height by a power law: v (h / 3 m)^exponent.
@@ -211,7 +211,7 @@ pub enum Foreign {
 }
 
 impl Foreign {
-    /// Its kind in files.
+    /// The value of `kind` in files.
     pub fn name(&self) -> &'static str {
         match self {
             Self::SlungLoad { .. } => "slung_load",

@@ -1,7 +1,7 @@
-//! Vectors and attitudes whose type says the frame: world NED (north, east, down) and body FRD
-//! (front, right, down).
+//! Vectors and attitudes typed by frame: world NED (north, east, down) and body FRD (front, right,
+//! down).
 //!
-//! What the types do not catch: which body (only one is meant), and which instant of time.
+//! The types do not distinguish bodies or instants of time.
 
 use std::marker::PhantomData;
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
@@ -16,7 +16,7 @@ pub struct World;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Body;
 
-/// Three components in frame `F`; SI unless the name says otherwise.
+/// Three components in frame `F`; in SI units unless the name of the value says otherwise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vec3<F, T = f64> {
     components: [T; 3],
@@ -29,7 +29,7 @@ pub type Ned<T = f64> = Vec3<World, T>;
 pub type Frd<T = f64> = Vec3<Body, T>;
 
 impl<F, T: Copy> Vec3<F, T> {
-    /// The components in the frame's own order.
+    /// Creates a vector from components in the order of the frame's axes.
     #[inline(always)]
     pub const fn new(x: T, y: T, z: T) -> Self {
         Self { components: [x, y, z], frame: PhantomData }
@@ -110,7 +110,7 @@ impl<F: Copy, T: Scalar> Vec3<F, T> {
         a * x + b * y + c * z
     }
 
-    /// Vector product, right-handed as both frames are.
+    /// Vector product; both frames are right-handed.
     #[inline(always)]
     pub fn cross(self, other: Self) -> Self {
         let ([a, b, c], [x, y, z]) = (self.components, other.components);
@@ -123,7 +123,7 @@ impl<F: Copy, T: Scalar> Vec3<F, T> {
         self.dot(self).sqrt()
     }
 
-    /// Component by component product, for diagonal matrices.
+    /// Component-wise product: multiplies by a diagonal matrix.
     #[inline(always)]
     pub fn scale_by(self, diagonal: [T; 3]) -> Self {
         let ([a, b, c], [x, y, z]) = (self.components, diagonal);
@@ -212,19 +212,19 @@ impl<T: Scalar> Default for Attitude<T> {
 }
 
 impl<T: Scalar> Attitude<T> {
-    /// `v` of body axes, in world axes.
+    /// Transforms `v` from body axes to world axes.
     #[inline(always)]
     pub fn to_world(self, v: Frd<T>) -> Ned<T> {
         Ned::from(self.rotate(v.to_array()))
     }
 
-    /// `v` of world axes, in body axes.
+    /// Transforms `v` from world axes to body axes.
     #[inline(always)]
     pub fn to_body(self, v: Ned<T>) -> Frd<T> {
         Frd::from(self.inverse().rotate(v.to_array()))
     }
 
-    /// The opposite rotation.
+    /// The inverse rotation, for a unit quaternion.
     #[inline(always)]
     pub fn inverse(self) -> Self {
         Self { w: self.w, x: -self.x, y: -self.y, z: -self.z }
@@ -298,12 +298,12 @@ impl<T: Scalar> Attitude<T> {
 }
 
 impl Attitude {
-    /// The same rotation with w >= 0, so that plots do not jump.
+    /// The same rotation with w >= 0, which avoids jumps in plots.
     pub fn canonical(self) -> Self {
         if self.w < 0.0 { Self { w: -self.w, x: -self.x, y: -self.y, z: -self.z } } else { self }
     }
 
-    /// w, x, y, z from a message.
+    /// The attitude from a message's w, x, y, z.
     ///
     /// Returns `None` unless the four are finite and their norm is within 1 % of 1.
     pub fn from_wire([w, x, y, z]: [f32; 4]) -> Option<Self> {
@@ -313,7 +313,7 @@ impl Attitude {
         ((norm - 1.0).abs() < 0.01).then(|| q.normalized())
     }
 
-    /// w, x, y, z for a message, w >= 0.
+    /// w, x, y, z for a message, with w >= 0.
     pub fn to_wire(self) -> [f32; 4] {
         let q = self.canonical();
         [q.w as f32, q.x as f32, q.y as f32, q.z as f32]
@@ -325,8 +325,8 @@ impl Attitude {
         2.0 * across.sqrt().atan2(along.sqrt())
     }
 
-    /// A share of the short way to `other`: the normalised mean of the quaternions, which is the
-    /// rotation at constant rate for small angles.
+    /// Interpolates the shorter way to `other`: the normalised weighted mean of the quaternions,
+    /// which approximates a constant rate for small angles.
     pub fn between(self, other: Self, share: f64) -> Self {
         let dot = self.w * other.w + self.x * other.x + self.y * other.y + self.z * other.z;
         let to = if dot < 0.0 { -share } else { share };
@@ -340,12 +340,12 @@ impl Attitude {
         .normalized()
     }
 
-    /// The rotation from `self` to `other` as angle times axis (rad), in body axes of `self`, the
-    /// short way round.
+    /// The shorter rotation from `self` to `other` as angle times axis [rad], in body axes of
+    /// `self`.
     pub fn rotation_to(self, other: Self) -> Frd {
         let d = self.inverse().compose(other).canonical();
         let sine = (d.x * d.x + d.y * d.y + d.z * d.z).sqrt();
-        // angle / sin(angle / 2), 2 in the limit.
+        // angle / sin(angle / 2), which tends to 2.
         let scale = if sine < 1e-9 { 2.0 } else { 2.0 * sine.atan2(d.w) / sine };
         Frd::new(d.x, d.y, d.z) * scale
     }
@@ -358,7 +358,7 @@ impl Attitude {
 }
 
 impl<T: Scalar> Euler<T> {
-    /// Roll, pitch and yaw in radians.
+    /// Creates the angles from roll, pitch and yaw in radians.
     pub const fn new(roll: T, pitch: T, yaw: T) -> Self {
         Self { roll, pitch, yaw }
     }
@@ -386,7 +386,7 @@ impl<T: Scalar> Euler<T> {
         [p + turn * sp / cp, q * cr - r * sr, turn / cp]
     }
 
-    /// Body rate that turns the angles at `rates` [rad/s], the inverse of [`Euler::rates`].
+    /// Body rate at which the angles change at `rates` [rad/s]; the inverse of [`Euler::rates`].
     pub fn body_rate(self, rates: [T; 3]) -> Frd<T> {
         let [roll_rate, pitch_rate, yaw_rate] = rates;
         let (sr, cr) = self.roll.sin_cos();

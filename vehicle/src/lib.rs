@@ -1,11 +1,12 @@
-//! A quadrotor as a model: the vehicle file, the catalogue of what real vehicles do beyond it, and
-//! the plant that integrates both.
+//! A quadrotor model: the vehicle file, the catalogue of effects that a real vehicle adds to it,
+//! and the plant that integrates both.
 //!
-//! [`VehicleParams`] is the nominal vehicle, [`effects`] what a real one does beyond it,
-//! [`physics::Physics`] the equations of both from rotor states to accelerations, generic over
-//! [`scalar::Scalar`] so that dual numbers give exact Jacobians. [`plant::Plant`] steps them, with
-//! rotors, pack and floor, [`batch::Batch`] many at once. [`frame`] types vectors and attitudes by their frame. SI units; NED
-//! world, FRD body.
+//! [`VehicleParams`] is the nominal vehicle, and [`effects`] lists what a real one adds.
+//! [`physics::Physics`] holds the equations of both, from rotor states to accelerations. It is
+//! generic over [`scalar::Scalar`], and dual numbers give exact Jacobians. [`plant::Plant`]
+//! integrates one vehicle with rotors, pack and floor; [`batch::Batch`] integrates many at once.
+//! [`frame`] types vectors and attitudes by their frame. Units are SI; the world frame is NED, the
+//! body frame FRD.
 //!
 //! ```
 //! use vehicle::VehicleParams;

@@ -1,4 +1,4 @@
-//! The vehicle file: what the simulator and the firmware believe about a quadrotor.
+//! The vehicle file: the simulator's and the firmware's nominal model of a quadrotor.
 
 use std::path::Path;
 
@@ -21,17 +21,17 @@ pub use difference::Difference;
 pub use error::VehicleError;
 pub use shipped::{SHIPPED, Shipped, read, shipped};
 
-/// Number of rotors; the project is about quadrotors.
+/// Number of rotors; only quadrotors are supported.
 pub const ROTORS: usize = 4;
 
-/// No mass, moment of inertia or thrust is above, in its unit: what is would only drown the others
-/// in the arithmetic.
+/// Largest accepted mass, moment of inertia or thrust, each in its unit. A larger value would swamp
+/// the others in floating-point arithmetic.
 const MOST: f64 = 1e6;
 
-/// No vehicle weighs less, kg: its thrust would exceed its weight beyond what a controller takes.
+/// Smallest accepted mass, kg. Below it, thrust over weight exceeds what a controller can handle.
 const LEAST_MASS_KG: f64 = 1e-6;
 
-/// A vehicle file, as read and checked. Units are in the field names where they are not SI.
+/// The contents of a vehicle file. Field names carry the unit where it is not plain SI.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VehicleParams {
@@ -43,18 +43,17 @@ pub struct VehicleParams {
     pub inertia: [f64; 3],
     /// The rotors, in the order of the motor outputs.
     pub rotors: [RotorParams; ROTORS],
-    /// First-order lag of the rotors' state in s; 0 means none is modelled.
+    /// Time constant of the rotors' first-order lag in s; 0 means no lag.
     pub motor_time_constant_s: f64,
-    /// Mean delay from the ground station's send to use on board, in s.
+    /// Mean delay from sending a setpoint on the ground to its use on board, in s.
     pub command_delay_s: f64,
-    /// The on-board attitude loop of the bundled vehicle; missing where the autopilot's loop is its
-    /// own.
+    /// The bundled simulator's on-board attitude loop; missing where the autopilot brings its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub attitude_pd: Option<AttitudePd>,
     /// The on-board attitude loop of PX4 or ArduCopter, in place of `attitude_pd`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub attitude_cascade: Option<AttitudeCascade>,
-    /// Fraction of the rotors' maximum thrust at hover, as the firmware believes.
+    /// The firmware's estimate of the hover thrust, as a fraction of the rotors' maximum.
     pub hover_thrust: f64,
     /// Gravity in m/s^2.
     pub gravity: f64,
@@ -62,37 +61,37 @@ pub struct VehicleParams {
     pub air_density: f64,
     /// Radius of a rotor in m.
     pub rotor_radius_m: f64,
-    /// Rotor speed at full output in revolutions per minute; missing where rpm is not known.
+    /// Rotor speed at full output in revolutions per minute; missing where it is unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotor_max_rpm: Option<f64>,
-    /// The pack.
+    /// Nominal data of the battery pack.
     pub battery: BatteryParams,
-    /// Effects that the simulator already has, by id.
+    /// Effects that the simulator already models, by id.
     #[serde(default)]
     #[schemars(with = "serde_json::Map<String, serde_json::Value>")]
     pub modelled_effects: EffectSet,
-    /// How a motor output message maps to 0..1, over what the autopilot's own parameters say;
-    /// missing where these say it, or it carries 0..1.
+    /// How a motor output message maps to 0..1. Overrides the autopilot's own parameters; missing
+    /// where those give the mapping or the message carries 0..1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motor_output: Option<MotorOutput>,
-    /// Exact linear drag on the air-relative velocity, in N per m/s; takes rotor_drag's place.
+    /// Linear drag on the air-relative velocity, in N per m/s; replaces the effect rotor_drag.
     #[serde(rename = "linear_drag_N_per_m_s", default, skip_serializing_if = "Option::is_none")]
     pub linear_drag_n_per_m_s: Option<f64>,
-    /// Moment against the body rate, per axis, in N m s.
+    /// Damping moment per body rate, for each axis, in N m s.
     #[serde(rename = "angular_damping_Nms", default, skip_serializing_if = "Option::is_none")]
     pub angular_damping_nms: Option<[f64; 3]>,
     /// Free text about the autopilot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub autopilot: Option<String>,
-    /// Free text.
+    /// Free text about the vehicle.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
-    /// Where the numbers come from, by field.
+    /// Source of each number, by field name.
     #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
     pub provenance: serde_json::Map<String, serde_json::Value>,
 }
 
-/// One rotor.
+/// Position, spin and thrust of one rotor.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RotorParams {
@@ -107,28 +106,29 @@ pub struct RotorParams {
     pub drag_torque_per_thrust_m: f64,
 }
 
-/// Gains of the on-board loop M = kp (zeta_des - zeta) + kd (omega_des - omega), about body axes.
+/// Gains of the on-board attitude loop M = kp (zeta_des - zeta) + kd (omega_des - omega), body
+/// axes.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AttitudePd {
-    /// Roll, pitch, yaw, in N m/rad.
+    /// Attitude gains for roll, pitch and yaw, in N m/rad.
     pub kp: [f64; 3],
-    /// Roll, pitch, yaw, in N m s/rad.
+    /// Rate gains for roll, pitch and yaw, in N m s/rad.
     pub kd: [f64; 3],
     /// Rate of the loop in Hz.
     pub rate_hz: f64,
 }
 
-/// The pack's nominal data.
+/// The battery pack's nominal data.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BatteryParams {
     /// Cells in series.
     pub cells: u8,
-    /// Pack voltage when full.
+    /// Open-circuit voltage of the full pack in V.
     #[serde(rename = "full_V")]
     pub full_v: f64,
-    /// Pack voltage for ratings.
+    /// Rated voltage of the pack in V.
     #[serde(rename = "nominal_V")]
     pub nominal_v: f64,
 }
@@ -137,24 +137,24 @@ pub struct BatteryParams {
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorOutput {
-    /// MAVLink message name.
+    /// Name of the MAVLink message.
     pub message: String,
     /// Fields of that message, in the order of `rotors`.
     pub fields: Vec<String>,
-    /// Value that means u = 0.
+    /// Message value for u = 0.
     pub zero: f64,
-    /// Value that means u = 1.
+    /// Message value for u = 1.
     pub one: f64,
-    /// Value while disarmed.
+    /// Message value while disarmed.
     pub disarmed: f64,
 }
 
 impl VehicleParams {
-    /// Reads and checks a vehicle file, or the shipped one of that name: TOML by the extension
-    /// `.toml`, JSON by `.json`, and by its first character otherwise.
+    /// Reads and checks the vehicle file at `path`, or the shipped vehicle of that name. The
+    /// extension `.toml` or `.json` selects the format; without either, the first character does.
     ///
     /// # Errors
-    /// A file that cannot be read, does not follow the schema, or holds impossible values.
+    /// The file cannot be read, violates the schema, or holds an impossible value.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, VehicleError> {
         let path = path.as_ref();
         let read = |source| VehicleError::Read { path: path.to_owned(), source };
@@ -168,61 +168,61 @@ impl VehicleParams {
             .map_err(|error| error.in_file(path))
     }
 
-    /// A vehicle from TOML text.
+    /// Parses and checks a vehicle in TOML.
     ///
     /// # Errors
-    /// As [`VehicleParams::load`], naming no file.
+    /// The text violates the schema or holds an impossible value. The error names no file.
     pub fn from_toml_str(text: &str) -> Result<Self, VehicleError> {
         toml::from_str::<Self>(text)
             .map_err(|e| VehicleError::schema(e.to_string(), || toml::from_str(text).ok()))?
             .checked()
     }
 
-    /// A vehicle from JSON text.
+    /// Parses and checks a vehicle in JSON.
     ///
     /// # Errors
-    /// As [`VehicleParams::load`], naming no file.
+    /// The text violates the schema or holds an impossible value. The error names no file.
     pub fn from_json_str(text: &str) -> Result<Self, VehicleError> {
         serde_json::from_str::<Self>(text)
             .map_err(|e| VehicleError::schema(e.to_string(), || serde_json::from_str(text).ok()))?
             .checked()
     }
 
-    /// The vehicle as TOML text that [`VehicleParams::from_toml_str`] reads back.
+    /// Formats the vehicle as TOML that [`VehicleParams::from_toml_str`] reads back.
     ///
     /// # Errors
-    /// Provenance that TOML cannot hold, as a JSON null.
+    /// The provenance holds a value that TOML lacks, such as a JSON null.
     pub fn to_toml(&self) -> Result<String, VehicleError> {
         toml::to_string(self).map_err(|e| VehicleError::syntax(e.to_string()))
     }
 
-    /// m g, N.
+    /// The weight m g of the nominal vehicle, N.
     pub fn weight_n(&self) -> f64 {
         self.mass * self.gravity
     }
 
-    /// Mean distance of the rotors from the middle, m.
+    /// Mean horizontal distance of the rotors from the centre of mass, m.
     pub fn arm_m(&self) -> f64 {
         let arms = self.rotors.map(|rotor| rotor.position_m[0].hypot(rotor.position_m[1]));
         arms.iter().sum::<f64>() / ROTORS as f64
     }
 
-    /// Fraction of the rotors' maximum thrust that carries the vehicle by the file's own mass,
-    /// without modelled effects: what `hover_thrust` is where the firmware is right.
+    /// Weight over the rotors' maximum thrust, without modelled effects. `hover_thrust` equals it
+    /// where the firmware's estimate is right.
     pub fn hover_share(&self) -> f64 {
         let full_n: f64 = self.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
         self.mass * self.gravity / full_n
     }
 
-    /// The on-board attitude loop as a PD law, whichever form the file has it in.
+    /// The on-board attitude loop as a PD law, whether the file gives a PD law or a cascade.
     pub fn attitude_loop_pd(&self) -> Option<AttitudePd> {
         self.attitude_pd.or_else(|| self.attitude_cascade.map(|cascade| cascade.as_pd()))
     }
 
-    /// The firmware's mixer.
+    /// The firmware's mixer, from the nominal rotors.
     ///
     /// # Errors
-    /// A layout without authority over thrust, roll, pitch and yaw.
+    /// The rotors cannot produce thrust, roll, pitch and yaw independently.
     pub fn allocation(&self) -> Result<Allocation, VehicleError> {
         Allocation::new(&self.rotors).ok_or_else(|| {
             let positions = self.rotors.map(|r| [r.position_m[0], r.position_m[1]]);
@@ -235,10 +235,10 @@ impl VehicleParams {
         })
     }
 
-    /// This vehicle, if every value is possible.
+    /// Returns this vehicle if every value is physically possible.
     ///
     /// # Errors
-    /// The first impossible value, with its field.
+    /// Names the first impossible value and its field.
     pub fn checked(self) -> Result<Self, VehicleError> {
         self.check_body()?;
         self.check_rotors()?;
@@ -248,10 +248,10 @@ impl VehicleParams {
         Ok(self)
     }
 
-    /// Whether this vehicle has every number that `effects` need.
+    /// Checks that this vehicle has every number that `effects` need.
     ///
     /// # Errors
-    /// The first that it lacks.
+    /// Names the first number that is missing.
     pub fn check_effects(&self, effects: &EffectSet) -> Result<(), VehicleError> {
         if effects.contains(RotorGyroscopic::ID) && self.rotor_max_rpm.is_none() {
             let expected = "a speed in 1/min, which the effect rotor_gyroscopic needs";
@@ -270,7 +270,7 @@ impl VehicleParams {
         }
         let sum: f64 = self.inertia.iter().sum();
         let largest = self.inertia.into_iter().fold(0.0, f64::max);
-        // Published sets break the triangle inequality by a percent or two.
+        // Published inertias violate the triangle inequality by a percent or two.
         if largest > 1.05 * (sum - largest) {
             let expected = "no moment above the sum of the other two, by more than 5 %";
             return Err(self.error("inertia", expected, format!("{:?} kg m^2", self.inertia)));

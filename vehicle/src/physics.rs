@@ -1,8 +1,9 @@
-//! From rotor states to accelerations: the nominal vehicle with effects, generic over the scalar.
+//! The equations of motion: the nominal vehicle with effects, from rotor states to accelerations,
+//! generic over the scalar.
 //!
-//! The plant integrates it; a planner and a regulator take its Jacobians with dual numbers. The
-//! nominal vehicle is a rigid body with thrust along -z body at each rotor and drag torques, and
-//! has neither aerodynamics nor a dependence on voltage unless an effect brings them.
+//! The plant integrates them; the planner and the regulator take their Jacobians with dual numbers.
+//! The nominal vehicle is a rigid body with thrust along -z body and a drag torque at each rotor.
+//! Aerodynamics and a dependence on voltage come from effects only.
 
 mod body_laws;
 mod constants;
@@ -26,13 +27,13 @@ use crate::rigid_body::{RigidBody, State};
 use crate::rotor::Allocation;
 use crate::scalar::Scalar;
 
-/// The effects that depend on the air's flow past the vehicle, and damping.
+/// The effects that depend on the airflow past the vehicle, linear drag and angular damping.
 #[derive(Clone, Copy, Debug, Default)]
 struct Aerodynamics {
     effects: FlowEffects,
     /// Linear drag in N per m/s.
     linear_drag: Option<f64>,
-    /// Moment per body rate in N m s.
+    /// Damping moment per body rate in N m s.
     angular_damping: Option<[f64; 3]>,
 }
 
@@ -42,7 +43,7 @@ impl Aerodynamics {
     }
 }
 
-/// A vehicle with effects, ready to be evaluated.
+/// A vehicle with effects, ready to evaluate.
 #[derive(Clone, Copy, Debug)]
 pub struct Physics<L = Option<Laws>> {
     body: RigidBody,
@@ -53,7 +54,7 @@ pub struct Physics<L = Option<Laws>> {
     wind: Ned,
     aerodynamics: Option<Aerodynamics>,
     laws: L,
-    /// Angular momentum along down of rotor i at full speed, N m s, if it acts.
+    /// Angular momentum along down of rotor i at full speed, N m s, if modelled.
     spin_momentum_max: Option<[f64; ROTORS]>,
     needs_rotor_speed: bool,
     /// 1 / (ROTORS n_hover).
@@ -64,12 +65,12 @@ pub struct Physics<L = Option<Laws>> {
 }
 
 impl Physics {
-    /// The vehicle with its modelled effects, and with those of `overlay` added or put in their
-    /// places. `linear_drag_N_per_m_s` takes rotor_drag's place, unless `overlay` has one: that
+    /// The vehicle with its modelled effects, and with those of `overlay` added or replacing them.
+    /// `linear_drag_N_per_m_s` replaces rotor_drag, unless `overlay` has a rotor_drag: that
     /// replaces both.
     ///
     /// # Errors
-    /// A vehicle whose mixer cannot be inverted, or that lacks a number which an effect needs.
+    /// The vehicle's mixer cannot be inverted, or the vehicle lacks a number that an effect needs.
     pub fn new(vehicle: &VehicleParams, overlay: &EffectSet) -> Result<Self, VehicleError> {
         let effects = &vehicle.modelled_effects.overlay(overlay);
         vehicle.check_effects(effects)?;
@@ -118,17 +119,17 @@ impl Physics {
         })
     }
 
-    /// Mass, inertia and gravity, as effects made them.
+    /// Mass, inertia and gravity, effects included.
     pub fn body(&self) -> &RigidBody {
         &self.body
     }
 
-    /// The vehicle's numbers, as effects made them.
+    /// The vehicle's constants, effects included.
     pub fn constants(&self) -> &Constants {
         &self.constants
     }
 
-    /// The firmware's mixer: always the nominal one.
+    /// The firmware's mixer, which is always the nominal one.
     pub fn allocation(&self) -> &Allocation {
         &self.allocation
     }
@@ -138,13 +139,13 @@ impl Physics {
         self.wind
     }
 
-    /// Whether forces depend on the velocity relative to the air.
+    /// Whether the vehicle has aerodynamic effects, linear drag, angular damping or laws.
     pub fn has_aerodynamics(&self) -> bool {
         self.aerodynamics.is_some() || self.laws.is_some()
     }
 
-    /// A remark on what of `effects` does nothing to this vehicle, which was made with them: moving
-    /// air acts through drag alone.
+    /// A remark if wind or gusts in `effects` do nothing to this vehicle, which was made with them:
+    /// moving air acts only through aerodynamics.
     pub fn unfelt(&self, effects: &EffectSet) -> Option<String> {
         let moves_air = |id: &EffectId| matches!(id, EffectId::Wind | EffectId::Gusts);
         let unfelt: Vec<&str> =
@@ -164,7 +165,8 @@ impl Physics {
         self.sag.is_some() || self.laws.as_ref().is_some_and(is_read)
     }
 
-    /// Whether neither the air nor the rotors' angular momentum acts on the body, but thrust alone.
+    /// Whether thrust, linear in the outputs, is all that acts on the body: no aerodynamics, laws,
+    /// angular momentum of the rotors or thrust curve.
     pub(crate) fn is_bare(&self) -> bool {
         self.aerodynamics.is_none()
             && self.laws.is_none()
@@ -172,7 +174,7 @@ impl Physics {
             && self.curve.is_none()
     }
 
-    /// The same with other laws.
+    /// The same physics with other laws.
     #[inline(always)]
     fn under<M>(&self, laws: M) -> Physics<M> {
         Physics {
@@ -193,7 +195,8 @@ impl Physics {
         }
     }
 
-    /// The physics of a vehicle that [is bare](Self::is_bare), which a compiler sees.
+    /// The physics of a vehicle that [is bare](Self::is_bare), in a form that lets the compiler
+    /// remove the unused terms.
     #[inline(always)]
     pub(crate) fn bare(&self) -> Physics<Lawless> {
         Physics {
@@ -205,8 +208,8 @@ impl Physics {
         }
     }
 
-    /// The same physics but laws with every effect in its place, those that do not act with neutral numbers:
-    /// without a branch on which ones act, which would keep a loop from being vectorised.
+    /// The same physics without laws, with every effect present and inactive ones neutral. It has
+    /// no branch on which effects act; such a branch would prevent vectorisation.
     #[inline(always)]
     pub(crate) fn dense(&self) -> Physics<Lawless> {
         self.dense_under(Lawless)
@@ -229,13 +232,15 @@ impl Physics {
         }
     }
 
-    /// [Dense](Self::dense) physics with the laws, each of which is a program of its own; `None` without one.
+    /// [Dense](Self::dense) physics with the laws, each of which is an interpreted program; `None`
+    /// without laws.
     #[inline(always)]
     pub(crate) fn lawful(&self) -> Option<Physics<&Laws>> {
         Some(self.dense_under(self.laws.as_ref()?))
     }
 
-    /// Steady wind and `gust` [m/s], the pack at terminal voltage `voltage` (V), the floor at 0.
+    /// The steady wind plus `gust` [m/s], the pack at terminal voltage `voltage` (V), the floor at
+    /// 0.
     pub fn environment(&self, voltage: f64, gust: Ned) -> Environment {
         Environment {
             air_velocity: self.wind + gust,
@@ -246,17 +251,17 @@ impl Physics {
         }
     }
 
-    /// Steady wind without gusts, a full pack, the floor at 0.
+    /// The steady wind without gusts, a full pack, the floor at 0.
     pub fn calm(&self) -> Environment {
         self.environment(self.full_voltage, Ned::zero())
     }
 
-    /// Factor of the terminal voltage (V) on thrust and squared rotor speed.
+    /// Factor on thrust and squared rotor speed at terminal voltage `voltage` (V).
     pub fn voltage_factor(&self, voltage: f64) -> f64 {
         self.sag.map_or(1.0, |sag| sag.factor(voltage / self.full_voltage))
     }
 
-    /// The quantities that laws name.
+    /// The quantities that laws refer to, computed where `needed`.
     pub fn quantities(
         &self,
         needed: Needed,
@@ -268,8 +273,8 @@ impl Physics {
         crate::law::values(needed, state, &rotors, env, self.full_voltage)
     }
 
-    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] with
-    /// the rotors in states s_i, held there.
+    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] with the
+    /// rotors held in states s_i.
     #[inline(always)]
     pub fn accelerations<T: Scalar>(
         &self,
@@ -280,9 +285,9 @@ impl Physics {
         self.accelerations_under(state, &self.loads(rotors, env), env)
     }
 
-    /// As [`Physics::accelerations`], once the rotors have followed the outputs that the firmware
-    /// gives for a commanded collective (N) and moments [N m], unclipped above. A model for
-    /// control about hover: it has neither lag nor saturation.
+    /// As [`Physics::accelerations`], after the rotors have settled at the outputs that the
+    /// firmware gives for a commanded collective (N) and moments [N m], unclipped above. A model
+    /// for control about hover, without lag or upper saturation.
     pub fn accelerations_for_wrench<T: Scalar>(
         &self,
         state: &State<T>,
@@ -292,7 +297,8 @@ impl Physics {
         self.accelerations(state, &self.rotors_for_wrench(wrench), env)
     }
 
-    /// The rotor states for a commanded collective and moments; not below 0, unclipped above.
+    /// The rotor states for a commanded collective (N) and moments [N m]; at least 0, unclipped
+    /// above.
     pub fn rotors_for_wrench<T: Scalar>(&self, wrench: &[T; 4]) -> [T; ROTORS] {
         let inverse = self.allocation.inverse();
         std::array::from_fn(|i| {
@@ -302,10 +308,11 @@ impl Physics {
         })
     }
 
-    /// The commanded collective (N) that, shared evenly, lifts the weight at rest in calm air far
-    /// from the floor: m g of the nominal vehicle, another number with effects on the thrust.
+    /// The commanded collective (N) that, shared evenly, balances the weight at rest in calm air
+    /// far from the floor. It is m g for the nominal vehicle and differs with effects on the
+    /// thrust.
     ///
-    /// Returns `None` where full output does not lift it.
+    /// Returns `None` if full output does not balance the weight.
     pub fn hover_collective(&self, env: &Environment) -> Option<f64> {
         let wanted = self.body.mass() * self.body.gravity();
         let even = |collective: f64| -> f64 {
@@ -315,7 +322,7 @@ impl Physics {
         if even(high) < wanted {
             return None;
         }
-        // Thrust grows with the collective for every accepted curve; bisection to rounding.
+        // Thrust grows with the collective for every accepted curve; 60 bisections reach rounding.
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
             if even(middle) < wanted { low = middle } else { high = middle }
@@ -324,15 +331,15 @@ impl Physics {
     }
 }
 
-/// What follows from the numbers, whatever the laws.
+/// Evaluation, generic over the laws.
 impl<L: BodyLaws> Physics<L> {
     /// Whether the rotors' angular momentum acts on the body.
     pub fn has_spin_momentum(&self) -> bool {
         self.spin_momentum_max.is_some()
     }
 
-    /// Thrust of a rotor over `thrust_max`, also its squared speed over the squared maximum, at
-    /// state `s`.
+    /// Thrust of a rotor over `thrust_max` at state `s`, which is also its squared speed over the
+    /// squared maximum.
     #[inline(always)]
     fn fraction<T: Scalar>(&self, s: T, env: &Environment) -> T {
         let bent = match &self.curve {
@@ -354,7 +361,7 @@ impl<L: BodyLaws> Physics<L> {
         std::array::from_fn(|i| root(self.fraction(rotors[i], env)))
     }
 
-    /// What rotors in states s_i do to the body; their angular momentum as if constant.
+    /// The loads of rotors in states s_i, with constant angular momentum.
     #[inline(always)]
     pub fn loads<T: Scalar>(&self, rotors: &[T; ROTORS], env: &Environment) -> Loads<T> {
         let mut loads = Loads {
@@ -384,9 +391,10 @@ impl<L: BodyLaws> Physics<L> {
         loads
     }
 
-    /// Loads at the start, middle and end of a step of `step` seconds, from those of rotors held
-    /// there: each with the rate of the parabola through the three, so that the rotors give the body
-    /// just what they gain, even from rest, where dh/dt is infinite.
+    /// Loads at the start, middle and end of a step of `step` seconds, given the loads of rotors
+    /// held at these instants. Each gets the slope dh/dt of the parabola through the three. The
+    /// body then receives exactly the angular momentum that the rotors gain, even from rest, where
+    /// the true dh/dt is infinite.
     #[inline(always)]
     pub fn lagged_loads<T: Scalar>(&self, loads: [Loads<T>; 3], step: f64) -> [Loads<T>; 3] {
         if !self.has_spin_momentum() {
@@ -397,7 +405,7 @@ impl<L: BodyLaws> Physics<L> {
         std::array::from_fn(|i| loads[i].with_spin_momentum_rate(rates[i] / T::from(step)))
     }
 
-    /// Loads of rotors that follow at once: those `after` the change all through the step.
+    /// Loads of rotors without lag: those `after` the change, throughout the step.
     #[inline(always)]
     pub fn sudden_loads<T: Scalar>(
         &self,
@@ -409,7 +417,7 @@ impl<L: BodyLaws> Physics<L> {
         [after.with_spin_momentum_rate(rate); 3]
     }
 
-    /// Force without gravity (N) and moment [N m] on the body.
+    /// Force without gravity [N] and moment [N m] on the body, body axes.
     #[inline(always)]
     pub fn wrench<T: Scalar>(
         &self,
@@ -471,7 +479,7 @@ impl<L: BodyLaws> Physics<L> {
         }
     }
 
-    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] under
+    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] under the
     /// given loads.
     #[inline(always)]
     pub fn accelerations_under<T: Scalar>(
@@ -485,7 +493,7 @@ impl<L: BodyLaws> Physics<L> {
     }
 }
 
-/// The square root of a number that is at least 0 in exact arithmetic; with derivative 0 at 0,
+/// The square root of a number that is at least 0 in exact arithmetic. Its derivative at 0 is 0,
 /// where the true one is infinite.
 #[inline(always)]
 fn root<T: Scalar>(x: T) -> T {

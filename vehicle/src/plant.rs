@@ -1,4 +1,4 @@
-//! The plant: the nominal vehicle with effects on a floor, advanced in fixed steps.
+//! The plant: the nominal vehicle with effects above a floor, integrated in fixed steps.
 
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -14,31 +14,31 @@ use crate::physics::{Environment, Loads, Physics};
 use crate::rigid_body::{Stage, State, midpoint, rk4};
 use crate::rotor::Lag;
 
-/// Steps between updates of the pack: 4 ms is short against the rotors' lag.
+/// Steps between updates of the pack. 4 ms is short compared with the rotors' lag.
 pub(crate) const BATTERY_STEPS: u64 = 4;
 
-/// Where the vehicle begins, at rest and level.
+/// Where the vehicle starts, at rest and level.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Start {
-    /// North, east, down in m.
+    /// Position north, east, down in m.
     pub position_m: [f64; 3],
     /// Heading from north towards east in rad.
     pub heading_rad: f64,
 }
 
-/// Where a plant begins, on which floor and with which pack.
+/// Initial conditions of a plant: start, floor and pack.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Setup {
-    /// Where the vehicle begins.
+    /// Start of the vehicle.
     pub start: Start,
     /// Down coordinate of the floor in m.
     pub floor_down_m: f64,
-    /// The pack.
+    /// Capacity, resistance and initial charge of the pack.
     pub battery: BatteryConfig,
 }
 
-/// The simulated vehicle without its autopilot: motor outputs in, motion out.
+/// The simulated vehicle without its autopilot: it turns motor outputs into motion.
 #[derive(Clone, Debug)]
 pub struct Plant {
     physics: Physics,
@@ -51,17 +51,17 @@ pub struct Plant {
     gravity: f64,
     full_voltage: f64,
     max_rpm: Option<f64>,
-    /// Whether it steps by the midpoint rule.
+    /// Whether the midpoint rule replaces RK4 in free flight.
     coarse: bool,
     spin: [f64; ROTORS],
     state: State,
     rotors: [f64; ROTORS],
     outputs: [f64; ROTORS],
     environment: Environment,
-    /// What the rotors do at this instant.
+    /// The rotors' loads at the present instant.
     loads: Loads<f64>,
     steps: u64,
-    /// When the first step began, s.
+    /// Time of the laws' clock when the first step begins, s.
     began: f64,
 }
 
@@ -69,12 +69,11 @@ impl Plant {
     /// Length of an integration step in s.
     pub const STEP: f64 = 1e-3;
 
-    /// A vehicle at its start, rotors at rest. `truth` is what the real vehicle has beyond the
-    /// file's `modelled_effects`, or with other values; `seed` draws its gusts.
+    /// A vehicle at its start, rotors at rest. `truth` adds to or overrides the file's
+    /// `modelled_effects`; `seed` seeds the gusts.
     ///
     /// # Errors
-    /// A vehicle whose mixer cannot be inverted, or an effect that the vehicle file lacks a
-    /// number for.
+    /// The vehicle's mixer cannot be inverted, or the file lacks a number that an effect needs.
     pub fn new(
         vehicle: &VehicleParams,
         truth: &EffectSet,
@@ -118,20 +117,19 @@ impl Plant {
         })
     }
 
-    /// The vehicle without a floor to touch, for flights that are known to be in the air: where the
-    /// zero of a log's height lies is not known that well. Effects see the floor as before.
+    /// Removes contact with the floor, for flights that are known to be in the air: the zero of a
+    /// log's height is too uncertain for contact. Effects still see the floor.
     pub fn airborne(self) -> Self {
         Self { floor: self.floor.out_of_reach(), ..self }
     }
 
-    /// The vehicle stepped by the midpoint rule, off the finer method by some 1e-5 of what moves in a
-    /// second: for many flights whose noise is far above that.
+    /// Integrates with the midpoint rule, which deviates from RK4 by about 1e-5 of the motion in a
+    /// second. It suits large numbers of flights whose noise is far above that.
     pub fn coarse(self) -> Self {
         Self { coarse: true, ..self }
     }
 
-    /// Lets something from outside the catalogue act from now on, beside what does already; `seed`
-    /// draws what of it is random.
+    /// Adds a disturbance from outside the catalogue from now on; `seed` seeds its random part.
     pub fn disturb(&mut self, foreign: Foreign, seed: u64) {
         let mut active = Active::new(foreign, seed);
         active.reset(&self.rotors);
@@ -139,7 +137,7 @@ impl Plant {
         self.loads = self.loads_of(&self.rotors);
     }
 
-    /// Lets the vehicle be another from now on: its state, its pack and what disturbs it stay.
+    /// Replaces the vehicle from now on; the state, the pack and the disturbances stay.
     pub fn become_vehicle(&mut self, physics: Physics) {
         self.lag = Lag::new(physics.constants().motor_time_constant, Self::STEP);
         self.environment.air_velocity += physics.wind() - self.physics.wind();
@@ -148,7 +146,7 @@ impl Plant {
         self.loads = self.loads_of(&self.rotors);
     }
 
-    /// What rotors in states s_i do to the body.
+    /// The loads of rotors in states s_i.
     #[inline]
     fn loads_of(&self, rotors: &[f64; ROTORS]) -> Loads<f64> {
         if self.foreign.is_empty() {
@@ -158,7 +156,7 @@ impl Plant {
         }
     }
 
-    /// The states that give thrust and speed.
+    /// The effective states, which determine thrust and speed.
     fn bent(&self, rotors: &[f64; ROTORS]) -> [f64; ROTORS] {
         self.foreign.iter().fold(*rotors, |rotors, foreign| foreign.bent(&rotors))
     }
@@ -188,8 +186,8 @@ impl Plant {
         }
     }
 
-    /// Advances by [`Plant::STEP`] with the motor outputs held. Outputs are clipped to 0..=1; one
-    /// that is not a number counts as 0.
+    /// Advances by [`Plant::STEP`] with the motor outputs held. Clips outputs to 0..=1 and treats
+    /// NaN as 0.
     pub fn step(&mut self, outputs: [f64; ROTORS]) {
         // `max` gives 0 for NaN.
         #[allow(clippy::manual_clamp)]
@@ -231,7 +229,7 @@ impl Plant {
         self.apply_voltage();
     }
 
-    /// Lets the pack's voltage act on the rotors, without a reaction on the body.
+    /// Applies the pack's voltage to the rotors, without a reaction on the body.
     fn apply_voltage(&mut self) {
         if self.physics.depends_on_voltage() {
             self.environment.voltage = self.battery.voltage();
@@ -240,7 +238,7 @@ impl Plant {
         }
     }
 
-    /// The state one step later, under the loads of each stage.
+    /// The state one step later, given the loads at the start, middle and end.
     #[inline]
     fn integrate(&self, loads: &[Loads<f64>; 3]) -> State {
         if self.foreign.is_empty() && self.floor.is_clear(&self.state, Self::STEP) {
@@ -278,8 +276,8 @@ impl Plant {
         &self.state
     }
 
-    /// Puts the vehicle into `state`, its quaternion scaled to unit norm. A state that is not
-    /// finite, or whose quaternion is 0, is ignored.
+    /// Sets the state, with the quaternion scaled to unit norm. Ignores a state that is not finite
+    /// or whose quaternion is 0.
     pub fn set_state(&mut self, state: State) {
         let attitude = state.attitude.normalized();
         let state = State { attitude, ..state };
@@ -293,7 +291,7 @@ impl Plant {
         self.rotors
     }
 
-    /// Puts the rotors into states s_i, clipped to 0..=1, without a reaction on the body.
+    /// Sets the rotors' states s_i, clipped to 0..=1, without a reaction on the body.
     pub fn set_rotor_states(&mut self, states: [f64; ROTORS]) {
         #[allow(clippy::manual_clamp)] // `max` gives 0 for NaN
         let states = states.map(|s| s.max(0.0).min(1.0));
@@ -303,24 +301,24 @@ impl Plant {
         self.loads = self.loads_of(&states);
     }
 
-    /// Holds the pack's terminal voltage at `voltage` (V) from now on, as a log says.
+    /// Holds the pack's terminal voltage at `voltage` (V) from now on, to replay a log.
     pub fn hold_voltage(&mut self, voltage: f64) {
         self.battery.hold(voltage);
         self.apply_voltage();
     }
 
-    /// Lets the clock that laws read begin at `time`, s.
+    /// Sets the clock that laws read to `time`, s.
     pub fn set_clock(&mut self, time: f64) {
         self.began = time - self.time();
         self.environment.time = time;
     }
 
-    /// The pack is down to this charge, 0..1, at once.
+    /// Drains the pack to `charge`, 0..1, at once; never raises it.
     pub fn drain(&mut self, charge: f64) {
         self.battery.drain(charge);
     }
 
-    /// u_i: the outputs of the last step, as clipped.
+    /// u_i: the outputs of the last step, after clipping.
     pub fn outputs(&self) -> [f64; ROTORS] {
         self.outputs
     }
@@ -343,8 +341,8 @@ impl Plant {
         Some(std::array::from_fn(|i| self.spin[i] * max * speeds[i]))
     }
 
-    /// What an ideal accelerometer at the centre of mass reads in body axes, m/s^2: every force
-    /// but gravity, over the mass. (0, 0, -g) at rest on a level floor.
+    /// Reading of an ideal accelerometer at the centre of mass in body axes, m/s^2: all forces
+    /// except gravity, over the mass. (0, 0, -g) at rest on a level floor.
     pub fn specific_force(&self) -> Frd {
         self.wrench(&self.state, &self.loads).force * self.physics.body().mass().recip()
     }
@@ -364,7 +362,7 @@ impl Plant {
         self.environment.air_velocity
     }
 
-    /// The pack.
+    /// The pack with its present charge, voltage and current.
     pub fn battery(&self) -> &Battery {
         &self.battery
     }
@@ -389,7 +387,7 @@ impl Plant {
         self.floor.touches(&self.state)
     }
 
-    /// The vehicle with effects as constants and equations.
+    /// The constants and equations of the vehicle with its effects.
     pub fn physics(&self) -> &Physics {
         &self.physics
     }

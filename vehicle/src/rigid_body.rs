@@ -3,8 +3,8 @@
 use crate::frame::{Attitude, Frd, Ned};
 use crate::scalar::Scalar;
 
-/// State of the vehicle's rigid body: position and velocity of the centre of mass in world NED,
-/// attitude body to world, and body rate. SI, radians.
+/// State of the vehicle as a rigid body: position and velocity of the centre of mass in world NED,
+/// attitude from body to world, and body rate. SI units, radians.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct State<T = f64>
 where
@@ -31,7 +31,7 @@ impl State {
     }
 }
 
-/// Mass and inertia of a body whose body axes are principal axes, and gravity.
+/// Mass, inertia and gravity of a body whose axes are principal axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidBody {
     mass: f64,
@@ -93,30 +93,29 @@ impl RigidBody {
     }
 }
 
-/// Where within a step the right-hand side is asked for.
+/// Instant within a step at which the integrator evaluates the right-hand side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// At the step's start.
     Start,
-    /// Half way, twice.
+    /// At half the step; RK4 evaluates it twice.
     Middle,
     /// At the step's end.
     End,
 }
 
 impl Stage {
-    /// 0, 1 or 2 from the start to the end.
+    /// Index 0, 1 or 2 for start, middle and end.
     #[inline(always)]
     pub fn index(self) -> usize {
         self as usize
     }
 }
 
-/// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] at a state and
-/// stage of a step. Closures are right-hand sides; a type of its own can be inlined at every stage,
-/// however long it is.
+/// The right-hand side of the equations of motion. Closures implement it; a dedicated type can be
+/// inlined at every stage, however long it is.
 pub trait RightHandSide<T: Scalar> {
-    /// The accelerations.
+    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2].
     fn at(&mut self, state: &State<T>, stage: Stage) -> (Ned<T>, Frd<T>);
 }
 
@@ -127,7 +126,7 @@ impl<T: Scalar, F: FnMut(&State<T>, Stage) -> (Ned<T>, Frd<T>)> RightHandSide<T>
     }
 }
 
-/// Rates of change of a state: attitude's is that of the quaternion.
+/// Time derivative of a state; `attitude` is the quaternion's derivative.
 #[derive(Clone, Copy)]
 struct Slope<T> {
     velocity: Ned<T>,
@@ -148,7 +147,7 @@ impl<T: Scalar> Slope<T> {
         }
     }
 
-    /// `state + self * dt`, the quaternion's norm as it comes out.
+    /// `state + self * dt`; the quaternion is not normalised.
     #[inline(always)]
     fn carry(&self, state: &State<T>, dt: f64) -> State<T> {
         let dt = T::from(dt);
@@ -163,10 +162,10 @@ impl<T: Scalar> Slope<T> {
     }
 }
 
-/// One step of the classical fourth-order Runge-Kutta method, the quaternion brought back to unit
-/// norm at its end.
+/// One step of the classical fourth-order Runge-Kutta method, which normalises the quaternion at
+/// its end.
 ///
-/// `step` is in s.
+/// `step` is the step size in s.
 #[inline(always)]
 pub fn rk4<T: Scalar>(
     state: &State<T>,
@@ -194,7 +193,8 @@ pub fn rk4<T: Scalar>(
     next
 }
 
-/// One step of the midpoint rule, likewise: of second order, for half of the work.
+/// One step of the second-order midpoint rule, at half the cost of [`rk4`]. It normalises the
+/// quaternion too.
 #[inline(always)]
 pub fn midpoint<T: Scalar>(
     state: &State<T>,
@@ -209,8 +209,8 @@ pub fn midpoint<T: Scalar>(
     next
 }
 
-/// Brings a quaternion of almost unit norm back to it: one Newton step towards 1/sqrt, which
-/// leaves the square of the error and needs neither root nor division.
+/// Normalises a quaternion of almost unit norm with one Newton step towards 1/sqrt. The remaining
+/// error is of the order of the square; it needs neither root nor division.
 #[inline(always)]
 fn nearly_unit<T: Scalar>(q: Attitude<T>) -> Attitude<T> {
     let norm2 = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z;
@@ -289,7 +289,7 @@ mod tests {
     #[test]
     fn halving_the_step_divides_the_error_by_two_to_the_order() {
         let body = RigidBody::new(1.0, [0.012, 0.02, 0.03], 9.81);
-        // A force that turns with the body and a moment that opposes its rate.
+        // A force fixed in the body that grows with its rate, and a moment that opposes the rate.
         let pushed = |s: &State, _: Stage| {
             let force = Frd::new(0.0, 0.0, -12.0) + s.body_rate * 0.1;
             body.accelerations(s, force, s.body_rate * -0.05)

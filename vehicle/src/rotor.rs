@@ -1,12 +1,12 @@
-//! The rotors: which outputs give which force and moments, and how their states follow outputs.
+//! The rotors: the mixer between outputs, force and moments, and the lag of the rotors' states.
 
 use crate::params::{ROTORS, RotorParams};
 use crate::scalar::Scalar;
 
-/// A collective thrust along -z body (N) and moments about body front, right, down [N m].
+/// Collective thrust along -z body [N] and moments about body front, right, down [N m].
 pub type Wrench4 = [f64; 4];
 
-/// The firmware's mixer: how collective and moments are shared among the rotors.
+/// The firmware's mixer, which distributes collective and moments among the rotors.
 ///
 /// Rotor thrusts f solve `[T, Mx, My, Mz] = A f`; the columns of A are
 /// `(1, -y_i, x_i, spin_i drag_torque_per_thrust_i)`, and outputs are `u_i = f_i / thrust_max_i`.
@@ -18,9 +18,9 @@ pub struct Allocation {
 }
 
 impl Allocation {
-    /// The allocation of these rotors, or `None` if A cannot be inverted: its condition number,
-    /// with lengths measured in the largest arm and drag torques in the largest torque per
-    /// thrust, would exceed 1e6.
+    /// The allocation of these rotors. Returns `None` if A is singular, or if its condition number
+    /// is 1e6 or more, with lengths scaled by the largest arm and drag torques by the largest
+    /// torque per thrust.
     pub fn new(rotors: &[RotorParams; ROTORS]) -> Option<Self> {
         let yaw = |r: &RotorParams| f64::from(r.spin) * r.drag_torque_per_thrust_m;
         let arm = rotors.iter().flat_map(|r| [r.position_m[0], r.position_m[1]]);
@@ -45,28 +45,28 @@ impl Allocation {
         })
     }
 
-    /// Outputs that give collective (N) and moments [N m]; each rotor's is clipped to 0..=1.
+    /// Outputs that produce collective (N) and moments [N m]; each is clipped to 0..=1.
     pub fn outputs(&self, wrench: Wrench4) -> [f64; ROTORS] {
         self.unclipped_outputs(wrench).map(|u| u.clamp(0.0, 1.0))
     }
 
-    /// Outputs before clipping: beyond 0..=1 the wrench cannot be had.
+    /// Outputs before clipping; one outside 0..=1 means that the wrench is unattainable.
     pub fn unclipped_outputs(&self, wrench: Wrench4) -> [f64; ROTORS] {
         let thrusts = product(&self.inverse, wrench);
         std::array::from_fn(|i| thrusts[i] / self.thrust_max[i])
     }
 
-    /// Collective (N) and moments [N m] that outputs give on the nominal vehicle, without lag.
+    /// Collective (N) and moments [N m] of the nominal vehicle at these outputs, without lag.
     pub fn wrench(&self, outputs: [f64; ROTORS]) -> Wrench4 {
         product(&self.effectiveness, std::array::from_fn(|i| outputs[i] * self.thrust_max[i]))
     }
 
-    /// The largest collective thrust in N.
+    /// Collective thrust at full output in N.
     pub fn collective_max(&self) -> f64 {
         self.thrust_max.iter().sum()
     }
 
-    /// Each rotor's largest thrust in N.
+    /// Each rotor's thrust at full output in N.
     pub fn thrust_max(&self) -> &[f64; ROTORS] {
         &self.thrust_max
     }
@@ -110,8 +110,8 @@ fn inverse(mut a: [[f64; 4]; 4]) -> Option<[[f64; 4]; 4]> {
     Some(b)
 }
 
-/// First-order lag of the rotors' states over one fixed step, exactly:
-/// s(t + h) = u + (s(t) - u) exp(-h / tau).
+/// Exact first-order lag of the rotors' states over a fixed step: s(t + h) = u + (s(t) - u) exp(-h
+/// / tau).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lag {
     tau: f64,
@@ -121,18 +121,18 @@ pub struct Lag {
 }
 
 impl Lag {
-    /// A lag of `tau` seconds over steps of `step` seconds; `tau` = 0 follows at once.
+    /// A lag of `tau` seconds over steps of `step` seconds; `tau` = 0 means no lag.
     pub fn new(tau: f64, step: f64) -> Self {
         let decay = |time: f64| if tau > 0.0 { (-time / tau).exp() } else { 0.0 };
         Self { tau, step, half: decay(0.5 * step), full: decay(step) }
     }
 
-    /// Whether the states follow at once.
+    /// Whether the states follow the outputs without lag.
     pub fn is_none(&self) -> bool {
         self.tau <= 0.0
     }
 
-    /// The states half way and at the end of a step through which `outputs` are held.
+    /// The states at the middle and end of a step with `outputs` held.
     #[inline(always)]
     pub fn advance<T: Scalar>(
         &self,
@@ -144,9 +144,9 @@ impl Lag {
         [after(self.half), after(self.full)]
     }
 
-    /// The states' mean over a step and those at its end, through which outputs move in a line from
-    /// the first to the last: smooth in tau down to 0, with r = (last - first) / h
-    /// s(t) = first + r (t - tau) + (s(0) - first + r tau) exp(-t / tau).
+    /// The states' mean over a step and their values at its end, where outputs move linearly from
+    /// the first to the last. With r = (last - first) / h, s(t) = first + r (t - tau) + (s(0) -
+    /// first + r tau) exp(-t / tau), which is smooth in tau down to 0.
     pub fn follow(
         &self,
         states: &[f64; ROTORS],

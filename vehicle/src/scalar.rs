@@ -1,12 +1,12 @@
-//! The number that the physics is generic over: `f64`, or a dual number whose derivative part
-//! gives exact Jacobians.
+//! The number type of the physics: `f64`, or a dual number whose derivative part gives exact
+//! Jacobians.
 
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 /// A real number, or one that carries derivatives.
 ///
-/// Comparisons and branches of the physics look at the value only.
+/// Comparisons and branches in the physics depend on the value only.
 pub trait Scalar:
     Copy
     + Debug
@@ -42,11 +42,11 @@ pub trait Scalar:
     fn is_above(self, bound: f64) -> bool {
         self.value() > bound
     }
-    /// The smaller by value.
+    /// The argument with the smaller value.
     fn min(self, other: Self) -> Self {
         if other.value() < self.value() { other } else { self }
     }
-    /// The larger by value.
+    /// The argument with the larger value.
     fn max(self, other: Self) -> Self {
         if other.value() > self.value() { other } else { self }
     }
@@ -99,7 +99,7 @@ pub struct Dual<const N: usize> {
 }
 
 impl<const N: usize> Dual<N> {
-    /// The variable number `index`, at `value`: its own derivative is 1.
+    /// Variable number `index` at `value`; its derivative with respect to itself is 1.
     ///
     /// # Panics
     /// If `index` is not below `N`.
@@ -114,7 +114,7 @@ impl<const N: usize> Dual<N> {
         &self.gradient
     }
 
-    /// `f(self)`, given the value of `f` and of its derivative there.
+    /// `f(self)`, given the value and the derivative of `f` at `self`.
     #[inline]
     fn chain(self, value: f64, slope: f64) -> Self {
         Self { value, gradient: self.gradient.map(|d| d * slope) }

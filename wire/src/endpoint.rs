@@ -1,21 +1,21 @@
-//! Endpoints: what a connection string names.
+//! Endpoints, parsed from connection strings.
 //!
-//! Both spellings that people know are read: `udpin:0.0.0.0:14540` (pymavlink, rust-mavlink) and
-//! `udpin://0.0.0.0:14540` (MAVSDK). The first is the one that is written.
+//! Parsing accepts both common spellings: `udpin:0.0.0.0:14540` (pymavlink, rust-mavlink) and
+//! `udpin://0.0.0.0:14540` (MAVSDK). `Display` writes the first.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// Where bytes come from and go to.
+/// A source and destination of bytes.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Endpoint {
     /// `udpin:HOST:PORT`: listen for datagrams, answer each sender at its source address.
     UdpIn(Address),
     /// `udpout:HOST:PORT`: send datagrams to one address.
     UdpOut(Address),
-    /// `tcp:HOST:PORT`, also `tcpout`: connect.
+    /// `tcp:HOST:PORT`, also `tcpout`: connect to a server.
     TcpOut(Address),
-    /// `tcpin:HOST:PORT`: listen for connections, serve several at once.
+    /// `tcpin:HOST:PORT`: listen for connections and serve several at once.
     TcpIn(Address),
     /// `serial:PATH:BAUD`: a serial port, 8N1 without flow control.
     Serial {
@@ -31,11 +31,11 @@ pub enum Endpoint {
 pub struct Address {
     /// Name, IPv4 address or IPv6 address (without brackets).
     pub host: String,
-    /// Port; 0 lets the system choose where one listens.
+    /// Port; when listening, 0 lets the system choose.
     pub port: u16,
 }
 
-/// Why a connection string was refused, and what to write instead.
+/// Why a connection string is refused, and what to write instead.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("connection '{text}': {reason}")]
 pub struct EndpointError {

@@ -1,4 +1,5 @@
-//! Incremental MAVLink framing without I/O: bytes are pushed in, checked frames come out.
+//! Incremental MAVLink framing, sans I/O: it turns bytes into checked frames and messages into
+//! bytes.
 
 mod decoder;
 mod encoder;
@@ -128,8 +129,8 @@ mod tests {
         assert_eq!(frames, 1);
     }
 
-    /// The frame of a whole ATTITUDE whose payload is cut or padded to `len`, its length byte and
-    /// checksum made anew, so that framing has nothing against it.
+    /// An ATTITUDE frame with its payload cut or padded to `len`. Its length byte and checksum are
+    /// recomputed, so the framing is valid.
     fn resized(version: MavlinkVersion, len: u8) -> Vec<u8> {
         let mut bytes = encoded(1, version);
         let header = if version == MavlinkVersion::V2 { 10 } else { 6 };
@@ -149,7 +150,7 @@ mod tests {
                 decoder.push(&bytes);
                 let frame = decoder.next_frame().expect("its checksum is right");
                 assert_eq!((frame.bytes(), frame.payload().len()), (&bytes[..], len.into()));
-                // What is missing is zero, what is too much is ignored, as MAVLink 2 has it.
+                // Missing bytes are zero and surplus bytes are ignored, as in MAVLink 2.
                 assert!(frame.message().is_ok(), "{version:?} {len}");
                 assert_eq!(decoder.stats().unframed_bytes, 0);
             }
@@ -245,7 +246,7 @@ mod tests {
             let framed: usize = frames.iter().map(|frame| frame.bytes().len()).sum();
             prop_assert_eq!(stats.bytes as usize, wire.len());
             prop_assert_eq!(stats.unframed_bytes as usize, wire.len() - framed);
-            // The same as one datagram.
+            // The same bytes as one datagram.
             let (mut decoder, mut found) = (Decoder::new(), Vec::new());
             decoder.datagram(&wire, |frame| found.push(frame.bytes().to_vec()));
             prop_assert_eq!(found, sent);

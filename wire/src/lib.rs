@@ -1,8 +1,8 @@
-//! The MAVLink wire, shared by both of its ends: the daemon and the simulated vehicle.
+//! The MAVLink wire, shared by the daemon and the simulated vehicle.
 //!
-//! [`framing`] turns bytes into checked frames and messages into bytes, sans I/O. [`tlog`] is the
-//! ground station's log of such frames. [`signing`] signs and checks them. [`endpoint`] names where
-//! bytes come from, and `transport` (feature `transport`) opens it.
+//! [`framing`] turns bytes into checked frames and messages into bytes, sans I/O. [`tlog`] reads
+//! and writes the ground stations' log format. [`signing`] signs frames and verifies them.
+//! [`endpoint`] parses connection strings, and `transport` (feature `transport`) opens endpoints.
 //!
 //! ```
 //! use wire::dialect::{HEARTBEAT_DATA, MavMessage};
@@ -30,6 +30,5 @@ pub mod transport;
 
 pub use endpoint::Endpoint;
 pub use framing::{Decoder, DecoderStats, Encoder, Frame};
-/// The MAVLink dialect that every message of this workspace is typed by: `ardupilotmega` contains
-/// `common`, so it also serves PX4.
+/// The MAVLink dialect of this workspace. `ardupilotmega` contains `common`, so it also serves PX4.
 pub use mavlink::dialects::ardupilotmega as dialect;

@@ -1,8 +1,8 @@
-//! MAVLink 2 message signing, sans I/O: a frame counts only if its sender knows the key.
+//! MAVLink 2 message signing, sans I/O: only a sender that knows the key can send accepted frames.
 //!
 //! A signed frame ends with the sender's link id, a [`Stamp`] and 48 bits of a hash over the
-//! [`Key`] and all before. A [`Signer`] makes such ends, a [`Verifier`] judges them. Time is an
-//! argument, as elsewhere.
+//! [`Key`] and everything before. A [`Signer`] appends this signature, a [`Verifier`] checks it.
+//! Time is an argument.
 
 mod key;
 mod signer;
@@ -14,9 +14,9 @@ pub use key::{KEY_LEN, Key, KeyError};
 pub use signer::Signer;
 pub use verifier::{Refused, StreamId, StreamStamp, Verifier, VerifierSettings};
 
-/// Bytes of a hash that a frame carries.
+/// Bytes of the hash in a frame.
 const HASH_LEN: usize = 6;
-/// Link id, stamp and hash.
+/// Length of link id, stamp and hash in bytes.
 pub(crate) const SIGNATURE_LEN: usize = 13;
 
 /// Signing time: units of 10 us since the first instant of 2015 (UTC), in 48 bits.
@@ -24,29 +24,29 @@ pub(crate) const SIGNATURE_LEN: usize = 13;
 pub struct Stamp(u64);
 
 impl Stamp {
-    /// The latest that a frame can carry, in the year 2104.
+    /// The latest time that a frame can carry, in the year 2104.
     pub const MAX: Self = Self((1 << 48) - 1);
-    /// Units in a second.
+    /// Units per second.
     pub const PER_S: u64 = 100_000;
-    /// 2015 in the Unix epoch, s.
+    /// Start of 2015 in Unix time, s.
     const EPOCH_S: u64 = 1_420_070_400;
 
-    /// A number of units, at most [`MAX`](Self::MAX).
+    /// Creates a stamp from a number of units, clamped to [`MAX`](Self::MAX).
     pub const fn from_ticks(ticks: u64) -> Self {
         if ticks > Self::MAX.0 { Self::MAX } else { Self(ticks) }
     }
 
-    /// From nanoseconds since the Unix epoch; zero before 2015.
+    /// Creates a stamp from nanoseconds since the Unix epoch; zero before 2015.
     pub const fn from_unix_ns(ns: u64) -> Self {
         Self::from_ticks((ns / 10_000).saturating_sub(Self::EPOCH_S * Self::PER_S))
     }
 
-    /// The number of units.
+    /// The number of 10 us units.
     pub const fn ticks(self) -> u64 {
         self.0
     }
 
-    /// Seconds from `earlier` to this, negative if that is later.
+    /// Seconds from `earlier` to this stamp; negative if `earlier` is later.
     pub fn seconds_since(self, earlier: Self) -> f64 {
         (self.0 as f64 - earlier.0 as f64) / Self::PER_S as f64
     }
@@ -65,7 +65,7 @@ impl Stamp {
     }
 }
 
-/// The hash that a frame signed with `key` ends with; `signed` is all before it.
+/// The hash at the end of a frame signed with `key`; `signed` is everything before it.
 fn hash(key: &Key, signed: &[u8]) -> [u8; HASH_LEN] {
     let digest = Sha256::new().chain_update(key.bytes()).chain_update(signed).finalize();
     let mut hash = [0; HASH_LEN];

@@ -1,8 +1,8 @@
-//! Telemetry logs (.tlog) as ground stations write them: eight bytes of time, then one frame.
+//! Telemetry logs (.tlog) in the format of ground stations: eight bytes of time, then one frame.
 //!
-//! The time is big-endian microseconds since the Unix epoch. Nothing that was on the wire is left
-//! out: bytes that belong to no frame are an entry of their own, stamped like the others, which
-//! readers skip as garbage. Frames of unknown message ids are entries like any other.
+//! The time is in big-endian microseconds since the Unix epoch. The log keeps every byte from the
+//! wire: bytes outside frames form a separate entry with a time stamp, which readers skip as
+//! garbage. Frames with unknown message ids are normal entries.
 
 use std::io::{self, Read, Write};
 
@@ -12,28 +12,28 @@ use crate::framing::{Front, front};
 
 const STAMP_LEN: usize = 8;
 
-/// 2000-01-01 and 2100-01-01: a stamp outside is none.
+/// Range of plausible time stamps: 2000-01-01 to 2100-01-01.
 const STAMP_RANGE_US: std::ops::Range<u64> = 946_684_800_000_000..4_102_444_800_000_000;
 
-/// Longest run of bytes without a frame that is kept as one entry.
+/// Length limit of an entry of bytes without a frame.
 const RUN_MAX: usize = 4096;
 
-/// Writes entries.
+/// Writes the entries of a log.
 #[derive(Debug)]
 pub struct Writer<W> {
     out: W,
 }
 
 impl<W: Write> Writer<W> {
-    /// A writer onto `out`, which should be buffered.
+    /// Creates a writer to `out`, which should be buffered.
     pub fn new(out: W) -> Self {
         Self { out }
     }
 
-    /// Writes one entry: a frame, or a run of bytes that belong to no frame.
+    /// Writes one entry: a frame, or a run of bytes outside frames.
     ///
     /// # Errors
-    /// Those of the underlying writer.
+    /// Errors of the underlying writer.
     pub fn write(&mut self, time_us: u64, bytes: &[u8]) -> io::Result<()> {
         self.out.write_all(&time_us.to_be_bytes())?;
         self.out.write_all(bytes)
@@ -42,28 +42,28 @@ impl<W: Write> Writer<W> {
     /// Flushes the underlying writer.
     ///
     /// # Errors
-    /// Those of the underlying writer.
+    /// Errors of the underlying writer.
     pub fn flush(&mut self) -> io::Result<()> {
         self.out.flush()
     }
 
-    /// The underlying writer.
+    /// Returns the underlying writer.
     pub fn into_inner(self) -> W {
         self.out
     }
 }
 
-/// Cuts the bytes of one stream into entries, so that every frame gets its own stamp.
+/// Splits a stream of bytes into entries, so that every frame gets its own time stamp.
 ///
-/// All bytes come out, in order. A frame shows by its checksum; one of an unknown message id
-/// by its length and by what follows it (nothing, or another frame's marker).
+/// It preserves all bytes and their order. It recognises a frame by its checksum, and one with an
+/// unknown message id by its length and what follows (nothing, or another frame's marker).
 #[derive(Debug, Default)]
 pub struct Splitter {
     pending: Vec<u8>,
 }
 
 impl Splitter {
-    /// Takes bytes of a stream and gives the entries that they complete.
+    /// Adds bytes of a stream and passes the completed entries to `entry`.
     ///
     /// # Errors
     /// The first error of `entry`; the bytes after that entry are kept.
@@ -76,7 +76,7 @@ impl Splitter {
         self.split(false, entry)
     }
 
-    /// Gives what is left as entries: at the end of a datagram or of the stream.
+    /// Passes the remaining bytes to `entry`, at the end of a datagram or stream.
     ///
     /// # Errors
     /// The first error of `entry`; the bytes after that entry are kept.
@@ -102,14 +102,14 @@ impl Splitter {
     }
 }
 
-/// Length of the entry that `bytes` starts with; none while more bytes must tell.
+/// Length of the entry at the start of `bytes`; `None` until more bytes arrive.
 fn entry_len(bytes: &[u8], is_end: bool) -> Option<usize> {
     match frame_len(bytes, is_end) {
         Found::Frame(len) => return Some(len),
         Found::Incomplete => return None,
         Found::Nothing => {}
     }
-    // A run up to the next frame, or as far as it is sure that there is none.
+    // A run up to the next possible frame.
     let limit = bytes.len().min(RUN_MAX);
     for start in 1..limit {
         if is_marker(bytes[start]) && frame_len(&bytes[start..], is_end) != Found::Nothing {
@@ -141,50 +141,50 @@ fn is_marker(byte: u8) -> bool {
     matches!(byte, MAV_STX | MAV_STX_V2)
 }
 
-/// An entry of a log.
+/// An entry of a log, with the frame that it holds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// Microseconds since the Unix epoch. None if no plausible stamp stands before the frame.
+    /// Microseconds since the Unix epoch; `None` if no plausible time stamp precedes the frame.
     pub time_us: Option<u64>,
-    /// The whole frame as it was on the wire.
+    /// The whole frame as received.
     pub frame: Vec<u8>,
 }
 
-/// Reads the frames of a log one by one, whatever else is between them.
+/// Reads the frames of a log one by one and skips everything between them.
 ///
-/// A frame shows by its checksum; one of an unknown message id by its stamp and by what follows
-/// it (a stamp and a marker, or the end). Memory is bounded, and the end of a truncated log is
-/// just its end.
+/// It recognises a frame by its checksum, and one with an unknown message id by its time stamp and
+/// what follows (a time stamp and a marker, or the end). Memory is bounded, and a truncated log
+/// simply ends early.
 #[derive(Debug)]
 pub struct Reader<R> {
     source: R,
     buffer: Vec<u8>,
     /// End of the last frame in `buffer`: a stamp cannot start before it.
     last_end: usize,
-    /// Where the search for the next marker goes on.
+    /// Position at which the search for the next marker continues.
     position: usize,
     at_end: bool,
     skipped: u64,
 }
 
 impl<R: Read> Reader<R> {
-    /// A reader of `source`, which need not be buffered.
+    /// Creates a reader of `source`, which need not be buffered.
     pub fn new(source: R) -> Self {
         Self { source, buffer: Vec::new(), last_end: 0, position: 0, at_end: false, skipped: 0 }
     }
 
-    /// Bytes passed over that were neither frame nor stamp.
+    /// Number of skipped bytes that were neither frame nor time stamp.
     pub fn skipped_bytes(&self) -> u64 {
         self.skipped
     }
 
-    /// The next frame, `None` at the end of the log.
+    /// Returns the next frame, or `None` at the end of the log.
     ///
     /// # Errors
-    /// Those of the underlying reader.
+    /// Errors of the underlying reader.
     pub fn read(&mut self) -> io::Result<Option<Entry>> {
         loop {
-            // Right behind an entry stands the next one, whose stamp may hold a marker by chance.
+            // The next entry follows directly; its time stamp may contain a marker by chance.
             if self.position == self.last_end {
                 let rest = &self.buffer[self.position..];
                 let next = if rest.len() <= STAMP_LEN {
@@ -248,7 +248,7 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// The stamp right before the position.
+    /// The time stamp right before the position.
     fn stamp(&self) -> Option<u64> {
         let start = self.position.checked_sub(STAMP_LEN).filter(|&start| start >= self.last_end)?;
         plausible_stamp(self.buffer.get(start..)?)
@@ -261,7 +261,7 @@ impl<R: Read> Reader<R> {
 
     fn fill(&mut self) -> io::Result<()> {
         const CHUNK: usize = 64 * 1024;
-        // What was searched is dropped, except for the stamp that may stand before the position.
+        // Drops the searched bytes, except a possible time stamp before the position.
         let keep = self.position.saturating_sub(STAMP_LEN).max(self.last_end);
         self.skip_to(keep);
         self.buffer.drain(..keep);
@@ -321,7 +321,7 @@ mod tests {
         bytes
     }
 
-    /// A frame whose message id no dialect has.
+    /// A frame with a message id that no dialect has.
     fn unknown_frame() -> Vec<u8> {
         vec![MAV_STX_V2, 2, 0, 0, 7, 1, 1, 0xFF, 0xFF, 0x70, 1, 2, 0xAA, 0xBB]
     }
@@ -375,8 +375,8 @@ mod tests {
         assert!(split_all(&bytewise).contains(&b));
     }
 
-    /// A log of entries in which the stamp of the first and what follows it happen to be a frame
-    /// of MAVLink 1, checksum and all.
+    /// A log in which the first time stamp and what follows happen to form a MAVLink 1 frame with a
+    /// valid checksum.
     fn log_with_a_frame_by_chance() -> (Vec<u8>, usize) {
         const ATTITUDE: u8 = 30;
         let extra = <MavMessage as mavlink::Message>::extra_crc(ATTITUDE.into());
@@ -397,7 +397,7 @@ mod tests {
         let end = start + 6 + usize::from(log[start + 1]);
         let chance = mavlink::calculate_crc(&log[start + 1..end], extra).to_le_bytes();
         log[end..end + 2].copy_from_slice(&chance);
-        // The entry in whose payload that checksum lies gets its own one anew.
+        // Recomputes the checksum of the entry whose payload now contains that checksum.
         let entry = STAMP_LEN + frames[0].len();
         let (frame, crc) = (end / entry * entry + STAMP_LEN, (end / entry + 1) * entry - 2);
         assert!(frame + 10 <= end && end + 2 <= crc, "in the payload");
@@ -429,7 +429,7 @@ mod tests {
         prop_oneof![
             any::<u32>().prop_map(|n| frame(n, MavlinkVersion::V2)),
             any::<u32>().prop_map(|n| frame(n, MavlinkVersion::V1)),
-            // Garbage without markers, so that it cannot hide a frame by chance.
+            // Garbage without markers, which cannot hide a frame by chance.
             prop::collection::vec(0u8..0xFD, 1..40),
         ]
     }

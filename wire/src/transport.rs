@@ -1,7 +1,8 @@
-//! Transports: an [`Endpoint`] opened. Bytes in and out, several peers, never a stalled sender.
+//! Transports: open [`Endpoint`]s, which receive and send bytes, serve several peers and never
+//! block a sender.
 //!
-//! A transport is polled by one task. Receiving costs one system call per datagram, sending
-//! one per frame, and neither allocates.
+//! One task polls a transport. Receiving costs one system call per datagram, sending one per frame,
+//! and neither allocates.
 
 mod stream;
 mod udp;
@@ -18,38 +19,38 @@ use self::stream::{Listener, Stream, StreamPeer};
 use self::udp::{UdpListener, UdpRemote};
 use crate::endpoint::{Address, Endpoint};
 
-/// Length of a receive buffer that holds any datagram.
+/// Size of a receive buffer that fits any datagram.
 pub const RECEIVE_LEN: usize = 65_536;
 
-/// Most peers that a listening transport serves at once.
+/// Largest number of peers that a listening transport serves at once.
 pub const PEERS_MAX: usize = 32;
 
-/// One remote end of a transport. Ids are not used twice by the same transport.
+/// One remote end of a transport. A transport does not reuse ids.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Peer(u32);
 
 impl Peer {
-    /// A peer with a number chosen by the caller, for transports outside this module (in-process
-    /// links, tests).
+    /// Creates a peer with a number chosen by the caller, for transports outside this module
+    /// (in-process links, tests).
     pub const fn new(id: u32) -> Self {
         Self(id)
     }
 
-    /// The number.
+    /// The peer's number, unique within its transport.
     pub const fn id(self) -> u32 {
         self.0
     }
 }
 
-/// What [`Transport::recv`] brought.
+/// What [`Transport::recv`] received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Incoming {
-    /// Bytes from a peer, at the start of the buffer: one datagram, or a piece of a stream. A UDP
-    /// peer is new with its first bytes.
+    /// Bytes from a peer, at the start of the buffer: one datagram, or a piece of a stream. The
+    /// first bytes of a UDP peer announce it.
     Bytes {
-        /// Who sent them.
+        /// The sender.
         peer: Peer,
-        /// How many.
+        /// Number of bytes.
         len: usize,
     },
     /// A connection was accepted (`tcpin`).
@@ -62,15 +63,15 @@ pub enum Incoming {
 /// Counters since a transport was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TransportStats {
-    /// Sends dropped because the way out was full, or the peer unknown or gone.
+    /// Sends dropped because the send buffer was full, or the peer unknown or gone.
     pub dropped: u64,
-    /// Times a UDP remote said that nobody listens there.
+    /// Number of times that a UDP remote reported that nobody listens there.
     pub refused: u64,
-    /// Connections turned away because [`PEERS_MAX`] were open.
+    /// Connections refused because [`PEERS_MAX`] were open.
     pub turned_away: u64,
 }
 
-/// Why an endpoint could not be opened, and what to do.
+/// Why an endpoint cannot be opened, and what to do.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot open {endpoint}: {cause}{hint}")]
 pub struct OpenError {
@@ -101,13 +102,13 @@ impl OpenError {
         Self { endpoint: endpoint.clone(), cause, hint }
     }
 
-    /// What kind of error the system gave; a busy port is `AddrInUse` or `ResourceBusy`.
+    /// The system's kind of error; a busy port is `AddrInUse` or `ResourceBusy`.
     pub fn kind(&self) -> io::ErrorKind {
         self.cause.kind()
     }
 }
 
-/// An open endpoint.
+/// An open endpoint with its peers.
 #[derive(Debug)]
 pub struct Transport {
     kind: Kind,
@@ -123,11 +124,10 @@ enum Kind {
 }
 
 impl Transport {
-    /// Opens an endpoint. Connecting over TCP takes as long as the system tries (minutes): bound
-    /// it with a time-out.
+    /// Opens an endpoint. A TCP connection attempt can take minutes: bound it with a time-out.
     ///
     /// # Errors
-    /// [`OpenError`]: the port is in use, the device is missing, the host has no address, ...
+    /// [`OpenError`], such as a port in use, a missing device, or a host without an address.
     pub async fn open(endpoint: &Endpoint) -> Result<Self, OpenError> {
         let kind = match endpoint {
             Endpoint::UdpIn(address) => UdpListener::bind(address).await.map(Kind::UdpIn),
@@ -143,12 +143,12 @@ impl Transport {
         }
     }
 
-    /// Whether bytes come as datagrams, which a frame never spans.
+    /// Whether bytes arrive as datagrams; a frame never spans two of them.
     pub fn is_datagram(&self) -> bool {
         matches!(self.kind, Kind::UdpIn(_) | Kind::UdpOut(_))
     }
 
-    /// The address in use here, where there is one: tells the port that the system chose.
+    /// The local address, if there is one, with the port that the system chose.
     pub fn local_addr(&self) -> Option<SocketAddr> {
         match &self.kind {
             Kind::UdpIn(listener) => listener.local_addr(),
@@ -158,8 +158,8 @@ impl Transport {
         }
     }
 
-    /// The peers that can be sent to now: the remote end of `udpout`, `tcp` and `serial` from the
-    /// start, those of `udpin` and `tcpin` once heard or accepted.
+    /// The peers that can receive now: the remote end of `udpout`, `tcp` and `serial` from the
+    /// start, those of `udpin` and `tcpin` after their first datagram or connection.
     pub fn peers(&self) -> impl Iterator<Item = Peer> + '_ {
         let (one, udp, tcp) = match &self.kind {
             Kind::UdpIn(listener) => (None, Some(listener.peers()), None),
@@ -170,7 +170,7 @@ impl Transport {
         one.into_iter().chain(udp.into_iter().flatten()).chain(tcp.into_iter().flatten())
     }
 
-    /// A peer's address; none for a serial port or a peer that is gone.
+    /// A peer's address; `None` for a serial port or a peer that is gone.
     pub fn remote_addr(&self, peer: Peer) -> Option<SocketAddr> {
         match &self.kind {
             Kind::UdpIn(listener) => listener.remote_addr(peer),
@@ -189,14 +189,15 @@ impl Transport {
     /// A datagram longer than `buffer` is cut; [`RECEIVE_LEN`] is always enough.
     ///
     /// # Errors
-    /// The transport is lost and must be opened again: the far end closed (`UnexpectedEof`), the
-    /// serial device was pulled, the socket failed. A UDP remote that does not listen is no error.
+    /// The transport is lost and must be reopened: the remote end closed (`UnexpectedEof`), the
+    /// serial device was unplugged, or the socket failed. A UDP remote that does not listen is not
+    /// an error.
     pub async fn recv(&mut self, buffer: &mut [u8]) -> io::Result<Incoming> {
         poll_fn(|cx| self.poll_recv(cx, buffer)).await
     }
 
-    /// [`recv`](Self::recv) in the form that composes: registers the task for waking if there is
-    /// nothing yet.
+    /// [`recv`](Self::recv) as a poll function: registers the task for a wake-up if nothing is
+    /// ready.
     pub fn poll_recv(
         &mut self,
         cx: &mut Context<'_>,
@@ -213,14 +214,13 @@ impl Transport {
         }
     }
 
-    /// As [`recv`](Self::recv), in the calling thread and past the runtime: `None` once `timeout`
-    /// is over, or earlier where there was something else to look at. For a thread with nothing
-    /// else to do, which has a datagram sooner by what the runtime does between the system's news
-    /// of it and the receiving call.
+    /// As [`recv`](Self::recv), blocking the calling thread without the runtime. Returns `None`
+    /// after `timeout`, or earlier after another event. For a dedicated thread, which then receives
+    /// a datagram sooner, without the runtime's latency.
     ///
     /// # Errors
-    /// As [`recv`](Self::recv); and `Unsupported` unless the transport
-    /// [is of datagrams](Self::is_datagram).
+    /// As [`recv`](Self::recv); `Unsupported` unless the transport [carries
+    /// datagrams](Self::is_datagram).
     pub fn wait(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<Option<Incoming>> {
         match &mut self.kind {
             Kind::UdpIn(listener) => listener.wait(buffer, timeout),
@@ -229,12 +229,11 @@ impl Transport {
         }
     }
 
-    /// Hands bytes (whole frames) to the system without waiting. Returns whether they were taken.
+    /// Passes bytes (whole frames) to the system without blocking. Returns whether it took them.
     ///
-    /// What does not fit is dropped and counted, since a late setpoint is worse than none. On a
-    /// stream the rest of bytes that were taken in part is kept and goes out first, so that no
-    /// frame is cut; until it has gone, further sends are dropped whole. A failed stream shows in
-    /// the next [`recv`](Self::recv).
+    /// It drops and counts what does not fit, since a late setpoint is worse than none. If a stream
+    /// takes part of the bytes, the rest is kept and sent first, so no frame is cut; until then,
+    /// further sends are dropped whole. The next [`recv`](Self::recv) reports a failed stream.
     pub fn send(&mut self, peer: Peer, bytes: &[u8]) -> bool {
         let sent = match &mut self.kind {
             Kind::UdpIn(listener) => listener.send(peer, bytes),
@@ -246,8 +245,8 @@ impl Transport {
         sent
     }
 
-    /// The peer of `udpin` that keeps its place however many newer ones come.
-    /// It takes the place of the one before.
+    /// Protects one peer of `udpin` from eviction by newer ones; replaces the previously protected
+    /// peer.
     pub fn keep(&mut self, peer: Option<Peer>) {
         if let Kind::UdpIn(listener) = &mut self.kind {
             listener.keep(peer);
@@ -255,7 +254,7 @@ impl Transport {
     }
 
     /// Forgets a peer of `udpin`, or closes a connection of `tcpin`. No [`Incoming::Closed`]
-    /// follows. A forgotten UDP peer that speaks again is a new one.
+    /// follows. A forgotten UDP peer that sends again counts as new.
     pub fn close(&mut self, peer: Peer) {
         match &mut self.kind {
             Kind::UdpIn(listener) => listener.close(peer),
@@ -270,7 +269,7 @@ async fn connect(address: &Address) -> io::Result<StreamPeer> {
     Ok(StreamPeer::new(Peer(0), Stream::tcp(stream)))
 }
 
-/// The addresses of a host, never none.
+/// The addresses of a host, at least one.
 async fn resolve(address: &Address) -> io::Result<Vec<SocketAddr>> {
     let found: Vec<_> = lookup_host((address.host.as_str(), address.port)).await?.collect();
     if found.is_empty() {

@@ -1,19 +1,18 @@
-//! The ground's clock against the vehicle's, from the stamps of a whole log.
+//! Maps the ground's clock to the vehicle's, from the time stamps of a whole log.
 //!
-//! A message stamped `vehicle` by its sender arrives at `ground`: `ground - vehicle` is the offset
-//! of the clocks plus the delay of the link. The delay is never below a least one, so the lower
-//! envelope of that difference follows the offset, however late single messages are. The clocks
-//! need not run at the same rate, nor at a constant one: the envelope is a polygon. Where the
-//! ground's clock steps, it starts anew.
+//! A message that its sender stamps `vehicle` arrives at `ground`: `ground - vehicle` is the clock
+//! offset plus the link's delay. The delay has a minimum, so the lower envelope of the difference
+//! follows the offset, however late single messages are. The clocks may run at different and
+//! varying rates: the envelope is a polygon. It restarts where the ground's clock steps.
 
-/// Stamps of both clocks on one message, s, and the number of its frame in the log.
+/// A message's time stamps on both clocks, s, and the number of its frame in the log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Arrival {
     /// Number of the frame.
     pub index: u32,
-    /// On the ground's clock.
+    /// Time on the ground's clock, s.
     pub ground: f64,
-    /// On the vehicle's clock.
+    /// Time on the vehicle's clock, s.
     pub vehicle: f64,
 }
 
@@ -23,46 +22,48 @@ impl Arrival {
     }
 }
 
-/// An instant of the ground's clock, and the number of the frame that it belongs to.
+/// A time on the ground's clock with the number of its frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Heard {
     /// Number of the frame.
     pub index: u32,
-    /// On the ground's clock, s.
+    /// Time on the ground's clock, s.
     pub ground: f64,
 }
 
-/// An exchange of TIMESYNC: the vehicle's clock read `vehicle` between the two ground times.
+/// A TIMESYNC exchange: the vehicle's clock read `vehicle` between the two ground times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Exchange {
-    /// When the request left.
+    /// Ground time of the request, s.
     pub asked: f64,
-    /// When the answer came.
+    /// Ground time of the reply.
     pub answered: Heard,
     /// The vehicle's clock, s.
     pub vehicle: f64,
 }
 
-/// Least time of one window of the envelope, s.
+/// Smallest duration of a window of the envelope, s.
 const WINDOW: f64 = 1.0;
-/// Least number of messages in a window: few messages seldom have the least delay among them.
+/// Smallest number of messages in a window: few messages rarely include one with the least delay.
 const WINDOW_MESSAGES: u32 = 50;
-/// Fastest that one clock runs away from the other. Simulations that cannot keep up reach 0.01.
+/// Largest relative skew of the clocks. Simulations that cannot keep up reach 0.01.
 const SKEW_MAX: f64 = 0.02;
-/// A skew shows over no less time than this, s: a least delay is known to a millisecond or two.
+/// Shortest span for a skew estimate, s: a least delay is known to a millisecond or two.
 const SKEW_SPAN_MIN: f64 = 10.0;
-/// Jump of the envelope that is a step of the ground's clock, s.
+/// Jump of the envelope that counts as a step of the ground's clock, s.
 const STEP: f64 = 0.25;
-/// Windows on both sides of a step that must agree on it: a link that stalls for less is no step.
+/// Windows on both sides of a step that must agree on it; a shorter stall of the link is not a
+/// step.
 const STEP_WINDOWS: usize = 10;
-/// Further from any message of the vehicle than this, the map is not asked, s.
+/// Largest distance from the vehicle's messages at which the map is valid, s.
 const REACH: f64 = 2.0;
-/// Worst disagreement of TIMESYNC with the messages' own stamps, s: more is another clock.
+/// Largest disagreement of TIMESYNC with the messages' time stamps, s; beyond it, TIMESYNC refers
+/// to a different clock.
 const SYNC_DELAY_MAX: f64 = 0.5;
-/// How far below zero a delay may come out, of stamps with a resolution of 1 ms.
+/// Tolerance for negative delays, which the 1 ms resolution of time stamps causes.
 const RESOLUTION: f64 = 1.5e-3;
 
-/// The messages of least delay, one for each window.
+/// The messages with the least delay, one for each window.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Envelope {
     closed: Vec<Arrival>,
@@ -77,7 +78,7 @@ struct Window {
 }
 
 impl Envelope {
-    /// Takes in a message.
+    /// Adds a message.
     pub fn add(&mut self, arrival: Arrival) {
         let fresh = Window { start: arrival.vehicle, count: 1, best: arrival };
         let Some(window) = &mut self.open else {
@@ -95,15 +96,15 @@ impl Envelope {
         }
     }
 
-    /// Ends the last window, and gives all.
+    /// All points, including the one of the open window.
     fn points(&self) -> impl Iterator<Item = Arrival> {
         self.closed.iter().copied().chain(self.open.map(|window| window.best))
     }
 }
 
-/// What must be added to the vehicle times of `source` to be on the clock of `reference`: the
-/// median difference of their envelopes; 0 where they differ by less than [`STEP`], which is no
-/// other clock but another delay.
+/// The shift that maps vehicle times of `source` to the clock of `reference`: the median difference
+/// of their envelopes. It is 0 if they differ by less than [`STEP`], which is a different delay and
+/// not a different clock.
 pub(super) fn shift_onto(reference: &Envelope, source: &Envelope) -> f64 {
     let known: Vec<Arrival> = reference.points().collect();
     let mut shifts: Vec<f64> = source
@@ -132,23 +133,23 @@ pub(super) fn shift_onto(reference: &Envelope, source: &Envelope) -> f64 {
 #[derive(Clone, Debug, Default)]
 pub(super) struct ClockMap {
     pieces: Vec<Piece>,
-    /// Least delay of the downlink, s.
+    /// Minimum delay of the downlink, s.
     delay: f64,
 }
 
 /// The map between two steps of the ground's clock.
 #[derive(Clone, Debug)]
 struct Piece {
-    /// Numbers of the frames it is made of.
+    /// Range of its frames' numbers.
     first: u32,
     last: u32,
-    /// The envelope: at least one point, ascending in both clocks.
+    /// The envelope: at least one point, increasing on both clocks.
     knots: Vec<Arrival>,
 }
 
 impl ClockMap {
-    /// The map that the envelopes give, each with what must be added to its vehicle times, if the
-    /// least delay of the downlink is `assumed_delay`.
+    /// Builds the map from envelopes, each with a shift of its vehicle times, given a minimum
+    /// downlink delay of `assumed_delay`.
     pub fn new<'a>(
         envelopes: impl Iterator<Item = (&'a Envelope, f64)>,
         assumed_delay: f64,
@@ -164,8 +165,8 @@ impl ClockMap {
         Self { pieces, delay: assumed_delay }
     }
 
-    /// By how much of itself the ground's clock ran faster than the vehicle's, from the ends of the
-    /// longest piece; `None` where it is too short to tell.
+    /// Relative rate of the ground's clock to the vehicle's, minus 1, from the ends of the longest
+    /// piece; `None` if it is too short.
     pub fn skew(&self) -> Option<f64> {
         let spans = self.pieces.iter().filter_map(|piece| {
             let (first, last) = (piece.knots.first()?, piece.knots.last()?);
@@ -180,8 +181,8 @@ impl ClockMap {
         self.pieces.len().saturating_sub(1) as u64
     }
 
-    /// Measures the least delay of the downlink by TIMESYNC. Returns whether the exchanges agree
-    /// with the messages' stamps; the map is as it was if not.
+    /// Measures the minimum downlink delay with TIMESYNC. Returns whether the exchanges agree with
+    /// the messages' time stamps; if not, the map stays unchanged.
     pub fn synchronise(&mut self, exchanges: &[Exchange]) -> bool {
         let round_trip = |e: &Exchange| e.answered.ground - e.asked;
         let sound = exchanges.iter().filter(|e| round_trip(e) >= 0.0);
@@ -189,7 +190,7 @@ impl ClockMap {
         let mut delays: Vec<f64> = sound
             .filter(|e| round_trip(e) <= 1.5 * least + RESOLUTION)
             .filter_map(|e| {
-                // When the vehicle's clock read this much, by the middle of the round trip.
+                // The vehicle reads its clock in the middle of the round trip.
                 let middle = 0.5 * (e.asked + e.answered.ground);
                 let piece = self.piece(e.answered.index)?;
                 Some(e.vehicle - piece.vehicle_at(middle))
@@ -208,8 +209,8 @@ impl ClockMap {
         true
     }
 
-    /// The vehicle's clock at an instant of the ground's; `None` within a step of the ground's
-    /// clock, or far from any message of the vehicle.
+    /// The vehicle's clock at a time on the ground's; `None` within a step of the ground's clock or
+    /// far from any message of the vehicle.
     pub fn vehicle_time(&self, heard: Heard) -> Option<f64> {
         let piece = self.piece(heard.index)?;
         let (first, last) = (piece.knots.first()?, piece.knots.last()?);
@@ -217,15 +218,15 @@ impl ClockMap {
         near.contains(&heard.ground).then(|| piece.vehicle_at(heard.ground) + self.delay)
     }
 
-    /// The ground's clock at an instant of the vehicle's, as if messages took no time; `None`
-    /// before any message.
+    /// The ground's clock at a time on the vehicle's, as if messages had no delay; `None` without
+    /// messages.
     pub fn ground_time(&self, vehicle: f64) -> Option<f64> {
         let begins = |piece: &Piece| piece.knots.first().is_some_and(|k| k.vehicle <= vehicle);
         let at = self.pieces.partition_point(begins).saturating_sub(1);
         self.pieces.get(at).map(|piece| piece.ground_at(vehicle))
     }
 
-    /// The piece that a frame lies in; the first and the last reach beyond their frames.
+    /// The piece that contains a frame; the first and last pieces extend beyond their frames.
     fn piece(&self, index: u32) -> Option<&Piece> {
         let next = self.pieces.partition_point(|piece| piece.first <= index);
         let piece = self.pieces.get(next.saturating_sub(1))?;
@@ -244,17 +245,18 @@ impl Piece {
         }
     }
 
-    /// The vehicle's clock, as if messages took no time.
+    /// The vehicle's clock, as if messages had no delay.
     fn vehicle_at(&self, ground: f64) -> f64 {
         self.read(ground, |knot| [knot.ground, knot.vehicle])
     }
 
-    /// The ground's clock, as if messages took no time.
+    /// The ground's clock, as if messages had no delay.
     fn ground_at(&self, vehicle: f64) -> f64 {
         self.read(vehicle, |knot| [knot.vehicle, knot.ground])
     }
 
-    /// One clock at `time` of the other; `clocks`: that other and the one asked for.
+    /// Maps `time` from one clock to another; `clocks` returns a knot's times on the source and
+    /// target clocks.
     fn read(&self, time: f64, clocks: impl Fn(&Arrival) -> [f64; 2]) -> f64 {
         let Some(last) = self.knots.len().checked_sub(2) else {
             let only = self.knots.first().map(clocks);
@@ -266,7 +268,7 @@ impl Piece {
     }
 }
 
-/// One point a window, over all sources.
+/// One point for each window, over all sources.
 fn thinned(points: &[Arrival]) -> Vec<Arrival> {
     let mut out: Vec<Arrival> = Vec::new();
     let mut start = f64::NEG_INFINITY;
@@ -286,7 +288,7 @@ fn thinned(points: &[Arrival]) -> Vec<Arrival> {
     out
 }
 
-/// Cuts where the envelope steps and stays.
+/// Splits where the envelope steps and stays.
 fn split_at_steps(points: &[Arrival]) -> Vec<&[Arrival]> {
     let least =
         |points: &[Arrival]| points.iter().map(Arrival::difference).fold(f64::INFINITY, f64::min);
@@ -313,7 +315,7 @@ fn split_at_steps(points: &[Arrival]) -> Vec<&[Arrival]> {
     pieces
 }
 
-/// The points on the lower envelope: none is later than another point and the fastest skew allow.
+/// The points on the lower envelope: none is later than another point plus the largest skew allows.
 fn lower_envelope(points: &[Arrival]) -> Vec<Arrival> {
     let mut keep = vec![true; points.len()];
     let mut sweep = |order: &mut dyn Iterator<Item = usize>| {
@@ -388,7 +390,7 @@ mod tests {
 
     #[test]
     fn a_stalled_link_is_no_step() {
-        // All that is sent from 10 to 14 s arrives at 14 s.
+        // Everything sent from 10 to 14 s arrives at 14 s.
         let stalled = |v: f64| if (10.0..14.0).contains(&v) { 14.0 } else { v };
         let envelope = envelope(40.0, stalled);
         let map = ClockMap::new([(&envelope, 0.0)].into_iter(), 1.5e-3);

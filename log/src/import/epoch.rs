@@ -1,4 +1,5 @@
-//! One run of a vehicle's clock: each source's samples, and whether the next belongs to it.
+//! One run of a vehicle's clock: the samples of each source, and a check whether the next one
+//! belongs to it.
 
 use std::collections::BTreeMap;
 
@@ -9,22 +10,22 @@ use super::flight::{Flight, MotorSource, MotorUnit, Stream};
 use super::functions::{self, MOTORS, Movement, OUTPUTS, Stated, numbered};
 use super::ranges;
 
-/// Jump of a message's stamp against the ground's clock that is more than delay and skew, s.
+/// Jump of a time stamp against the ground's clock that exceeds delay and skew, s.
 const JUMP: f64 = 0.5;
-/// Share of the time passed that skew may add to it.
+/// Share of the elapsed time that skew may add to the jump.
 const SKEW: f64 = 0.02;
-/// How long a least delay is remembered, s.
+/// How long a minimum delay is kept, s.
 const FLOOR_SPAN: f64 = 5.0;
-/// Of two sources of one quantity the second is taken only where it is this much more frequent.
+/// The second of two sources of a quantity is used only if its rate is higher by this factor.
 const CLEARLY_MORE: f64 = 1.05;
 /// As [`CLEARLY_MORE`], for positions: ODOMETRY is often a copy of LOCAL_POSITION_NED.
 const MANY_MORE: f64 = 1.5;
-/// Outputs beyond this are no fractions of the full thrust.
+/// Outputs beyond this are not fractions of the full thrust.
 const FRACTION_MAX: f64 = 2.0;
 /// Radians per second in one revolution per minute.
 const RPM: f64 = std::f64::consts::TAU / 60.0;
 
-/// The messages that carry a stamp of the vehicle and are kept, as indices.
+/// The supported messages with a vehicle time stamp, as indices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(usize)]
 pub(super) enum Source {
@@ -43,10 +44,10 @@ pub(super) enum Source {
     EscStatus,
 }
 
-/// Sources of the IMU, those of the first sensor first.
+/// Sources of IMU data, the first sensor's first.
 pub(super) const IMUS: [Source; 5] =
     [Source::Imu, Source::RawImu, Source::ScaledImu, Source::ScaledImu2, Source::ScaledImu3];
-/// Of these, as many are of the first sensor.
+/// Number of these that belong to the first sensor.
 const FIRST_SENSOR: usize = 3;
 
 pub(super) const SOURCES: usize = Source::EscStatus as usize + 1;
@@ -67,7 +68,7 @@ impl Source {
         Self::ServoOutputsAux,
         Self::EscStatus,
     ];
-    /// In the order in which the vehicle's clock is taken from them: milliseconds since boot first.
+    /// Order of preference for the vehicle's clock: milliseconds since boot first.
     pub const CLOCKS: [Self; SOURCES] = [
         Self::Quaternion,
         Self::Euler,
@@ -103,7 +104,8 @@ impl Source {
     }
 }
 
-/// What HIGHRES_IMU says of each sensor, where its flags call it valid.
+/// Specific force and body rate of an IMU message; `None` where its flags mark a sensor as not
+/// updated.
 pub(super) type ImuSample = (Option<Frd>, Option<Frd>);
 
 #[derive(Debug)]
@@ -114,11 +116,11 @@ pub(super) struct PoseSample {
     pub body_rate: Frd,
 }
 
-/// The newest stamps of one source, against which the next are judged.
+/// The newest time stamps of one source, to judge the next.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Track {
     pub last: Arrival,
-    /// Least difference of the clocks in this span and in the one before.
+    /// Least clock difference in this span and in the previous one.
     pub floor: [f64; 2],
     pub span_start: f64,
 }
@@ -129,15 +131,16 @@ impl Track {
         Self { last: arrival, floor: [difference, f64::INFINITY], span_start: arrival.ground }
     }
 
-    /// Whether the vehicle's clock has gone on since the last message. Late messages, stalls of
-    /// the link, and steps of the ground's clock are no jumps of the vehicle's.
+    /// Whether the vehicle's clock has continued since the last message. Late messages, link stalls
+    /// and steps of the ground's clock are not jumps of the vehicle's clock.
     pub fn follows(&self, next: &Arrival) -> bool {
         let passed = next.vehicle - self.last.vehicle;
         let ground = next.ground - self.last.ground;
         let change = next.ground - next.vehicle - self.floor[0].min(self.floor[1]);
         let allowed = JUMP + SKEW * ground.abs();
         if change < -allowed {
-            // Sooner than the link was ever: the ground's clock went back, or the vehicle's ahead.
+            // Earlier than the link allows: the ground's clock stepped back or the vehicle's jumped
+            // ahead.
             ground < -JUMP && (-JUMP..10.0 * JUMP).contains(&passed)
         } else {
             change <= allowed || passed >= -JUMP
@@ -156,7 +159,7 @@ impl Track {
     }
 }
 
-/// A time over which the vehicle's clock went on without a jump.
+/// A period in which the vehicle's clock ran without a jump.
 #[derive(Debug, Default)]
 pub(super) struct Epoch {
     pub tracks: [Option<Track>; SOURCES],
@@ -166,10 +169,10 @@ pub(super) struct Epoch {
     pub euler: Stream<(Attitude, Frd)>,
     pub local_position: Stream<(Ned, Ned)>,
     pub odometry: Stream<PoseSample>,
-    /// By source, in the order of [`IMUS`].
+    /// IMU samples by source, in the order of [`IMUS`].
     pub imus: [Stream<ImuSample>; IMUS.len()],
     pub actuator_outputs: Stream<[f64; 4]>,
-    /// By port.
+    /// Servo outputs by port.
     pub servo_outputs: [Stream<[f64; OUTPUTS]>; 2],
     pub rpm: Stream<[f64; 4]>,
 }
@@ -200,12 +203,12 @@ impl Epoch {
         }
     }
 
-    /// Messages that carry an attitude.
+    /// Number of messages with an attitude.
     pub fn attitudes(&self) -> usize {
         self.quaternion.len() + self.euler.len() + self.odometry.len()
     }
 
-    /// The span of its times, s.
+    /// First and last time, s.
     pub fn span(&self) -> (f64, f64) {
         let ends = |times: &[f64]| Some((*times.first()?, *times.last()?));
         let all = [
@@ -229,7 +232,7 @@ impl Epoch {
         self.tracks[source as usize].as_ref().is_some_and(|track| track.follows(arrival))
     }
 
-    /// Takes in a message's stamps; `push` keeps its content.
+    /// Records a message's time stamps; `kept` says whether its stream accepted the content.
     pub fn take(&mut self, source: Source, arrival: Arrival, kept: bool) {
         let at = source as usize;
         match &mut self.tracks[at] {
@@ -245,8 +248,8 @@ impl Epoch {
 }
 
 impl Epoch {
-    /// The port, and its outputs, that drive motors 1 to 4, and how that is known; or why there are
-    /// none.
+    /// The port and its outputs that drive motors 1 to 4, with the source of this mapping; or why
+    /// there are none.
     fn motors(
         &self,
         parameters: &BTreeMap<String, f64>,
@@ -278,8 +281,8 @@ impl Epoch {
         }
     }
 
-    /// What must be added to each source's times to be on one clock: `time_usec` may count from
-    /// another epoch than `time_boot_ms`.
+    /// The shift of each source's times to a common clock: `time_usec` may have a different epoch
+    /// than `time_boot_ms`.
     pub fn shifts(&self) -> [f64; SOURCES] {
         let reference = Source::CLOCKS.into_iter().find(|source| self.count(*source) > 0);
         let mut shifts = [0.0; SOURCES];
@@ -292,7 +295,7 @@ impl Epoch {
         shifts
     }
 
-    /// Fills the streams of `flight`, each from one source, its times shifted.
+    /// Fills the streams of `flight`, each from one source with shifted times.
     pub fn fill(
         self,
         shifts: [f64; SOURCES],
@@ -362,7 +365,7 @@ impl Epoch {
                     Err(reason) => flight.facts.notes.push(format!("no motor outputs: {reason}")),
                 }
             }
-            // Of none there is nothing to know.
+            // Without outputs their unit does not matter.
             if !flight.outputs.is_empty() {
                 flight.motor_unit = MotorUnit::VehicleFile;
                 flight.state_ranges(ranges::ardupilot(parameters));

@@ -1,12 +1,12 @@
-//! Why a file is not a flight.
+//! Why a file cannot be imported.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a file could not be imported at all. Damage within a log is no error.
+/// Why a file cannot be imported at all. Damage within a log is not an error.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
-    /// A file could not be read.
+    /// A file cannot be read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
         /// The file.
@@ -14,25 +14,25 @@ pub enum ImportError {
         /// Why.
         source: io::Error,
     },
-    /// The file is something else.
+    /// The file is not a flight log.
     #[error("{} is no flight log: expected {EXPECTED}, found {found}", path.display())]
     NotALog {
         /// The file.
         path: PathBuf,
-        /// What it looks like.
+        /// What the file appears to be.
         found: String,
     },
-    /// Nothing of the file is part of a flight.
+    /// The file has no data of a flight.
     #[error("{}: nothing of this {format} file can be used: {why}", path.display())]
     Nothing {
         /// The file.
         path: PathBuf,
-        /// What it is.
+        /// Format of the file.
         format: &'static str,
-        /// What it has in place of what is needed.
+        /// Why it has none.
         why: String,
     },
-    /// The file has no boot of this number.
+    /// The file does not have the chosen boot.
     #[error(
         "{}: expected a boot from 1 to {boots} (--boot), found {boot}: the vehicle was started so many \
          times in this file",
@@ -41,12 +41,12 @@ pub enum ImportError {
     NoBoot {
         /// The file.
         path: PathBuf,
-        /// The number that was asked for.
+        /// The requested number.
         boot: usize,
-        /// How many there are.
+        /// Number of boots in the file.
         boots: usize,
     },
-    /// A table came without a mapping file.
+    /// The file is a table and no mapping file was given.
     #[error(
         "{} is a table: what its columns are must be said in a mapping file (--mapping MAP.toml); \
          `downwash log import --propose {}` prints one to start from",
@@ -57,20 +57,20 @@ pub enum ImportError {
         /// The table.
         path: PathBuf,
     },
-    /// A mapping file came with a log that needs none.
+    /// A mapping file was given for a log that is not a table.
     #[error("{} is a {format} log, which takes no mapping file", path.display())]
     NotATable {
         /// The log.
         path: PathBuf,
-        /// What it is.
+        /// Format of the file.
         format: &'static str,
     },
-    /// The mapping file is no mapping.
+    /// The mapping file is invalid.
     #[error("mapping file {}: {message}", path.display())]
     Mapping {
         /// The mapping file.
         path: PathBuf,
-        /// What is wrong and what to write.
+        /// What is wrong, and what to write instead.
         message: String,
     },
     /// The mapping does not fit the table.
@@ -80,12 +80,12 @@ pub enum ImportError {
         path: PathBuf,
         /// The mapping file.
         mapping: PathBuf,
-        /// What is missing and what to write.
+        /// What is missing, and what to write.
         message: String,
     },
 }
 
-/// What is read.
+/// The supported formats.
 const EXPECTED: &str = "a log of this program (.mcap), a telemetry log (.tlog), a log of PX4 (.ulg) or \
                         ArduPilot (.bin), or a table (.csv)";
 

@@ -1,4 +1,4 @@
-//! What an autopilot's own log says about its vehicle.
+//! Facts about a vehicle from an autopilot's log.
 
 use std::collections::BTreeMap;
 
@@ -9,37 +9,37 @@ use super::kind::{StatedKind, VehicleKind};
 use super::ranges::OutputRange;
 pub use message::parameters::RotorFact;
 
-/// Facts that a log states, or that its reader found in it.
+/// Facts that a log states or that the importer derives from it.
 #[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default)]
 pub struct VehicleFacts {
-    /// Autopilot and its version.
+    /// Name and version of the autopilot.
     pub autopilot: Option<String>,
-    /// Frame, as the autopilot names it.
+    /// Airframe, as the autopilot names it.
     pub frame: Option<String>,
-    /// What the log states that the vehicle is, each with what states it.
+    /// Kinds of vehicle that the log states, each with its source.
     pub kinds: Vec<StatedKind>,
-    /// Motors that the autopilot drives.
+    /// Number of motors that the autopilot drives.
     pub motors: Option<u32>,
-    /// Where the autopilot believes its rotors to be, in the order of the outputs.
+    /// Rotors as configured in the autopilot, in the order of the outputs.
     pub rotors: Vec<RotorFact>,
-    /// Parameters that say what outputs, thrust and estimates mean.
+    /// Parameters that define outputs, thrust and estimates.
     pub parameters: BTreeMap<String, f64>,
-    /// What the motors' outputs span, where parameters say so and the stream is as it was logged.
+    /// Ranges of the motor outputs, if parameters state them and the stream is as logged.
     pub output_ranges: Option<[OutputRange; 4]>,
-    /// Which topic each stream is from, and what it means where that is not plain.
+    /// Source topic of each stream, and its meaning if not obvious.
     pub notes: Vec<String>,
-    /// Texts of the log for a person, each with its time.
+    /// Text messages in the log, for people.
     pub texts: Vec<String>,
 }
 
 impl VehicleFacts {
-    /// What states that the vehicle is no multirotor, if anything does.
+    /// The first statement that the vehicle is not a multirotor, if any.
     pub fn stated_otherwise(&self) -> Option<&StatedKind> {
         self.kinds.iter().find(|stated| stated.kind != VehicleKind::Multirotor)
     }
 
-    /// Whether nothing is known.
+    /// Whether there are no facts.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }

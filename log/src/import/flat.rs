@@ -1,4 +1,5 @@
-//! Imported flights as flat channels of an own log: one channel a stream, at its native rate.
+//! Imported flights as flat channels of a downwash log: one channel for each stream, at its native
+//! rate.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -24,11 +25,11 @@ use crate::schema::{
 };
 use crate::writer::{LOG_VERSION, LogError};
 
-/// A sample as a flat message, and back.
+/// Converts a sample to a flat message and back.
 trait Sample: Flat {
     type Value;
     fn new(time: f64, value: &Self::Value) -> Self;
-    /// `None` where the content cannot be true.
+    /// Returns `None` if the content is impossible.
     fn read(&self) -> Option<(f64, Self::Value)>;
 }
 
@@ -69,7 +70,7 @@ fn quaternion(q: &Attitude) -> [f64; 4] {
     [q.w, q.x, q.y, q.z]
 }
 
-/// The attitude, not rescaled, unless the four are no rotation.
+/// The attitude, not rescaled; `None` if the norm is not 1.
 fn attitude([w, x, y, z]: [f64; 4]) -> Option<Attitude> {
     let norm = w.hypot(x).hypot(y).hypot(z);
     ((norm - 1.0).abs() < 1e-3).then_some(Attitude { w, x, y, z })
@@ -95,7 +96,7 @@ impl Sample for AttitudeSetpointSample {
     }
 }
 
-/// Implements [`Sample`] for messages with one field that is true whatever it holds.
+/// Implements [`Sample`] for messages with one field that accepts any value.
 macro_rules! scalars {
     ($($message:ident: $value:ty, $field:ident;)*) => {$(
         impl Sample for $message {
@@ -133,7 +134,7 @@ impl Sample for TruthMessage {
             state: State { position, velocity, attitude, body_rate },
             acceleration: truth.acceleration,
             angular_acceleration: truth.angular_acceleration,
-            // A flight does not keep it.
+            // A flight does not store rotor thrusts.
             rotor_thrust: [f64::NAN; 4],
         };
         Self::new((time * 1e6).round() as u64, &truth)
@@ -158,18 +159,18 @@ impl Sample for TruthMessage {
     }
 }
 
-/// What a flat message did to the flight.
+/// The effect of a flat message on the flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Taken {
-    /// It is not one of a flight's.
+    /// The message does not belong to a flight.
     Other,
-    /// Its sample is in the flight.
+    /// The sample was added to the flight.
     Kept,
-    /// It does not decode, is not finite, or is out of order.
+    /// The message does not decode, is not finite, or is out of order.
     Refused,
 }
 
-/// Puts a message into the stream of `flight` that it belongs to.
+/// Adds a message to its stream in `flight`.
 pub(super) fn take(message: &Message<'_>, flight: &mut Flight) -> Taken {
     fn push<S: Sample>(message: &Message<'_>, stream: &mut Stream<S::Value>) -> Taken {
         let sample = message.decode::<S>().and_then(|sample| sample.read());
@@ -210,7 +211,7 @@ pub(super) fn take(message: &Message<'_>, flight: &mut Flight) -> Taken {
     }
 }
 
-/// Keys of the metadata record `run` that say what was imported.
+/// Keys of the metadata record `run` that describe the import.
 const FROM: &str = "imported_from";
 const CLOCK: &str = "imported_clock";
 const DELAY: &str = "imported_clock_delay_s";
@@ -236,7 +237,7 @@ const SOURCES: [(&str, MotorSource); 6] = [
     ("RCOU", MotorSource::Rcou),
     ("table", MotorSource::Table),
 ];
-/// What the metadata call setpoints of the autopilot.
+/// Value for the autopilot's setpoints in the metadata.
 const ONBOARD: &str = "onboard";
 
 fn name_in<T: PartialEq>(table: &[(&'static str, T)], value: &T) -> &'static str {
@@ -277,7 +278,7 @@ fn facts(flight: &Flight) -> BTreeMap<String, String> {
     entries.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?))).collect()
 }
 
-/// Takes over what the metadata say of an imported flight. Returns whether it is one.
+/// Reads the metadata of an imported flight. Returns whether the log holds one.
 pub(super) fn take_facts(run: &BTreeMap<String, String>, flight: &mut Flight) -> bool {
     if !run.contains_key(FROM) {
         return false;
@@ -309,10 +310,10 @@ pub(super) fn take_facts(run: &BTreeMap<String, String>, flight: &mut Flight) ->
     true
 }
 
-/// Appends the message of a sample, by its number.
+/// Appends the message of the sample with the given index.
 type Encode<'a> = Box<dyn Fn(usize, &mut Vec<u8>) + 'a>;
 
-/// One stream on its way into the file.
+/// One stream being written to the file.
 struct Lane<'a> {
     times: &'a [f64],
     next: usize,
@@ -320,8 +321,8 @@ struct Lane<'a> {
     encode: Encode<'a>,
 }
 
-/// Writes `flight` to `path`, whole or not at all; [`open`](super::open) reads it back. Returns
-/// the number of messages.
+/// Writes `flight` to `path`, completely or not at all; [`open`](super::open) reads it back.
+/// Returns the number of messages.
 ///
 /// # Errors
 /// [`LogError`] if the file cannot be created or written.
@@ -333,10 +334,10 @@ pub fn write(flight: &Flight, path: &Path) -> Result<u64, LogError> {
         .map_err(|source| LogError::Write { path: path.to_owned(), source })
 }
 
-/// The same log in memory.
+/// Encodes `flight` as a log in memory.
 ///
 /// # Errors
-/// None that memory could have.
+/// Errors of the encoder; memory itself has none.
 pub fn to_bytes(flight: &Flight) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     write_to(flight, &mut bytes)?;
@@ -391,7 +392,7 @@ fn write_to(flight: &Flight, out: impl io::Write) -> io::Result<u64> {
     lane!("/flight/row", RowSample, flight.rows.as_deref().unwrap_or_default(), |_| &());
 
     let mut messages = 0;
-    // The lane whose next sample is the earliest, until all are at their ends.
+    // Takes the lane with the earliest next sample until all are at their ends.
     let due = |lane: &Lane<'_>| lane.times.get(lane.next).copied();
     while let Some((at, time)) = lanes
         .iter()

@@ -1,4 +1,4 @@
-//! One flight as it was recorded: streams at their native rates on the vehicle's clock.
+//! One recorded flight: streams at their native rates on the vehicle's clock.
 
 use std::path::PathBuf;
 
@@ -9,10 +9,10 @@ use vehicle::frame::{Attitude, Frd, Ned};
 use super::facts::VehicleFacts;
 use super::ranges::OutputRange;
 
-/// Samples of one quantity, in the order of their times.
+/// Samples of one quantity in order of time.
 ///
-/// Times are seconds of the vehicle's clock. They are finite and strictly increasing; whatever
-/// breaks that order in the file is left out by the importer and counted in [`Flight::left_out`].
+/// Times are in seconds on the vehicle's clock, finite and strictly increasing. The importer drops
+/// samples that break the order and counts them in [`Flight::left_out`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stream<T> {
     times: Vec<f64>,
@@ -26,8 +26,8 @@ impl<T> Default for Stream<T> {
 }
 
 impl<T> Stream<T> {
-    /// Appends a sample. Returns `false`, and leaves it out, unless `time` is finite and later
-    /// than the last.
+    /// Appends a sample. Drops it and returns `false` unless `time` is finite and later than the
+    /// last.
     pub fn push(&mut self, time: f64, value: T) -> bool {
         let later = self.times.last().is_none_or(|last| time > *last);
         if !(time.is_finite() && later) {
@@ -48,12 +48,12 @@ impl<T> Stream<T> {
         &self.values
     }
 
-    /// Values, to be changed in place.
+    /// Values, mutable in place.
     pub fn values_mut(&mut self) -> &mut [T] {
         &mut self.values
     }
 
-    /// The values alone.
+    /// Returns the values without the times.
     pub fn into_values(self) -> Vec<T> {
         self.values
     }
@@ -63,12 +63,12 @@ impl<T> Stream<T> {
         self.times.len()
     }
 
-    /// Whether there is none.
+    /// Whether the stream has no samples.
     pub fn is_empty(&self) -> bool {
         self.times.is_empty()
     }
 
-    /// Times and values.
+    /// Iterates over times and values.
     pub fn iter(&self) -> impl Iterator<Item = (f64, &T)> {
         self.times.iter().copied().zip(&self.values)
     }
@@ -78,12 +78,12 @@ impl<T> Stream<T> {
         self.times.partition_point(|t| *t <= time).checked_sub(1)
     }
 
-    /// The newest value at or before `time`: how a command holds.
+    /// The newest value at or before `time`, as a zero-order hold.
     pub fn held_at(&self, time: f64) -> Option<&T> {
         self.values.get(self.index_at(time)?)
     }
 
-    /// Samples per second over the stream's span, 0 of fewer than two.
+    /// Mean samples per second over the stream's span; 0 with fewer than two samples.
     pub fn rate(&self) -> f64 {
         match self.times.as_slice() {
             [first, .., last] => (self.times.len() - 1) as f64 / (last - first),
@@ -91,29 +91,29 @@ impl<T> Stream<T> {
         }
     }
 
-    /// The same times with values made of these.
+    /// Applies `value` to each value and keeps the times.
     pub fn map<U>(&self, value: impl FnMut(&T) -> U) -> Stream<U> {
         Stream { times: self.times.clone(), values: self.values.iter().map(value).collect() }
     }
 
-    /// The samples that `value` makes something of.
+    /// Applies `value` to each value and drops samples for which it returns `None`.
     pub fn filter_map<U>(&self, mut value: impl FnMut(&T) -> Option<U>) -> Stream<U> {
         let kept = self.iter().filter_map(|(time, old)| Some((time, value(old)?)));
         let (times, values) = kept.unzip();
         Stream { times, values }
     }
 
-    /// The same times with other values, as many.
+    /// The same times with new values; `values` must have one for each time.
     pub fn with_values(&self, values: Vec<T>) -> Self {
         debug_assert_eq!(values.len(), self.times.len());
         Self { times: self.times.clone(), values }
     }
 
-    /// The same values `by` seconds later.
+    /// Shifts all times by `by` seconds.
     pub fn shifted(mut self, by: f64) -> Self {
         if by != 0.0 {
             self.times.iter_mut().for_each(|time| *time += by);
-            // Rounding may have made neighbours of a far epoch one.
+            // With a distant epoch, rounding may have merged neighbouring times.
             if self.times.windows(2).any(|pair| pair[1] <= pair[0]) {
                 let mut rounded = Self::default();
                 for (time, value) in self.times.into_iter().zip(self.values) {
@@ -125,7 +125,7 @@ impl<T> Stream<T> {
         self
     }
 
-    /// Median time between samples in s, if there are two.
+    /// Median time between samples in s; `None` with fewer than two samples.
     pub fn period(&self) -> Option<f64> {
         let mut gaps: Vec<f64> = self.times.windows(2).map(|pair| pair[1] - pair[0]).collect();
         if gaps.is_empty() {
@@ -136,10 +136,11 @@ impl<T> Stream<T> {
     }
 }
 
-/// A setpoint of the attitude loop, as in SET_ATTITUDE_TARGET; a part that was not sent is `None`.
+/// A setpoint of the attitude loop, as in SET_ATTITUDE_TARGET; a part that is not commanded is
+/// `None`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AttitudeSetpoint {
-    /// Desired body to world.
+    /// Desired attitude, body to world.
     pub attitude: Option<Attitude>,
     /// Desired body rate, rad/s.
     pub body_rate: Option<Frd>,
@@ -148,7 +149,7 @@ pub struct AttitudeSetpoint {
 }
 
 impl AttitudeSetpoint {
-    /// A share of the way to `other`, in the parts that both ask for.
+    /// Interpolates towards `other` in the parts that both have.
     pub fn between(&self, other: &Self, share: f64) -> Self {
         let attitude = self.attitude.zip(other.attitude);
         let body_rate = self.body_rate.zip(other.body_rate);
@@ -168,7 +169,7 @@ pub struct TruthSample {
     pub position: Ned,
     /// Velocity, m/s.
     pub velocity: Ned,
-    /// Body to world.
+    /// Attitude, body to world.
     pub attitude: Attitude,
     /// Body rate, rad/s.
     pub body_rate: Frd,
@@ -184,81 +185,83 @@ pub enum MotorUnit {
     /// u_i: commanded thrust over the rotor's `thrust_max_N`, 0..1.
     #[default]
     ThrustFraction,
-    /// As it was logged; made a thrust fraction by the vehicle file's `motor_output`, else by
-    /// [`VehicleFacts::output_ranges`].
+    /// As logged. The vehicle file's `motor_output`, else [`VehicleFacts::output_ranges`], converts
+    /// it to a thrust fraction.
     VehicleFile,
-    /// Thrust of each rotor in N; a thrust fraction over the rotor's `thrust_max_N`.
+    /// Thrust of each rotor in N; division by the rotor's `thrust_max_N` gives the thrust fraction.
     Newton,
 }
 
-/// Where [`Flight::outputs`] come from: a vehicle file's `motor_output` is for one message.
+/// Source of [`Flight::outputs`]; a vehicle file's `motor_output` applies to one message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MotorSource {
-    /// ACTUATOR_OUTPUT_STATUS, its first four.
+    /// The first four outputs of ACTUATOR_OUTPUT_STATUS.
     ActuatorOutputStatus,
-    /// SERVO_OUTPUT_RAW, its first four.
+    /// SERVO_OUTPUT_RAW, the outputs of motors 1 to 4.
     ServoOutputRaw,
     /// PX4's topic actuator_motors, motors 1 to 4.
     ActuatorMotors,
-    /// PX4's topic actuator_outputs, those of motors 1 to 4: what ACTUATOR_OUTPUT_STATUS carries.
+    /// PX4's topic actuator_outputs, the outputs of motors 1 to 4; ACTUATOR_OUTPUT_STATUS carries
+    /// the same values.
     ActuatorOutputs,
-    /// ArduPilot's message RCOU, those of motors 1 to 4: what SERVO_OUTPUT_RAW carries.
+    /// ArduPilot's message RCOU, the outputs of motors 1 to 4; SERVO_OUTPUT_RAW carries the same
+    /// values.
     Rcou,
-    /// No message: columns of a table, in the order of the vehicle file's rotors.
+    /// Columns of a table, in the order of the vehicle file's rotors.
     #[default]
     Table,
-    /// None were logged: what the on-board law of a vehicle file makes of the setpoints.
+    /// Not logged: computed from the setpoints with the vehicle file's on-board law.
     OnboardLaw,
 }
 
-/// Who wrote [`Flight::setpoint`].
+/// Source of [`Flight::setpoint`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SetpointSource {
-    /// The ground, by SET_ATTITUDE_TARGET, stamped when it was sent.
+    /// The ground, in SET_ATTITUDE_TARGET; the time is that of sending.
     #[default]
     Ground,
-    /// The autopilot: what its attitude loop follows, stamped when that began. The way from the
-    /// ground is not in it, and the autopilot may have shaped it.
+    /// The autopilot: the setpoint that its attitude loop tracks, from when it takes effect. It
+    /// does not include the delay from the ground, and the autopilot may have shaped it.
     Onboard,
 }
 
-/// How times of the ground's clock came onto the vehicle's.
+/// How times on the ground's clock were mapped to the vehicle's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Clock {
-    /// There is one clock in this log.
+    /// The log has only one clock.
     Single,
-    /// TIMESYNC was logged, or the log's own mapping is used.
+    /// With TIMESYNC exchanges in the log, or the log's own mapping.
     Synchronised,
-    /// By the least observed downlink delay, which is taken to be this many seconds.
+    /// From the least observed downlink delay, which is assumed to be this many seconds.
     LeastDelay {
         /// Assumed least delay, s.
         assumed_s: f64,
     },
 }
 
-/// Where a flight comes from.
+/// Origin of a flight.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Origin {
-    /// The file.
+    /// Path of the file.
     pub path: PathBuf,
-    /// File name without extension: the flight's name in tables.
+    /// File name without extension, which names the flight in tables.
     pub run: String,
     /// SHA-256 of the file, lower-case hexadecimal.
     pub sha256: String,
-    /// `mcap`, `tlog`, `ulog`, `dataflash`, `csv`.
+    /// `mcap`, `tlog`, `ulog`, `dataflash` or `csv`.
     pub format: &'static str,
 }
 
-/// One flight. A stream that the log lacks is empty.
+/// One flight. Streams that the log lacks are empty.
 #[derive(Clone, Debug)]
 pub struct Flight {
-    /// Where it comes from.
+    /// File that the flight was read from.
     pub origin: Origin,
-    /// Text of the vehicle file inside the log, if there is one.
+    /// Content of the vehicle file inside the log, if any.
     pub vehicle_file: Option<String>,
-    /// How clocks were tied.
+    /// How the clocks were mapped.
     pub clock: Clock,
-    /// By how much of itself the ground's clock ran faster than the vehicle's, where both stamp.
+    /// Relative rate of the ground's clock to the vehicle's, minus 1, if both clocks are logged.
     pub ground_skew: Option<f64>,
     /// Reported attitude, body to world.
     pub attitude: Stream<Attitude>,
@@ -266,44 +269,45 @@ pub struct Flight {
     pub position: Stream<Ned>,
     /// Reported velocity in world axes, m/s.
     pub velocity: Stream<Ned>,
-    /// Body rate: the gyro's where it is logged, else the attitude message's, rad/s.
+    /// Body rate, rad/s: from the gyro if logged, else from the attitude message.
     pub body_rate: Stream<Frd>,
     /// Specific force, m/s^2.
     pub specific_force: Stream<Frd>,
-    /// Motor outputs in force.
+    /// Motor outputs, held until the next.
     pub outputs: Stream<[f64; 4]>,
-    /// Their unit.
+    /// Unit of the motor outputs.
     pub motor_unit: MotorUnit,
-    /// The message that they are from.
+    /// Source of the motor outputs.
     pub motor_source: MotorSource,
     /// Rotor speeds, rad/s, at least 0.
     pub rotor_speed: Stream<[f64; 4]>,
     /// Setpoints on the vehicle's clock.
     pub setpoint: Stream<AttitudeSetpoint>,
-    /// How many the log lacks before one, at its time, where the sender's numbers say so.
+    /// Number of setpoints that the log lacks before the one at this time, according to the
+    /// sender's sequence numbers.
     pub setpoints_missing: Stream<u32>,
-    /// Who wrote them.
+    /// Source of the setpoints.
     pub setpoint_source: SetpointSource,
-    /// What the daemon tracked, where it wrote the log and setpoints were sent.
+    /// The reference that the daemon tracked, where it wrote the log and sent setpoints.
     pub reference: Stream<Reference>,
     /// Pack voltage, V.
     pub voltage: Stream<f64>,
-    /// Whether the vehicle says that it is in the air; empty where it does not say.
+    /// Whether the vehicle reports that it is in the air; empty if it does not report it.
     pub in_air: Stream<bool>,
-    /// The simulator's truth, for judging only.
+    /// The simulator's ground truth, for evaluation only.
     pub truth: Stream<TruthSample>,
-    /// Whether rows of the source are one regular table (CSV): then a sample is a row.
+    /// Times of the rows, if the source is a table (CSV).
     pub rows: Option<Vec<f64>>,
-    /// What the log says about its vehicle.
+    /// Facts about the vehicle from the log.
     pub facts: VehicleFacts,
-    /// What was left out of the file and why, with counts; empty for a sound file.
+    /// Reasons and counts of dropped data; empty for a sound file.
     pub left_out: Vec<(String, u64)>,
-    /// What of the file is lost by damage, and where, in words.
+    /// Descriptions of data lost by damage.
     pub losses: Vec<String>,
 }
 
 impl Flight {
-    /// A flight with no samples.
+    /// Creates a flight without samples.
     pub fn empty(origin: Origin, clock: Clock) -> Self {
         Self {
             origin,
@@ -333,7 +337,7 @@ impl Flight {
         }
     }
 
-    /// Whether anything of the vehicle's motion, or of what moves it, is there.
+    /// Whether any stream of motion, commands, reference or truth has samples.
     pub fn has_motion(&self) -> bool {
         !(self.attitude.is_empty()
             && self.position.is_empty()
@@ -347,7 +351,7 @@ impl Flight {
             && self.truth.is_empty())
     }
 
-    /// First and last time of what was sampled of the vehicle, s.
+    /// First and last time over the vehicle's streams and the setpoints, s.
     pub fn span(&self) -> Option<(f64, f64)> {
         let streams = [
             self.attitude.times(),
@@ -364,7 +368,7 @@ impl Flight {
             .reduce(|(first, last), (start, end)| (first.min(start), last.max(end)))
     }
 
-    /// Keeps what parameters say of the outputs' range.
+    /// Stores the outputs' ranges from the parameters.
     pub(super) fn state_ranges(&mut self, stated: Option<([OutputRange; 4], String)>) {
         if let Some((ranges, said)) = stated {
             self.facts.output_ranges = Some(ranges);
@@ -372,11 +376,11 @@ impl Flight {
         }
     }
 
-    /// Makes outputs thrust fractions of `vehicle`. Returns why not, if its file does not say how;
-    /// where there are none, there is nothing to say.
+    /// Converts the outputs to thrust fractions of `vehicle`. Without outputs it always succeeds.
     ///
     /// # Errors
-    /// [`UnitUnknown`] for outputs in the vehicle file's unit that has no `motor_output`.
+    /// [`UnitUnknown`] if the outputs are as logged, and neither the vehicle file nor the log's
+    /// facts give their range.
     pub fn normalise_outputs(&mut self, vehicle: &VehicleParams) -> Result<(), UnitUnknown> {
         let full = vehicle.rotors.map(|rotor| rotor.thrust_max_n);
         match (self.motor_unit, &vehicle.motor_output) {
@@ -405,7 +409,7 @@ impl Flight {
     }
 }
 
-/// The unit of the motor outputs is not known.
+/// The unit of the motor outputs is unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "its motor outputs are not in 0..1, it states no parameters of their range (PWM_MAIN_MINn and \

@@ -1,6 +1,6 @@
-//! Files that people take for flight logs, called what they are.
+//! Identifies files that are often mistaken for flight logs.
 
-/// First bytes, what begins with them, and what to do.
+/// First bytes of a file, what it is, and what to do.
 const MAGICS: [(&[u8], &str); 16] = [
     (
         b"ULogEnc",
@@ -30,7 +30,7 @@ const MAGICS: [(&[u8], &str); 16] = [
     (b"version https://git-lfs", "a pointer of Git LFS in place of the file: fetch the file first"),
 ];
 
-/// How texts of other kinds begin, and what they are.
+/// First characters of a text, and what it is.
 const TEXTS: [(&str, &str); 11] = [
     (
         "FMT, ",
@@ -48,7 +48,7 @@ const TEXTS: [(&str, &str); 11] = [
     ("#NOTE:", "parameters of a ground station (for `downwash vehicle init`)"),
 ];
 
-/// What a file is that begins with `head`, if it is known and no log.
+/// Identifies a file that starts with `head`, if it is known not to be a log.
 pub(super) fn known(head: &[u8], extension: Option<&str>) -> Option<&'static str> {
     if head.is_empty() {
         return Some("an empty file: nothing was written, or the copy failed");
@@ -62,14 +62,14 @@ pub(super) fn known(head: &[u8], extension: Option<&str>) -> Option<&'static str
         return Some(found);
     }
     match extension {
-        // Before PX4 1.16 the key had a file of its own and the log no first bytes.
+        // Before PX4 1.16 the key was in a separate file and the log had no magic bytes.
         Some("ulge") if !head.starts_with(&super::ulog::MAGIC) => Some(MAGICS[0].1),
         Some("ulgk") => Some("the key of an encrypted log of PX4, not the log"),
         _ => None,
     }
 }
 
-/// What a text is, if it is known and no table.
+/// Identifies a text, if it is known not to be a table.
 pub(super) fn known_text(text: &str) -> Option<&'static str> {
     let text = text.trim_start_matches(['\u{feff}', ' ', '\t', '\r', '\n']);
     let begins = |start: &str| {
@@ -78,6 +78,6 @@ pub(super) fn known_text(text: &str) -> Option<&'static str> {
     TEXTS.iter().find(|(start, _)| begins(start)).map(|(_, found)| *found)
 }
 
-/// What a DataFlash file is that is none of ArduPilot's, by what it defines.
+/// Description of a DataFlash file that is not ArduPilot's.
 pub(super) const SDLOG2: &str = "a log of PX4 before ULog (sdlog2, until 2016): PX4 1.4 and later write \
                                  ULog (.ulg), which is read";

@@ -1,4 +1,4 @@
-//! MAVLink frames with the ground's stamps, of both directions, into one flight.
+//! Turns MAVLink frames of both directions, with the ground's time stamps, into one flight.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -16,31 +16,32 @@ use super::setpoints::Sent;
 use super::tally::Tally;
 use super::vehicle::VehicleLog;
 
-/// Senders that are followed; a log has a vehicle or two, and some ground stations.
+/// Largest number of senders; a log has one or two vehicles and some ground stations.
 const SENDERS_MAX: usize = 32;
-/// A frame is only a repetition of one this many frames of its sender before, at most: half of
-/// what sequence numbers tell apart.
+/// A frame counts as a repetition only of one of this many previous frames from its sender: half
+/// the range of sequence numbers.
 const REPEATED_WITHIN: u64 = 128;
-/// More frames than this are not missing: the sender began anew, or numbers came out of order.
+/// A larger gap does not mean missing frames: the sender restarted, or frames are out of order.
 const MISSING_MAX: u8 = 64;
-/// Requests of TIMESYNC that can still be answered.
+/// Largest number of open TIMESYNC requests.
 const OPEN_REQUESTS: usize = 16;
 
-/// System and component.
+/// System id and component id.
 type Sender = (u32, u8);
 
-/// One sender's numbers, to tell repetitions and what is missing.
+/// One sender's sequence numbers, to detect repeated and missing frames.
 #[derive(Debug)]
 struct Numbers {
     count: u64,
     last: Option<(u8, u32)>,
-    /// Whether different frames had one sequence number in a row: this sender does not count.
+    /// Whether consecutive different frames had the same sequence number: this sender does not
+    /// count.
     uncounted: bool,
-    /// Of the newest frame that repeats none.
+    /// Sequence number of the newest frame that is not a repetition.
     newest: Option<u8>,
-    /// Frames that are missing since the last setpoint.
+    /// Number of frames missing since the last setpoint.
     missing: u32,
-    /// By sequence number: number of the frame, and checksum of its bytes.
+    /// Number and checksum of the latest frame with each sequence number.
     recent: Box<[(u64, u32); 256]>,
 }
 
@@ -58,7 +59,7 @@ impl Default for Numbers {
 }
 
 impl Numbers {
-    /// Whether the frame came before, with the same sequence number and content.
+    /// Whether a frame with the same sequence number and content came before.
     fn is_repeated(&mut self, frame: &Frame) -> bool {
         let sequence = frame.sequence();
         let hash = crc32fast::hash(frame.bytes());
@@ -79,26 +80,26 @@ impl Numbers {
     }
 }
 
-/// Gathers frames; [`Frames::finish`] makes a flight of them.
+/// Collects frames; [`Frames::finish`] turns them into a flight.
 #[derive(Debug, Default)]
 pub(super) struct Frames {
     index: u32,
-    /// First ground stamp, ns: ground times count from it.
+    /// First time stamp of the ground, ns; ground times count from it.
     start_ns: Option<u64>,
     latest: f64,
     numbers: BTreeMap<Sender, Numbers>,
     vehicles: BTreeMap<Sender, VehicleLog>,
-    /// By sender and the system that they are for, 0 for all.
+    /// Setpoints by sender and target system, 0 for all.
     setpoints: BTreeMap<(Sender, u8), Vec<Sent>>,
-    /// `ts1` of open requests of TIMESYNC and when they left.
+    /// `ts1` and ground time of open TIMESYNC requests.
     requests: VecDeque<(i64, f64)>,
-    /// Name of each message that came, by its number.
+    /// Names of the messages received, by id.
     seen: BTreeMap<u32, String>,
     tally: Tally,
 }
 
 impl Frames {
-    /// Takes in a frame; `ground_ns` is the ground's clock, `None` where the log has no stamp.
+    /// Adds a frame; `ground_ns` is the ground's clock, `None` if the log has no time stamp.
     pub fn add(&mut self, ground_ns: Option<u64>, frame: &Frame) {
         self.index = self.index.saturating_add(1);
         if let Some(ns) = ground_ns {
@@ -122,7 +123,7 @@ impl Frames {
         match frame.id() {
             SET_ATTITUDE_TARGET_DATA::ID => self.add_setpoint(heard, sender, frame),
             TIMESYNC_DATA::ID => self.add_timesync(heard, sender, frame),
-            // What is no autopilot, as a ground station, is no vehicle.
+            // A sender that is not an autopilot, such as a ground station, is not a vehicle.
             HEARTBEAT_DATA::ID
                 if frame.payload().get(5) == Some(&(MavAutopilot::MAV_AUTOPILOT_INVALID as u8)) => {
             }
@@ -130,7 +131,7 @@ impl Frames {
         }
     }
 
-    /// Counts what could not be read as frames.
+    /// Counts data that cannot be read as frames.
     pub fn left_out(&mut self, reason: &str, count: u64) {
         self.tally.add(reason, count);
     }
@@ -152,8 +153,8 @@ impl Frames {
         }
     }
 
-    /// Requests have no `tc1`; an answer repeats the request's `ts1`. Who asks stamps `ts1`, who
-    /// answers stamps `tc1`: only what the ground asked was stamped here on both ways.
+    /// Requests have no `tc1`; a reply repeats the request's `ts1`. The requester stamps `ts1` and
+    /// the responder `tc1`, so only the ground's requests have ground times for both directions.
     fn add_timesync(&mut self, heard: Heard, sender: Sender, frame: &Frame) {
         let Ok(MavMessage::TIMESYNC(data)) = frame.message() else { return };
         if data.tc1 == 0 {
@@ -170,10 +171,10 @@ impl Frames {
         }
     }
 
-    /// Fills `flight` with the vehicle that sent most. Returns what else was sent.
+    /// Fills `flight` with the vehicle that sent most. Returns the names of all messages.
     ///
     /// # Errors
-    /// A boot that the vehicle does not have.
+    /// The vehicle does not have the chosen boot.
     pub fn finish(self, boot: Option<usize>, flight: &mut Flight) -> Result<Vec<String>, LogFault> {
         let Self { mut vehicles, mut setpoints, mut tally, seen, .. } = self;
         let any_autopilot = vehicles.values().any(VehicleLog::is_autopilot);

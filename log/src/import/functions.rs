@@ -1,34 +1,34 @@
-//! Which outputs drive motors, by the functions of outputs that parameters state.
+//! Finds the outputs that drive motors, from the output functions in the parameters.
 
 use std::collections::BTreeMap;
 
-/// Motors of a quadrotor.
+/// Number of motors of a quadrotor.
 pub(super) const MOTORS: usize = 4;
-/// Outputs of a device at most.
+/// Largest number of outputs of a device.
 pub(super) const OUTPUTS: usize = 16;
 
-/// Devices of PX4 in the order in which they start, by how their parameters begin; others follow.
+/// Prefixes of the parameters of PX4's output devices, in start-up order; other devices follow.
 const PX4_DEVICES: [&str; 3] = ["PWM_MAIN", "PWM_AUX", "UAVCAN_EC"];
-/// Function of PX4's first motor.
+/// Output function of PX4's first motor.
 pub(super) const PX4_MOTOR_1: f64 = 101.0;
-/// Function of ArduPilot's first motor.
+/// Output function of ArduPilot's first motor.
 const ARDUPILOT_MOTOR_1: f64 = 33.0;
-/// Outputs of ArduPilot.
+/// Number of ArduPilot's outputs.
 const ARDUPILOT_OUTPUTS: usize = 32;
-/// An output that changes from sample to sample in less than this share of them does not move.
+/// An output that changes in less than this share of the samples does not move.
 const MOVES: f64 = 0.05;
 
-/// A device of PX4 whose outputs have stated functions.
+/// A PX4 output device with its output functions.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Device {
-    /// How its parameters begin.
+    /// Prefix of its parameters.
     pub name: String,
-    /// Of each output, from the first.
+    /// Function of each output.
     functions: [Option<f64>; OUTPUTS],
 }
 
 impl Device {
-    /// The outputs of motors 1 to 4, all from 0.
+    /// The outputs of motors 1 to 4, counted from 0.
     fn motors(&self) -> [Option<usize>; MOTORS] {
         std::array::from_fn(|motor| {
             self.functions.iter().position(|f| *f == Some(PX4_MOTOR_1 + motor as f64))
@@ -36,7 +36,7 @@ impl Device {
     }
 }
 
-/// The devices of PX4 that parameters state functions of.
+/// The PX4 devices whose output functions are in the parameters.
 fn px4_devices(parameters: &BTreeMap<String, f64>) -> Vec<Device> {
     let mut stated: BTreeMap<&str, [Option<f64>; OUTPUTS]> = BTreeMap::new();
     for (name, function) in parameters {
@@ -52,24 +52,24 @@ fn px4_devices(parameters: &BTreeMap<String, f64>) -> Vec<Device> {
     devices
 }
 
-/// Which outputs of one device move. Those of motors do from sample to sample in flight; what only
-/// goes from disarmed to armed does not.
+/// Detects which outputs of a device move. Motor outputs change from sample to sample in flight; an
+/// output that only switches between disarmed and armed does not.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Movement {
     samples: usize,
     last: Option<[f64; OUTPUTS]>,
     changes: [usize; OUTPUTS],
-    /// Outputs that the device has.
+    /// Number of outputs of the device.
     count: usize,
 }
 
 impl Movement {
-    /// Of a device with so many outputs.
+    /// For a device with `count` outputs.
     pub fn of(count: usize) -> Self {
         Self { count, ..Self::default() }
     }
 
-    /// Takes in the next sample.
+    /// Adds the next sample.
     pub fn add(&mut self, outputs: [f64; OUTPUTS]) {
         self.samples += 1;
         if let Some(last) = self.last.replace(outputs) {
@@ -88,16 +88,16 @@ impl Movement {
 /// The outputs that drive motors 1 to 4.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Drive {
-    /// Which of the devices that log.
+    /// Index of the device among those logged.
     pub index: usize,
-    /// Its outputs, from 0.
+    /// Outputs of the device, counted from 0.
     pub channels: [usize; MOTORS],
-    /// How the parameters of the device begin; `None` where no parameter says so.
+    /// Prefix of the device's parameters; `None` if no parameter states the mapping.
     pub device: Option<String>,
 }
 
 impl Drive {
-    /// How the outputs are known, for a person.
+    /// Source of the mapping, for people.
     pub fn reason(&self) -> String {
         match &self.device {
             Some(device) => format!("by {device}_FUNCn"),
@@ -110,11 +110,12 @@ impl Drive {
     }
 }
 
-/// The outputs that drive motors of PX4, of the devices that log. A log does not say which device is
-/// which: they start in one order, motors move in flight, and outputs without a function do not.
+/// The outputs that drive PX4's motors, among the logged devices. A log does not identify its
+/// devices; the clues are their start-up order, that motors move in flight, and that outputs
+/// without a function do not.
 ///
 /// # Errors
-/// Why there are none, for a person.
+/// Why there are none, for people.
 pub(super) fn px4_drive(
     parameters: &BTreeMap<String, f64>,
     logged: &[Movement],
@@ -152,18 +153,18 @@ pub(super) fn px4_drive(
     Ok(Drive { index, channels, device: Some(device.name.clone()) })
 }
 
-/// What ArduPilot's parameters state.
+/// Motor mapping in ArduPilot's parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Stated {
-    /// No functions: outputs 1 to 4 drive motors 1 to 4, as before ArduCopter 3.5.
+    /// No output functions: before ArduCopter 3.5, outputs 1 to 4 drive motors 1 to 4.
     Nothing,
-    /// The outputs of motors 1 to 4, from 0.
+    /// The outputs of motors 1 to 4, counted from 0.
     Motors([usize; MOTORS]),
-    /// Functions, but not of these motors, from 1.
+    /// Output functions exist, but not for these motors, counted from 1.
     Without(Vec<usize>),
 }
 
-/// What drives motors 1 to 4 of ArduPilot (SERVOn_FUNCTION).
+/// The outputs that drive ArduPilot's motors 1 to 4 (SERVOn_FUNCTION).
 pub(super) fn ardupilot_motors(parameters: &BTreeMap<String, f64>) -> Stated {
     let function = |at: usize| parameters.get(&format!("SERVO{}_FUNCTION", at + 1)).copied();
     if (0..ARDUPILOT_OUTPUTS).all(|at| function(at).is_none()) {
@@ -183,7 +184,7 @@ pub(super) fn ardupilot_motors(parameters: &BTreeMap<String, f64>) -> Stated {
     }
 }
 
-/// The numbers of outputs, from 1, for a person.
+/// Formats output numbers, counted from 1, for people.
 pub(super) fn numbered(outputs: &[usize]) -> String {
     let numbers: Vec<String> = outputs.iter().map(|output| (output + 1).to_string()).collect();
     numbers.join(", ")
@@ -220,7 +221,7 @@ mod tests {
         let found = |logged: &[Movement]| px4_drive(&stated, logged).map(|drive| drive.index);
         let (gimbal, quad) = (logged(&[0]), logged(&[0, 1, 2, 3]));
         assert_eq!(found(&[gimbal.clone(), quad.clone()]), Ok(1));
-        // Whatever the order in which the devices came up.
+        // Independent of the order in which the devices started.
         assert_eq!(found(&[quad.clone(), gimbal]), Ok(0));
         // Servos on the first four of MAIN move too: the order of the devices decides.
         stated.extend((1..=4).map(|n| (format!("PWM_MAIN_FUNC{n}"), 200.0 + f64::from(n))));

@@ -1,4 +1,4 @@
-//! What kind of vehicle a log is of, by what it states.
+//! The kind of vehicle that a log states.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -6,17 +6,17 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Kinds of vehicle.
+/// A kind of vehicle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VehicleKind {
-    /// Rotors that do not tilt, with fixed pitch.
+    /// Fixed rotors with fixed pitch.
     Multirotor,
     /// A helicopter.
     Helicopter,
     /// An aeroplane.
     FixedWing,
-    /// An aeroplane that hovers.
+    /// An aeroplane that can hover.
     Vtol,
     /// A vehicle on the ground.
     Rover,
@@ -26,7 +26,7 @@ pub enum VehicleKind {
     Submarine,
     /// An airship or a balloon.
     Airship,
-    /// Something else that is no multirotor.
+    /// Something else that is not a multirotor.
     Other,
 }
 
@@ -46,12 +46,12 @@ impl fmt::Display for VehicleKind {
     }
 }
 
-/// A kind of vehicle, and what in the log states it.
+/// A kind of vehicle and its source in the log.
 #[derive(Clone, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 pub struct StatedKind {
-    /// The kind.
+    /// Kind of vehicle.
     pub kind: VehicleKind,
-    /// What states it, as `MAV_TYPE is 2`.
+    /// Source of the statement, such as `MAV_TYPE is 2`.
     pub by: String,
 }
 
@@ -61,7 +61,7 @@ impl StatedKind {
     }
 }
 
-/// By MAV_TYPE; `None` for the generic type and for what is no vehicle.
+/// Kind from MAV_TYPE; `None` for the generic type and for types that are not vehicles.
 pub(super) fn of_mav_type(number: f64) -> Option<VehicleKind> {
     use VehicleKind as K;
     Some(match number as u8 {
@@ -79,14 +79,14 @@ pub(super) fn of_mav_type(number: f64) -> Option<VehicleKind> {
     })
 }
 
-/// Motors of a multirotor, by MAV_TYPE.
+/// Number of motors of a multirotor from MAV_TYPE.
 pub(super) fn motors_of_mav_type(number: f64) -> Option<u32> {
     [(2.0, 4), (13.0, 6), (14.0, 8), (15.0, 3), (29.0, 12), (35.0, 10)]
         .into_iter()
         .find_map(|(known, motors)| (known == number).then_some(motors))
 }
 
-/// By the name of an ArduPilot firmware with its version, as `ArduPlane V4.5.7`.
+/// Kind from an ArduPilot firmware's name and version, such as `ArduPlane V4.5.7`.
 pub(super) fn of_firmware(text: &str) -> Option<VehicleKind> {
     use VehicleKind as K;
     let kinds = [
@@ -109,7 +109,7 @@ pub(super) fn of_firmware(text: &str) -> Option<VehicleKind> {
     kinds.into_iter().find_map(|(name, kind)| is(name).then_some(kind))
 }
 
-/// By the number of ArduPilot's build in its message VER.
+/// Kind from the build number in ArduPilot's message VER.
 pub(super) fn of_build(number: f64) -> Option<VehicleKind> {
     use VehicleKind as K;
     let kinds = [
@@ -124,7 +124,7 @@ pub(super) fn of_build(number: f64) -> Option<VehicleKind> {
     kinds.into_iter().find_map(|(known, kind)| (known == number).then_some(kind))
 }
 
-/// By PX4's number of an airframe (SYS_AUTOSTART), where its numbers are of one kind.
+/// Kind from PX4's airframe number (SYS_AUTOSTART), in ranges that belong to one kind.
 fn of_airframe(number: f64) -> Option<VehicleKind> {
     use VehicleKind as K;
     Some(match number as u32 {
@@ -140,7 +140,7 @@ fn of_airframe(number: f64) -> Option<VehicleKind> {
     })
 }
 
-/// By PX4's class of an airframe (CA_AIRFRAME).
+/// Kind from PX4's airframe class (CA_AIRFRAME).
 fn of_airframe_class(class: f64) -> Option<VehicleKind> {
     use VehicleKind as K;
     Some(match class as u32 {
@@ -154,7 +154,7 @@ fn of_airframe_class(class: f64) -> Option<VehicleKind> {
     })
 }
 
-/// By ArduCopter's class of a frame (FRAME_CLASS); other builds have another parameter.
+/// Kind from ArduCopter's frame class (FRAME_CLASS); other builds use a different parameter.
 fn of_frame_class(class: f64) -> Option<VehicleKind> {
     use VehicleKind as K;
     Some(match class as u32 {
@@ -165,7 +165,7 @@ fn of_frame_class(class: f64) -> Option<VehicleKind> {
     })
 }
 
-/// By what ArduPilot's outputs do (SERVOn_FUNCTION).
+/// Kind from ArduPilot's output functions (SERVOn_FUNCTION).
 fn of_functions(parameters: &BTreeMap<String, f64>) -> Option<StatedKind> {
     use VehicleKind as K;
     let functions: Vec<(&str, u32)> = parameters
@@ -193,7 +193,7 @@ fn of_functions(parameters: &BTreeMap<String, f64>) -> Option<StatedKind> {
     }
 }
 
-/// All that parameters of PX4 or ArduPilot state.
+/// Every kind that parameters of PX4 or ArduPilot state.
 pub(super) fn of_parameters(parameters: &BTreeMap<String, f64>) -> Vec<StatedKind> {
     type Rule = (&'static str, fn(f64) -> Option<VehicleKind>);
     let rules: [Rule; 9] = [

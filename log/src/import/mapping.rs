@@ -1,7 +1,7 @@
-//! The mapping file: what the columns of a table are, in TOML. `config/mappings/` has examples.
+//! The mapping file: a TOML definition of a table's columns. `config/mappings/` has examples.
 //!
-//! Units, frames, orders and signs are stated, never guessed: what a column needs and the file
-//! does not say is an error that names it.
+//! Units, frames, orders and signs must be stated and are never guessed: anything missing that a
+//! column needs is an error that names it.
 
 mod axes;
 mod bind;
@@ -22,68 +22,69 @@ pub(super) use propose::propose;
 pub(super) use row::{Cell, Outputs, Row, RowReader};
 pub use shipped::SHIPPED;
 
-/// A mapping file, as read.
+/// The content of a mapping file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mapping {
-    /// One character between the cells of a row; found by the columns where it is not said.
+    /// Character between the cells of a row; detected from the columns by default.
     pub separator: Option<char>,
-    /// What stands before the decimals; where it is not said, a comma does if no point does.
+    /// Decimal mark. By default a point, or a comma if no cell has a point.
     pub decimal: Option<DecimalMark>,
-    /// Lines before the one that names the columns; where it is not said, the names are looked for.
+    /// Lines before the one that names the columns; by default the names are searched for.
     pub skip_lines: Option<u64>,
-    /// Cells above the table that must be followed by these, as `"Length Units" = "Meters"`.
+    /// Cells above the table and the values that must follow them, such as `"Length Units" =
+    /// "Meters"`.
     #[serde(default)]
     pub expect: BTreeMap<String, String>,
-    /// Axes of the world.
+    /// Axes of the world frame in the table.
     pub world_frame: Option<WorldFrame>,
-    /// Axes of the body.
+    /// Axes of the body frame in the table.
     pub body_frame: Option<BodyFrame>,
-    /// When a row was sampled.
+    /// Time of a row.
     pub time: Option<TimeMap>,
-    /// Position.
+    /// Columns of the position.
     pub position: Option<PositionMap>,
-    /// Velocity.
+    /// Columns of the velocity.
     pub velocity: Option<VelocityMap>,
-    /// Attitude.
+    /// Columns of the attitude.
     pub attitude: Option<AttitudeMap>,
-    /// Body rate.
+    /// Columns of the body rate.
     pub body_rate: Option<RateMap>,
-    /// Accelerometer or acceleration.
+    /// Columns of the accelerometer or the acceleration.
     pub specific_force: Option<ForceMap>,
-    /// Motor commands.
+    /// Columns of the motor commands.
     pub motors: Option<MotorMap>,
-    /// Measured rotor speeds.
+    /// Columns of the measured rotor speeds.
     pub rotor_speed: Option<SpeedMap>,
-    /// Pack voltage.
+    /// Column of the pack voltage.
     pub voltage: Option<VoltageMap>,
-    /// The setpoints.
+    /// Columns of the setpoints.
     pub setpoint: Option<SetpointMap>,
 }
 
-/// What stands before the decimals of a number.
+/// Decimal mark of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 pub enum DecimalMark {
-    /// 0.5
+    /// A point, as in 0.5.
     #[serde(rename = ".")]
     Point,
-    /// 0,5
+    /// A comma, as in 0,5.
     #[serde(rename = ",")]
     Comma,
 }
 
-/// A column of a table.
+/// Identifies a column of a table.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(
     untagged,
     expecting = "expected a column: its name, its number from 1, or a list of words that stand above it"
 )]
 pub enum Column {
-    /// By its name.
+    /// By name.
     Name(String),
-    /// By its number, from 1.
+    /// By number, counted from 1.
     Number(usize),
-    /// By its name, last, and words in the lines above it, where one name is there several times.
+    /// By words in the lines above it and, last, its name, if several columns share the name.
     Words(Vec<String>),
 }
 
@@ -97,7 +98,7 @@ impl fmt::Display for Column {
     }
 }
 
-/// `[time]`: a column with its unit, or the rate of rows without one.
+/// `[time]`: a column with its unit, or the rate of the rows.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TimeMap {
@@ -124,7 +125,7 @@ pub struct PositionMap {
     unit: Option<LengthText>,
 }
 
-/// A unit of lengths, or the cell above the table that is followed by one.
+/// A unit of length, or the cell above the table that precedes one.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(
     untagged,
@@ -144,7 +145,7 @@ enum LengthUnit {
 }
 
 impl LengthUnit {
-    /// By its name, as other programs write it.
+    /// Parses the unit's name, as other programs write it.
     fn named(name: &str) -> Option<Self> {
         Some(match name.to_ascii_lowercase().as_str() {
             "m" | "meter" | "meters" | "metre" | "metres" => Self::M,
@@ -154,7 +155,7 @@ impl LengthUnit {
         })
     }
 
-    /// What one is in m.
+    /// Length of one unit in m.
     fn in_m(self) -> f64 {
         match self {
             Self::M => 1.0,
@@ -183,7 +184,7 @@ enum SpeedUnit {
     Millimetres,
 }
 
-/// Whose axes a vector's components are in.
+/// Frame of a vector's components.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Axes {
@@ -191,7 +192,7 @@ enum Axes {
     Body,
 }
 
-/// `[attitude]`: exactly one of the three forms.
+/// `[attitude]`: exactly one of quaternion, Euler angles and matrix.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AttitudeMap {
@@ -332,17 +333,17 @@ pub struct SetpointMap {
 }
 
 impl Mapping {
-    /// Reads a mapping file, or takes a shipped one by its name where there is no such file.
+    /// Reads a mapping file, or the shipped one of that name if there is no such file.
     ///
     /// # Errors
-    /// A file that cannot be read, is no TOML, or has keys or values that no mapping has.
+    /// The file cannot be read, is not TOML, or has invalid keys or values.
     pub fn load(path: &Path) -> Result<Self, ImportError> {
         let text = shipped::text(path)?;
         Self::parse(&text)
             .map_err(|message| ImportError::Mapping { path: path.to_owned(), message })
     }
 
-    /// A mapping from TOML text; the error says what is wrong.
+    /// Parses a mapping in TOML; the error says what is wrong.
     pub fn parse(text: &str) -> Result<Self, String> {
         toml::from_str(text).map_err(|error| error.to_string())
     }

@@ -1,5 +1,5 @@
-//! Own logs (.mcap) into flights: those of flights, which hold every raw frame, and those of
-//! imported flights, which hold flat channels.
+//! Reads downwash's logs (.mcap) into flights: logs of flights, which hold every raw frame, and
+//! logs of imported flights, which hold flat channels.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
@@ -18,10 +18,10 @@ use crate::schema::{Flat, MavlinkFrameMessage};
 
 /// Name of the attachment that is not the vehicle file.
 const CONFIG: &str = "config.toml";
-/// Topics of others that are remembered.
+/// Largest number of foreign topics kept.
 const TOPICS_MAX: usize = 64;
 
-/// The vehicle's parameters that the daemon read before the flight.
+/// The vehicle's parameters, which the daemon read before the flight.
 fn stated_parameters(run: &BTreeMap<String, String>) -> BTreeMap<String, f64> {
     let stated = |(key, value): (&String, &String)| {
         let name = key.strip_prefix(PARAMETER_FACT)?;
@@ -30,10 +30,10 @@ fn stated_parameters(run: &BTreeMap<String, String>) -> BTreeMap<String, f64> {
     run.iter().filter_map(stated).collect()
 }
 
-/// Reads the rest of `reader` into `flight`. Returns which topics of others it holds.
+/// Reads the rest of `reader` into `flight`. Returns the foreign topics in the log.
 ///
 /// # Errors
-/// Those of the source, and a boot that the log does not have.
+/// Errors of the source, or the log does not have the chosen boot.
 pub(super) fn read(
     reader: &mut LogReader<impl Read>,
     boot: Option<usize>,

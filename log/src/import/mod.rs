@@ -1,4 +1,4 @@
-//! Flight logs of any origin, read into one representation.
+//! Imports flight logs of any origin into one representation, [`Flight`].
 
 mod clocks;
 mod dataflash;
@@ -45,31 +45,31 @@ use source::Format;
 use table::TableError;
 use ulog::UlogError;
 
-/// How a log is to be read, where there is a choice.
+/// Options for reading a log.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Choice<'a> {
-    /// The mapping file of a table, or the name of a shipped one.
+    /// Mapping file of a table, or the name of a shipped one.
     pub mapping: Option<&'a Path>,
-    /// Which start of the vehicle, from 1; the one that flew longest where it is not said.
+    /// Boot of the vehicle, counted from 1; by default the one that flew longest.
     pub boot: Option<usize>,
 }
 
-/// Reads a flight log, whatever it is, told by its content: an own log (.mcap), a telemetry log
-/// (.tlog), a log of PX4 (ULog) or ArduPilot (DataFlash), or a table (.csv) with the mapping file
-/// that says what its columns are. Damage within a log, and what does not belong to the flight, is
-/// counted in [`Flight::left_out`].
+/// Reads a flight log and detects its format from the content: downwash's log (.mcap), a telemetry
+/// log (.tlog), a log of PX4 (ULog) or ArduPilot (DataFlash), or a table (.csv) with the mapping
+/// file that defines its columns. [`Flight::left_out`] counts damage within a log, and data that
+/// does not belong to the flight.
 ///
 /// # Errors
-/// [`ImportError`] if a file cannot be read, is no log, has nothing of a flight, or a table's
-/// mapping leaves anything unsaid.
+/// [`ImportError`] if a file cannot be read, is not a log, has no data of a flight, or a table's
+/// mapping is incomplete.
 pub fn open(path: &Path, mapping: Option<&Path>) -> Result<Flight, ImportError> {
     open_chosen(path, Choice { mapping, boot: None })
 }
 
-/// As [`open`], with a choice.
+/// As [`open`], with options.
 ///
 /// # Errors
-/// As of [`open`], and a boot that the log does not have.
+/// As [`open`]; also if the log does not have the chosen boot.
 pub fn open_chosen(path: &Path, choice: Choice<'_>) -> Result<Flight, ImportError> {
     let io = |source| ImportError::Read { path: path.to_owned(), source };
     let format = source::recognise(path)?;
@@ -112,10 +112,10 @@ fn unmapped(path: &Path, mapping: &Path, error: TableError) -> ImportError {
     }
 }
 
-/// A mapping file to start from for a table: by the names of its columns and its first rows.
+/// Proposes a mapping file for a table, from its column names and first rows.
 ///
 /// # Errors
-/// [`ImportError`] if the file cannot be read or is no table.
+/// [`ImportError`] if the file cannot be read or is not a table.
 pub fn propose(path: &Path) -> Result<String, ImportError> {
     let io = |source| ImportError::Read { path: path.to_owned(), source };
     match source::recognise(path)? {
@@ -130,21 +130,21 @@ pub fn propose(path: &Path) -> Result<String, ImportError> {
     })
 }
 
-/// What a file holds, for a person who finds nothing of it in a flight.
+/// What a file contains, to explain to people why it yields no flight.
 #[derive(Debug, Default)]
 struct Contents {
-    /// What its parts are called, as `topic` or `message`.
+    /// Term for its parts, such as `topic` or `message`.
     part: &'static str,
-    /// Its parts by name.
+    /// Names of its parts.
     names: Vec<String>,
-    /// What is known of why.
+    /// Known reason, if any.
     reason: Option<String>,
 }
 
 impl Contents {
-    /// Parts that are named in an error.
+    /// Number of parts listed in an error.
     const NAMED: usize = 12;
-    /// Reasons that are named in an error.
+    /// Number of reasons listed in an error.
     const REASONS: usize = 4;
 
     fn why_nothing(&self, flight: &Flight) -> String {
@@ -169,21 +169,22 @@ impl Contents {
     }
 }
 
-/// As [`open`], of many logs with one mapping file: it is for the tables among them.
+/// As [`open`], for one of many logs: the mapping file applies to tables and is ignored for other
+/// formats.
 ///
 /// # Errors
-/// As of [`open`].
+/// As [`open`].
 pub fn open_among(path: &Path, mapping: Option<&Path>) -> Result<Flight, ImportError> {
     let is_table = mapping.is_some() && source::recognise(path)? == Format::Csv;
     open(path, mapping.filter(|_| is_table))
 }
 
-/// Why a log that describes itself is not read.
+/// Why a self-describing log cannot be read.
 enum LogFault {
     Io(io::Error),
-    /// It is something else; in words.
+    /// The file is something else; the text says what.
     Foreign(String),
-    /// The vehicle was not started so many times.
+    /// The log has fewer boots.
     NoBoot {
         boot: usize,
         boots: usize,
@@ -214,7 +215,7 @@ impl From<UlogError> for LogFault {
     }
 }
 
-/// Reads a log that describes itself into `flight`. Returns what it holds.
+/// Reads a self-describing log into `flight`. Returns what the file contains.
 fn read(
     source: impl Read,
     format: Format,
@@ -233,15 +234,13 @@ fn read(
     }
 }
 
-/// The mapping that is proposed for bytes, if they look like a table: what the fuzz targets read
-/// them by.
+/// The proposed mapping for bytes that look like a table, for fuzz targets.
 #[doc(hidden)]
 pub fn propose_bytes(bytes: &[u8]) -> Option<String> {
     table::propose(bytes).ok()
 }
 
-/// Reads bytes as any log that they could be, a table by `mapping`, without knowing a file: what
-/// the fuzz targets do.
+/// Reads bytes as a log of every format, and as a table with `mapping`, for fuzz targets.
 #[doc(hidden)]
 pub fn read_bytes(bytes: &[u8], mapping: &str) -> Vec<Flight> {
     let origin = Origin {

@@ -1,28 +1,28 @@
-//! Rows of a log that an autopilot wrote itself: topics of named numbers, each row with a stamp of
-//! the vehicle's clock.
+//! Rows of an autopilot's on-board log: topics of named numbers, each row with a time stamp on the
+//! vehicle's clock.
 //!
-//! Neither format has a checksum, so a damaged byte may sit in any number. A damaged stamp would
-//! otherwise cost all that follows it: rows are first held against the clock of their neighbours
-//! in the file, and of those that remain the longest ascending sequence is kept.
+//! Neither format has a checksum, so any number may be damaged. A damaged time stamp must not
+//! discard everything after it: rows are first compared with the clock of their neighbours in the
+//! file, and then the longest increasing sequence is kept.
 
 use std::collections::BTreeMap;
 
 use super::flight::Stream;
 use super::tally::Tally;
 
-/// Neighbours on each side in the file that tell what the clock read.
+/// Number of neighbours on each side in the file that determine the clock.
 const NEIGHBOURS: usize = 15;
-/// A stamp further than this from the clock on both sides is damaged, s.
+/// A time stamp further than this from the clock on both sides is damaged, s.
 const OFF_CLOCK: f64 = 10.0;
 
-/// What is read of one topic: its name, and the fields of a row in their order.
+/// A topic to read and the fields of its rows.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Wanted {
     pub topic: &'static str,
     pub fields: &'static [&'static str],
 }
 
-/// A row: the number that a field has, NaN where the log has no such field.
+/// A row of a topic; fields that the log lacks are NaN.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Row<'a> {
     fields: &'static [&'static str],
@@ -39,7 +39,7 @@ impl Row<'_> {
         fields.map(|field| self.get(field))
     }
 
-    /// The same, `None` unless all are finite.
+    /// As [`Row::all`]; `None` unless all are finite.
     pub fn finite<const N: usize>(&self, fields: [&str; N]) -> Option<[f64; N]> {
         let values = self.all(fields);
         values.iter().all(|value| value.is_finite()).then_some(values)
@@ -52,7 +52,7 @@ pub(super) struct Topic {
     name: &'static str,
     fields: &'static [&'static str],
     values: Vec<f64>,
-    /// Number of each row among all of the file.
+    /// Index of each row among all rows of the file.
     numbers: Vec<u32>,
 }
 
@@ -66,12 +66,12 @@ impl Topic {
         rows.map(|values| Row { fields: self.fields, values })
     }
 
-    /// Whether any row has a number in `field`.
+    /// Whether any row has a finite number in `field`.
     pub fn has(&self, field: &str) -> bool {
         self.rows().any(|row| row.get(field).is_finite())
     }
 
-    /// The number most rows have in `field`.
+    /// The most frequent finite number in `field`.
     pub fn most_frequent(&self, field: &str) -> Option<f64> {
         let mut counts: BTreeMap<u64, usize> = BTreeMap::new();
         for value in self.rows().map(|row| row.get(field)).filter(|value| value.is_finite()) {
@@ -81,19 +81,19 @@ impl Topic {
     }
 }
 
-/// What becomes of a row.
+/// The result of converting a row.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Sample<T> {
     /// A sample with its time, s.
     Keep(f64, T),
-    /// Nothing of this stream, and nothing lost.
+    /// The row does not belong to this stream; nothing is lost.
     Skip,
-    /// Left out, for this reason.
+    /// The row is dropped for this reason.
     Refuse(&'static str),
 }
 
 impl<T> Sample<T> {
-    /// A sample, if its numbers are.
+    /// A sample if there is a value, else a refusal.
     pub fn of(time: f64, value: Option<T>) -> Self {
         match value {
             Some(value) => Self::Keep(time, value),
@@ -102,16 +102,16 @@ impl<T> Sample<T> {
     }
 }
 
-/// All topics of a log.
+/// The topics of a log that are read.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Topics {
-    /// Stamps of all rows in the order of the file, s.
+    /// Time stamps of all rows in file order, s.
     clock: Vec<f64>,
     topics: BTreeMap<(&'static str, u8), Topic>,
 }
 
 impl Topics {
-    /// Takes in a row of `wanted`: its stamp in s and its numbers.
+    /// Adds a row of `wanted`: its time stamp in s and its numbers.
     pub fn push(&mut self, wanted: Wanted, instance: u8, time: f64, values: &[f64]) {
         let Ok(number) = u32::try_from(self.clock.len()) else { return };
         debug_assert_eq!(values.len(), wanted.fields.len());
@@ -139,7 +139,8 @@ impl Topics {
             .map(|((_, instance), topic)| (*instance, topic))
     }
 
-    /// The primary instance of a topic if it was logged, else the first; the rest is counted.
+    /// The primary instance of a topic if it was logged, else the first. Counts the rows of the
+    /// others.
     pub fn primary(&self, name: &'static str, primary: u8, tally: &mut Tally) -> Option<&Topic> {
         let (chosen, topic) = match self.instance(name, primary) {
             Some(topic) => (primary, topic),
@@ -152,7 +153,7 @@ impl Topics {
         Some(topic)
     }
 
-    /// Makes a stream of a topic's rows.
+    /// Converts a topic's rows to a stream.
     pub fn stream<T>(
         &self,
         topic: &Topic,
@@ -181,7 +182,7 @@ impl Topics {
         stream
     }
 
-    /// Whether a time fits the stamps before or after it in the file.
+    /// Whether a time fits the time stamps before or after it in the file.
     fn is_on_clock(&self, number: u32, time: f64) -> bool {
         let number = number as usize;
         let median = |stamps: &[f64]| {
@@ -198,10 +199,10 @@ impl Topics {
     }
 }
 
-/// The longest sequence of samples whose times ascend, and how many are not in it.
+/// The longest sequence of samples with increasing times, and the number of samples outside it.
 fn ordered<T>(samples: Vec<(f64, T)>) -> (Stream<T>, u64) {
-    // By length of a sequence, the sample that ends such a one earliest; and before each sample
-    // the one that precedes it.
+    // For each sequence length, the sample that ends such a sequence earliest; and for each sample
+    // its predecessor.
     let mut ends: Vec<usize> = Vec::new();
     let mut previous: Vec<Option<usize>> = Vec::with_capacity(samples.len());
     for (at, (time, _)) in samples.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! What the numbers of motors' outputs mean, by the autopilot's own parameters.
+//! Ranges of motor outputs, from the autopilot's parameters.
 
 use std::collections::BTreeMap;
 
@@ -7,38 +7,38 @@ use serde::{Deserialize, Serialize};
 
 use super::functions::{Drive, MOTORS, OUTPUTS, px4_drive};
 
-/// A pulse in us.
+/// Range of pulse widths, us.
 const PULSES: std::ops::RangeInclusive<f64> = 500.0..=2500.0;
-/// Outputs above are no pulses.
+/// Outputs above this are not pulse widths, us.
 const PULSE_MAX: f64 = 2500.0;
-/// Commands of DShot at no and at full thrust.
+/// DShot commands at zero and full thrust.
 const DSHOT: OutputRange = OutputRange { zero: 0.0, one: 1999.0 };
-/// Commands over CAN.
+/// CAN commands at zero and full thrust.
 const CAN: OutputRange = OutputRange { zero: 0.0, one: 8191.0 };
-/// PX4's simulated outputs, of which no parameter states a range.
+/// PX4's simulated outputs, whose range is in no parameter.
 const SIMULATED: OutputRange = OutputRange { zero: 1000.0, one: 2000.0 };
 
-/// A motor's output at no and at full thrust.
+/// A motor's output at zero and full thrust.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct OutputRange {
-    /// At no thrust.
+    /// Output at zero thrust.
     pub zero: f64,
-    /// At full thrust.
+    /// Output at full thrust.
     pub one: f64,
 }
 
 impl OutputRange {
-    /// An output as a share of the range, within 0..1.
+    /// An output as a fraction of the range, clamped to 0..1.
     pub fn fraction(self, output: f64) -> f64 {
         ((output - self.zero) / (self.one - self.zero)).clamp(0.0, 1.0)
     }
 }
 
-/// The ranges of motors 1 to 4, and what says so.
+/// The ranges of motors 1 to 4, with their source.
 pub(super) type Stated = ([OutputRange; MOTORS], String);
 
-/// The ranges of motors 1 to 4 by an autopilot's parameters, where these say them; `most` is the largest
-/// output that was heard.
+/// The ranges of motors 1 to 4 from an autopilot's parameters, if these state them; `most` is the
+/// largest output received.
 pub fn output_ranges(
     parameters: &BTreeMap<String, f64>,
     most: f64,
@@ -47,7 +47,7 @@ pub fn output_ranges(
     ardupilot(parameters).or_else(of_px4).map(|(ranges, _)| ranges)
 }
 
-/// Of PX4's outputs that `drive` names; `most` is the largest that was logged.
+/// The ranges of PX4's outputs in `drive`; `most` is the largest output logged.
 pub(super) fn px4(parameters: &BTreeMap<String, f64>, drive: &Drive, most: f64) -> Option<Stated> {
     let parameter = |name: &str| parameters.get(name).copied();
     let range = |low: &str, high: &str| {
@@ -57,7 +57,7 @@ pub(super) fn px4(parameters: &BTreeMap<String, f64>, drive: &Drive, most: f64) 
     let is_can = most > PULSE_MAX;
     let name = drive.device.as_deref();
     if let Some(name) = name.filter(|name| !is_can || !name.starts_with("PWM")) {
-        // Timers of DShot, from 150 to 1200.
+        // Timer settings for DShot150 to DShot1200.
         let is_dshot = (0..OUTPUTS).any(|timer| {
             parameter(&format!("{name}_TIM{timer}")).is_some_and(|t| (-5.0..=-2.0).contains(&t))
         });
@@ -84,7 +84,7 @@ pub(super) fn px4(parameters: &BTreeMap<String, f64>, drive: &Drive, most: f64) 
     let of_all = pairs.into_iter().find_map(|(low, high)| {
         Some(([range(low, high)?; MOTORS], format!("that {low} and {high} state")))
     });
-    // Hardware has ranges wherever it has functions; the simulated outputs have functions alone.
+    // Hardware outputs with functions also have ranges; simulated outputs have functions only.
     let is_simulated = name == Some("PWM_MAIN")
         && PULSES.contains(&most)
         && !parameters.keys().any(|name| name.starts_with("PWM_MAIN_M"));
@@ -96,10 +96,10 @@ pub(super) fn px4(parameters: &BTreeMap<String, f64>, drive: &Drive, most: f64) 
     })
 }
 
-/// ArduPilot's pulses at the least and at the full thrust of a motor, us.
+/// ArduPilot's pulse widths at zero and full thrust of a motor, us.
 pub(super) fn ardupilot(parameters: &BTreeMap<String, f64>) -> Option<Stated> {
     let parameter = |name: &str| parameters.get(name).copied();
-    // Before ArduCopter 4.1, 0 stands for the range of the throttle's channel.
+    // Before ArduCopter 4.1, 0 means the range of the throttle channel.
     let stated = |low: &str, high: &str| {
         let range = [parameter(low)?, parameter(high)?];
         (range[1] > range[0]).then_some(range)
@@ -150,7 +150,7 @@ mod tests {
         let (ranges, said) = px4(&parameters(&real), &main_outputs(), 1600.0).expect("ranges");
         assert_eq!(ranges[2], OutputRange { zero: 1103.0, one: 1900.0 });
         assert!(said.contains("PWM_MAIN_MINn"));
-        // Functions without a word on the range of one output: nothing is concluded.
+        // Functions exist, but the range of one output is missing: no conclusion.
         let partial = real.replace("PWM_MAIN_MIN3 1103", "");
         assert_eq!(px4(&parameters(&partial), &main_outputs(), 1600.0), None);
     }

@@ -1,11 +1,11 @@
-//! Bytes of a source, some ahead of where they are read.
+//! Reads ahead from a source into a buffer.
 
 use std::io::{self, ErrorKind, Read};
 
-/// Adds bytes of `source` to `buffer` until it holds `size`, or the source ends; whether it ended.
+/// Fills `buffer` from `source` up to `size` bytes. Returns whether the source ended.
 ///
 /// # Errors
-/// Those of the source; what was read before stays in the buffer.
+/// Errors of the source; bytes read before stay in the buffer.
 pub(super) fn read_ahead(
     source: &mut impl Read,
     buffer: &mut Vec<u8>,

@@ -1,4 +1,4 @@
-//! What the daemon tracked, from the messages that it logs of each control tick.
+//! The reference that the daemon tracked, from its messages of each control tick.
 
 use message::setpoint::{Reference, Setpoint};
 use vehicle::frame::{Euler, Frd, Ned};
@@ -7,8 +7,8 @@ use super::flight::Stream;
 use crate::reader::Message;
 use crate::schema::{ControlMessage, Flat, ReferenceMessage, SetpointMessage, StateMessage};
 
-/// Puts a tick together, whose messages come in the order state, reference, setpoint, control: the
-/// state has the vehicle's time, the control message the feed-forward.
+/// Assembles a tick from its messages, in the order state, reference, setpoint, control. The state
+/// has the vehicle's time, the control message the feed-forward.
 #[derive(Debug, Default)]
 pub(super) struct References {
     time: f64,
@@ -17,8 +17,8 @@ pub(super) struct References {
 }
 
 impl References {
-    /// Takes a message of a tick; the last of them adds to `stream` if a setpoint was sent.
-    /// Returns whether it was one.
+    /// Processes a message of a tick; the last one adds the reference to `stream` if a setpoint was
+    /// sent. Returns whether the message belongs to a tick.
     pub fn take(&mut self, message: &Message<'_>, stream: &mut Stream<Reference>) -> bool {
         match message.channel.schema.as_str() {
             StateMessage::NAME => {

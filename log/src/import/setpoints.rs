@@ -1,34 +1,33 @@
-//! Setpoints as the ground sent them: when, and how many of them the log lacks.
+//! Setpoints from the ground: their times, and how many the log lacks.
 //!
-//! The log stamps a setpoint when it was written down. Where those stamps are rough (another
-//! process wrote the log, or a shared host), the ground's own stamp in the message is the better
-//! one, though it has whole milliseconds. Frames of one sender are numbered, so that those that the
-//! log lacks are known: the vehicle may have followed them.
+//! The log stamps a setpoint when it is recorded. If these time stamps are rough (a separate
+//! process wrote the log, or the host was shared), the ground's time stamp in the message is
+//! better, despite its resolution of 1 ms. Sequence numbers reveal the setpoints that the log lacks
+//! and that the vehicle may have followed.
 
 use super::clocks::{Arrival, ClockMap, Envelope, Heard};
 use super::flight::AttitudeSetpoint;
 
-/// Resolution of the ground's own stamps, s.
+/// Resolution of the ground's time stamps, s.
 const RESOLUTION_S: f64 = 1e-3;
-/// Half of the log's stamps are later than the earliest by more than this where they are rough, s.
+/// The log's time stamps are rough if their median lateness exceeds this, s.
 const ROUGH_S: f64 = 1.5e-3;
 
-/// A setpoint on its way to the vehicle.
+/// A setpoint as sent to the vehicle.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sent {
-    /// By the log's stamp.
+    /// Time stamp in the log.
     pub heard: Heard,
-    /// The ground's own stamp, s.
+    /// The ground's time stamp in the message, s.
     pub stamp_s: f64,
-    /// Frames of its sender that are missing since the last setpoint.
+    /// Number of the sender's frames missing since the last setpoint.
     pub missing: u32,
-    /// What is asked for.
+    /// The commanded setpoint.
     pub setpoint: AttitudeSetpoint,
 }
 
-/// The same setpoints, at their own stamps on the log's clock where the log's stamps are rough. As
-/// early as the log's clock is there at the least delay: so are the vehicle's messages, to which
-/// they are tied.
+/// Replaces rough time stamps of the log with the ground's, mapped to the log's clock at the least
+/// delay. The vehicle's messages, which serve as the reference, are at their least delay too.
 pub(super) fn steadied(mut sent: Vec<Sent>) -> Vec<Sent> {
     let goes_back = sent.windows(2).any(|pair| pair[1].stamp_s < pair[0].stamp_s);
     let stands = sent.first().map(|s| s.stamp_s) == sent.last().map(|s| s.stamp_s);
@@ -60,8 +59,8 @@ pub(super) fn steadied(mut sent: Vec<Sent>) -> Vec<Sent> {
 mod tests {
     use super::*;
 
-    /// A minute at 100 Hz from a ground whose clock is 3 s behind and runs slower; the log's stamps
-    /// are up to `rough` s off.
+    /// A minute at 100 Hz from a ground whose clock is 3 s behind and runs slow; the log's time
+    /// stamps are off by up to `rough` s.
     fn flown(rough: f64) -> Vec<Sent> {
         let setpoint = AttitudeSetpoint { attitude: None, body_rate: None, thrust: Some(0.5) };
         (0..6000)

@@ -1,4 +1,4 @@
-//! What a file is, by its content.
+//! Detects a file's format from its content.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -12,10 +12,10 @@ use super::flight::Origin;
 use super::{dataflash, foreign, table, ulog};
 use crate::descriptor::hex;
 
-/// How much of a file tells what it is.
+/// Bytes at the start of a file that determine its format.
 const HEAD: u64 = 256 * 1024;
 
-/// What can be read.
+/// Supported formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Format {
     Mcap,
@@ -37,10 +37,10 @@ impl Format {
     }
 }
 
-/// Tells what the file is.
+/// Detects the format of a file.
 ///
 /// # Errors
-/// A file that cannot be read, or is none of those that can be imported.
+/// The file cannot be read or has no supported format.
 pub(super) fn recognise(path: &Path) -> Result<Format, ImportError> {
     let fail = |source| ImportError::Read { path: path.to_owned(), source };
     let mut head = Vec::new();
@@ -77,18 +77,18 @@ pub(super) fn recognise(path: &Path) -> Result<Format, ImportError> {
     Err(ImportError::not_a_log(path, found.to_owned()))
 }
 
-/// The text that the bytes are, in whatever encoding tables come in: control characters and bytes
-/// of no encoding are in none.
+/// Decodes bytes as text in any encoding that tables use. Returns `None` for control characters or
+/// invalid bytes.
 fn text(head: &[u8]) -> Option<String> {
     let mut bytes = Vec::new();
     table::decoded(head).ok()?.read_to_end(&mut bytes).ok()?;
     let text = match std::str::from_utf8(&bytes) {
         Ok(text) => text.to_owned(),
-        // The head may end within a character.
+        // The head may end in the middle of a character.
         Err(error) if error.valid_up_to() + 4 > bytes.len() => {
             String::from_utf8_lossy(bytes.get(..error.valid_up_to())?).into_owned()
         }
-        // Names with an umlaut or a degree sign in an encoding of before Unicode.
+        // Names may have an umlaut or a degree sign in a pre-Unicode encoding.
         Err(_) => bytes.iter().map(|byte| char::from(*byte)).collect(),
     };
     let is_plain = |c: char| !c.is_control() || matches!(c, '\t' | '\r' | '\n');
@@ -96,10 +96,10 @@ fn text(head: &[u8]) -> Option<String> {
     (text.chars().all(is_plain) && 10 * strange <= text.chars().count()).then_some(text)
 }
 
-/// Where a flight comes from: its path, name and hash.
+/// The origin of a flight: path, name and hash.
 ///
 /// # Errors
-/// A file that cannot be read.
+/// The file cannot be read.
 pub(super) fn origin(path: &Path, format: Format) -> Result<Origin, ImportError> {
     let sha256 =
         hash(path).map_err(|source| ImportError::Read { path: path.to_owned(), source })?;

@@ -1,10 +1,10 @@
-//! What an importer leaves out, counted by reason.
+//! Counts dropped data by reason.
 
 use std::collections::BTreeMap;
 
 use super::flight::Flight;
 
-/// Counts by a reason that a person understands.
+/// Counts by reason, and descriptions of losses, for people.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tally {
     counts: BTreeMap<String, u64>,
@@ -12,7 +12,7 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// Adds `count` to `reason`; nothing for zero.
+    /// Adds `count` to `reason`; does nothing for zero.
     pub fn add(&mut self, reason: &str, count: u64) {
         if count == 0 {
             return;
@@ -25,7 +25,7 @@ impl Tally {
         }
     }
 
-    /// Adds all of another.
+    /// Adds everything from another tally.
     pub fn merge(&mut self, other: Self) {
         for (reason, count) in other.counts {
             self.add(&reason, count);
@@ -33,12 +33,12 @@ impl Tally {
         self.losses.extend(other.losses);
     }
 
-    /// Says what of the file is lost, and where.
+    /// Records a description of lost data.
     pub fn lose(&mut self, what: String) {
         self.losses.push(what);
     }
 
-    /// Gives all to the flight that was read.
+    /// Moves everything to `flight`.
     pub fn give(self, flight: &mut Flight) {
         flight.left_out.extend(self.counts);
         flight.losses.extend(self.losses);

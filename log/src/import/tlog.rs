@@ -1,4 +1,4 @@
-//! Telemetry logs (.tlog) into flights.
+//! Reads telemetry logs (.tlog) into flights.
 
 use std::io::Read;
 
@@ -9,10 +9,10 @@ use super::flight::Flight;
 use super::frames::Frames;
 use super::{Contents, LogFault};
 
-/// Reads all frames of `source` into `flight`. Returns which messages it holds.
+/// Reads all frames of `source` into `flight`. Returns the names of the messages.
 ///
 /// # Errors
-/// Those of `source`, and a boot that the vehicle does not have.
+/// Errors of `source`, or the vehicle does not have the chosen boot.
 pub(super) fn read(
     source: impl Read,
     boot: Option<usize>,
@@ -21,7 +21,7 @@ pub(super) fn read(
     let mut reader = Reader::new(source);
     let mut frames = Frames::default();
     while let Some(entry) = reader.read()? {
-        // A message that the dialect does not have is nobody's loss.
+        // A message that the dialect lacks is not counted as a loss.
         let Some(frame) = Frame::parse(&entry.frame) else { continue };
         frames.add(entry.time_us.map(|us| us.saturating_mul(1000)), &frame);
     }

@@ -1,7 +1,7 @@
-//! PX4 logs (ULog) into flights.
+//! Reads PX4 logs (ULog) into flights.
 //!
-//! The file defines its own topics, so that fields are found by name in logs old and new. The
-//! stamps are the vehicle's clock, in us since its start.
+//! The file defines its topics, so fields are found by name in old and new logs. Time stamps are on
+//! the vehicle's clock, in us since boot.
 
 mod format;
 mod px4;
@@ -17,12 +17,12 @@ use format::Place;
 pub(super) use reader::{MAGIC, UlogError};
 use reader::{Reader, Record, Subscription};
 
-/// Messages of the log's own text that are kept, worst included.
+/// Largest number of text messages kept; half of it is reserved for warnings.
 const TEXTS_MAX: usize = 40;
-/// Texts at this level of syslog and worse are warnings.
+/// Texts at this syslog level and worse are warnings.
 const WARNING: u8 = b'4';
 
-/// What is read of a file, before it is a flight.
+/// The content of a file before conversion to a flight.
 #[derive(Debug, Default)]
 struct Contents {
     topics: Topics,
@@ -33,12 +33,12 @@ struct Contents {
     /// `sys_name` and others.
     info: BTreeMap<String, String>,
     texts: Vec<String>,
-    /// Topics that rows were logged of.
+    /// Topics with rows.
     names: BTreeSet<String>,
     tally: Tally,
 }
 
-/// A topic that rows are kept of.
+/// A topic whose rows are kept.
 struct Kept {
     wanted: Wanted,
     stamp: Place,
@@ -54,10 +54,10 @@ impl Kept {
     }
 }
 
-/// Reads a whole log into `flight`. Returns what it holds.
+/// Reads a whole log into `flight`. Returns its topics.
 ///
 /// # Errors
-/// [`UlogError`]. Damage within the file is counted, and is no error.
+/// [`UlogError`]. Damage within the file is counted and is not an error.
 pub(super) fn read(source: impl Read, flight: &mut Flight) -> Result<super::Contents, UlogError> {
     let mut contents = Contents::read(source)?;
     let names = std::mem::take(&mut contents.names).into_iter().collect();

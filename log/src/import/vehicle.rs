@@ -1,8 +1,8 @@
-//! One vehicle's messages, gathered on its own clock.
+//! One vehicle's messages, collected on its clock.
 //!
-//! Each message is kept by its source, so that estimates are never mixed; which source becomes
-//! which stream is decided when all have been seen. Where the vehicle's clock jumps, as after a
-//! reboot, a new epoch begins; the flight is the epoch that flew longest.
+//! Messages are kept by source, so estimates are never mixed; the choice of source for each stream
+//! comes at the end. Where the vehicle's clock jumps, as after a reboot, a new epoch begins. By
+//! default, the flight is the epoch that flew longest.
 
 mod boots;
 mod facts;
@@ -24,43 +24,43 @@ use super::flight::{Clock, Flight, Stream};
 use super::setpoints::{Sent, steadied};
 use super::tally::Tally;
 
-/// MAV_AUTOPILOT.
+/// Values of MAV_AUTOPILOT.
 const PX4: u8 = MavAutopilot::MAV_AUTOPILOT_PX4 as u8;
 const ARDUPILOT: u8 = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA as u8;
-/// What autopilots and MAVLink mean by G, m/s^2.
+/// The unit G in autopilots and MAVLink, m/s^2.
 const STANDARD_GRAVITY: f64 = 9.806_65;
-/// Texts that are kept.
+/// Largest number of texts kept.
 const TEXTS_MAX: usize = 40;
-/// Boots that are named; a damaged log may have any number.
+/// Largest number of boots listed; a damaged log may have any number.
 const BOOTS_NAMED: usize = 20;
-/// Place of RAW_IMU among [`IMUS`].
+/// Index of RAW_IMU in [`IMUS`].
 const RAW_IMU: usize = 1;
-/// Messages in a row that must agree on a jump of the vehicle's clock.
+/// Consecutive messages that must agree on a jump of the vehicle's clock.
 const JUMP_MESSAGES: u32 = 8;
-/// Least downlink delay where nothing measures it and setpoints are to be placed, s.
+/// Assumed minimum downlink delay for placing setpoints without TIMESYNC, s.
 const ASSUMED_DELAY: f64 = 1.5e-3;
 
 /// Everything that one system and component sent.
 #[derive(Debug, Default)]
 pub(super) struct VehicleLog {
     codec: Codec,
-    /// MAV_AUTOPILOT of its heartbeats.
+    /// MAV_AUTOPILOT in its heartbeats.
     autopilot: Option<u8>,
     /// Heartbeats by MAV_TYPE.
     types: BTreeMap<u8, u64>,
     /// Last value of each parameter.
     parameters: BTreeMap<String, f64>,
     texts: Vec<String>,
-    /// Latest stamp, us: short counters are extended to it.
+    /// Latest time stamp, us; short counters are extended from it.
     latest_us: u64,
     epochs: Vec<Epoch>,
     current: usize,
-    /// Number of the frame from which on each epoch was the current one.
+    /// Frame number from which on an epoch is current, with the epoch's index.
     switches: Vec<(u32, usize)>,
-    /// Messages in a row that do not follow the clock.
+    /// Consecutive messages that do not follow the clock.
     jumped: u32,
     battery: Vec<(Heard, f64)>,
-    /// By SYS_STATUS.
+    /// Voltage from SYS_STATUS.
     system_voltage: Vec<(Heard, f64)>,
     armed: Vec<(Heard, bool)>,
     landed: Vec<(Heard, bool)>,
@@ -70,17 +70,17 @@ pub(super) struct VehicleLog {
 }
 
 impl VehicleLog {
-    /// Whether a HEARTBEAT of an autopilot came from here.
+    /// Whether this sender sent a HEARTBEAT of an autopilot.
     pub fn is_autopilot(&self) -> bool {
         self.autopilot.is_some()
     }
 
-    /// Messages that were understood.
+    /// Number of decoded messages.
     pub fn messages(&self) -> u64 {
         self.messages
     }
 
-    /// Messages with an attitude.
+    /// Number of messages with an attitude.
     pub fn attitudes(&self) -> usize {
         self.epochs.iter().map(Epoch::attitudes).sum()
     }
@@ -90,7 +90,7 @@ impl VehicleLog {
         self.exchanges.push(exchange);
     }
 
-    /// Takes in a frame of this vehicle.
+    /// Adds a frame from this vehicle.
     pub fn add(&mut self, heard: Heard, frame: &Frame) {
         if let Some(raw) = Raw::of(frame.id()) {
             self.add_raw(raw, heard, frame);
@@ -170,7 +170,7 @@ impl VehicleLog {
             }
             Inbound::LandedState(state) => match state {
                 LandedState::Undefined => {}
-                // On the way up or down the ground may still be touched.
+                // While taking off or landing, the vehicle may still touch the ground.
                 LandedState::OnGround | LandedState::TakingOff | LandedState::Landing => {
                     self.landed.push((heard, false));
                 }
@@ -180,7 +180,7 @@ impl VehicleLog {
         }
     }
 
-    /// Takes in a message that only logs need, and the link does not.
+    /// Adds a message that only the importer needs, not the link.
     fn add_raw(&mut self, raw: Raw, heard: Heard, frame: &Frame) {
         let Ok(message) = frame.message() else {
             self.tally.add(&format!("{}: payload does not fit its message", raw.name()), 1);
@@ -194,7 +194,7 @@ impl VehicleLog {
             (Some(Frd::from(force)), Some(Frd::from(rate)))
         };
         match message {
-            // The first of a group of four; others drive no rotor of a quadrotor.
+            // Only the first group of four belongs to a quadrotor's rotors.
             MavMessage::ESC_STATUS(data) if data.index == 0 => {
                 let rpm = data.rpm.map(|rpm| f64::from(rpm).abs());
                 let time = Some(data.time_usec as f64 * 1e-6);
@@ -236,7 +236,7 @@ impl VehicleLog {
                     epoch.servo_outputs[port].push(time, outputs)
                 });
             }
-            // 0 and the greatest number stand for none.
+            // 0 and the largest number mean unknown.
             MavMessage::SYS_STATUS(d) if !matches!(d.voltage_battery, 0 | u16::MAX) => {
                 let voltage = f64::from(d.voltage_battery) * 1e-3;
                 self.system_voltage.push((heard, voltage));
@@ -250,7 +250,7 @@ impl VehicleLog {
         self.keep(source, heard, time, |epoch, time| epoch.imus[at].push(time, sample));
     }
 
-    /// Keeps a sample in the epoch that its stamp belongs to.
+    /// Adds a sample to the epoch that its time stamp belongs to.
     fn keep(
         &mut self,
         source: Source,
@@ -271,7 +271,7 @@ impl VehicleLog {
                 self.tally.add("message at a jump of the vehicle's clock", 1);
                 return;
             }
-            // An epoch that the clock has come back to goes on.
+            // If the clock has returned to an earlier epoch, that epoch continues.
             match self.epochs.iter().position(|epoch| epoch.follows(source, &arrival)) {
                 Some(epoch) => {
                     self.current = epoch;
@@ -292,16 +292,16 @@ impl VehicleLog {
         self.switches.push((index, self.current));
     }
 
-    /// The epoch that was current at a frame.
+    /// The epoch that is current at a frame.
     fn epoch_at(&self, index: u32) -> Option<usize> {
         let next = self.switches.partition_point(|(from, _)| *from <= index);
         self.switches.get(next.saturating_sub(1)).map(|(_, epoch)| *epoch)
     }
 
-    /// Fills `flight` with one epoch and with the setpoints sent in it. Returns what was left out.
+    /// Fills `flight` with one epoch and the setpoints sent in it. Returns the dropped data.
     ///
     /// # Errors
-    /// A boot that there is not.
+    /// The log does not have the chosen boot.
     pub fn finish(
         mut self,
         setpoints: Vec<Sent>,
@@ -309,7 +309,7 @@ impl VehicleLog {
         flight: &mut Flight,
     ) -> Result<Tally, LogFault> {
         let mut tally = std::mem::take(&mut self.tally);
-        // What the log's own metadata state, and over it what was heard.
+        // Parameters from the log's metadata, overridden by received ones.
         let mut stated = std::mem::take(&mut flight.facts.parameters);
         stated.append(&mut self.parameters);
         self.parameters = stated;
@@ -355,7 +355,7 @@ impl VehicleLog {
         tally.add("setpoint during another run of the vehicle's clock", other);
         let mut epoch = self.epochs.swap_remove(chosen);
         if self.autopilot != Some(ARDUPILOT) {
-            // Only ArduPilot's are in mG and mrad/s.
+            // Only ArduPilot uses mG and mrad/s in RAW_IMU.
             let raw = std::mem::take(&mut epoch.imus[RAW_IMU]);
             tally.add("RAW_IMU: in units that only the autopilot knows", raw.len() as u64);
         }
@@ -388,7 +388,7 @@ impl VehicleLog {
     }
 }
 
-/// Puts samples that only the ground stamped onto the vehicle's clock.
+/// Maps samples with a ground time stamp to the vehicle's clock.
 fn place<T>(
     map: &ClockMap,
     samples: Vec<(Heard, T)>,
@@ -424,7 +424,7 @@ fn is_kept(id: u32) -> bool {
     )
 }
 
-/// Messages that only logs need.
+/// Messages that only the importer needs.
 #[derive(Clone, Copy, Debug)]
 struct Raw(u32);
 
@@ -448,10 +448,10 @@ impl Raw {
     }
 }
 
-/// Whether a HIGHRES_IMU has a new accelerometer and a new gyro sample, by its `fields_updated`;
-/// flags that are all unset were never filled in.
+/// Whether a HIGHRES_IMU has a new accelerometer sample and a new gyro sample, according to
+/// `fields_updated`. If all flags are unset, the sender does not fill them in.
 fn updated_sensors(payload: &[u8]) -> (bool, bool) {
-    /// Behind the time and thirteen floats.
+    /// Offset after the time and thirteen floats.
     const FIELDS_UPDATED: usize = 60;
     const ACCELEROMETER: u16 = 0x007;
     const GYRO: u16 = 0x038;
@@ -462,7 +462,7 @@ fn updated_sensors(payload: &[u8]) -> (bool, bool) {
     (has(ACCELEROMETER), has(GYRO))
 }
 
-/// Name of a message that may be refused.
+/// Name of a message in refusals.
 fn name_of(id: u32) -> String {
     match id {
         ODOMETRY_DATA::ID => "ODOMETRY".into(),

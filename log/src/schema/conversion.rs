@@ -1,4 +1,4 @@
-//! What is recorded, as the project's messages.
+//! Conversions from records to messages.
 
 use message::setpoint::{Reference, Setpoint, State};
 use vehicle::frame::{Euler, Frd};
@@ -10,7 +10,7 @@ use super::{
 use crate::record::{FrameRecord, LinkStats, Stamp, Tick, TimesyncSample, Truth};
 
 impl MavlinkFrameMessage {
-    /// Takes over `record`, keeping the buffer.
+    /// Copies `record`, reusing the buffer.
     pub(crate) fn assign(&mut self, record: &FrameRecord) {
         self.message_id = record.message_id;
         self.system_id = record.system;
@@ -90,7 +90,7 @@ impl From<&Setpoint> for SetpointMessage {
     }
 }
 
-/// A setpoint of which nothing is known.
+/// A setpoint whose components are all unknown.
 const UNKNOWN: Setpoint = Setpoint {
     thrust_n: f64::NAN,
     attitude: Euler::new(f64::NAN, f64::NAN, f64::NAN),
@@ -98,7 +98,7 @@ const UNKNOWN: Setpoint = Setpoint {
 };
 
 impl ControlMessage {
-    /// Takes over `tick`, keeping the buffer of the phase's name.
+    /// Copies `tick`, reusing the buffer of the phase's name.
     pub(crate) fn assign(&mut self, tick: &Tick) {
         let mut phase = std::mem::take(&mut self.phase);
         phase.clear();

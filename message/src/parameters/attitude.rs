@@ -1,47 +1,48 @@
-//! An autopilot's attitude loop, with torques normalised to 1 as its gains have them.
+//! An autopilot's attitude loop with normalised torques, in the units of its gains.
 
 use super::{Autopilot, Parameters};
 
-/// The cascade of PX4 or ArduCopter: roll, pitch, yaw. A normalised torque of 1 is what its mixer
-/// makes of it.
+/// The attitude cascade of PX4 or ArduCopter; triples are roll, pitch, yaw. The
+/// [`Mixer`](super::Mixer) defines the thrusts of a normalised torque of 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NormalisedLoop {
-    /// Attitude error to body rate, 1/s.
+    /// Gain from attitude error to body rate, 1/s.
     pub angle_p_per_s: [f64; 3],
-    /// Largest body rate that is asked for, rad/s.
+    /// Largest commanded body rate, rad/s.
     pub rate_max_rad_s: [f64; 3],
-    /// Rate error to torque, s.
+    /// Gain from rate error to torque, s.
     pub rate_p: [f64; 3],
-    /// Its integral to torque, 1.
+    /// Gain from the integral of the rate error to torque, dimensionless.
     pub rate_i: [f64; 3],
-    /// Angular acceleration to torque, s^2.
+    /// Gain from angular acceleration to torque, s^2.
     pub rate_d: [f64; 3],
-    /// Rate setpoint to torque, s.
+    /// Gain from rate setpoint to torque, s.
     pub rate_ff: [f64; 3],
-    /// Bound of the integral's torque.
+    /// Bound on the integral's normalised torque.
     pub integral_max: [f64; 3],
     /// Cutoff of the gyro's low-pass, Hz.
     pub gyro_cutoff_hz: f64,
     /// Cutoff of the derivative's low-pass, Hz.
     pub derivative_cutoff_hz: f64,
-    /// Time constant with which the setpoint is followed before the loop sees it, s.
+    /// Time constant of the input shaping on the setpoint, s; `None` on PX4.
     pub input_time_constant_s: Option<f64>,
-    /// Rate, Hz.
+    /// Rate of the loop, Hz.
     pub rate_hz: f64,
 }
 
-/// ArduCopter has no bound of body rates where its parameter is 0; this is none either, rad/s.
+/// Effectively no bound, rad/s. A parameter of 0 means that ArduCopter does not bound the body
+/// rate.
 const NO_BOUND: f64 = 100.0;
-/// A low-pass that is switched off, Hz.
+/// Cutoff that stands for a disabled low-pass, Hz.
 const NO_FILTER: f64 = 1000.0;
-/// PX4's simulated IMU, Hz.
+/// Rate of PX4's simulated IMU, Hz.
 const SIMULATED_IMU_HZ: f64 = 250.0;
 
 impl NormalisedLoop {
-    /// The loop that parameters state.
+    /// Reads the loop from parameters.
     ///
     /// # Errors
-    /// The parameters that it needs and that are not there.
+    /// The names of the required parameters that are missing.
     pub fn of(parameters: &Parameters) -> Result<Self, Vec<String>> {
         let mut read = Read { parameters, missing: Vec::new() };
         let found = match parameters.autopilot() {
@@ -70,7 +71,7 @@ impl Read<'_> {
         names.map(|name| self.one(name))
     }
 
-    /// Of which old versions have none.
+    /// A parameter that older versions lack, with its default.
     fn or(&self, name: &str, unsaid: f64) -> f64 {
         self.parameters.number(name).unwrap_or(unsaid)
     }
@@ -99,7 +100,7 @@ impl Read<'_> {
             rate_p,
             rate_i,
             rate_d,
-            // Not scaled by K.
+            // The feed-forward is not scaled by K.
             rate_ff: RATES.map(|axis| self.or(&format!("MC_{axis}_FF"), 0.0)),
             integral_max: ["MC_RR_INT_LIM", "MC_PR_INT_LIM", "MC_YR_INT_LIM"]
                 .map(|name| self.or(name, 0.3)),

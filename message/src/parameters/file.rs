@@ -1,14 +1,14 @@
-//! Parameter files: of QGroundControl (.params), Mission Planner (.param), MAVProxy (.parm), and of
+//! Parameter files of QGroundControl (.params), Mission Planner (.param), MAVProxy (.parm) and
 //! PX4's `param save` (BSON).
 
 use std::collections::BTreeMap;
 
 use super::Parameters;
 
-/// Most characters of a parameter's name.
+/// Length limit of a parameter's name.
 const NAME_MAX: usize = 16;
 
-/// A file that holds no parameters.
+/// The file is not a parameter file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "no parameters: expected lines of NAME and value, as QGroundControl, Mission Planner and \
@@ -16,10 +16,10 @@ const NAME_MAX: usize = 16;
 )]
 pub struct NotParameters(String);
 
-/// The parameters of a file, whichever of the forms it has.
+/// Parses a parameter file in any of the formats.
 ///
 /// # Errors
-/// [`NotParameters`] if a line or an element is of none of them.
+/// [`NotParameters`] if a line or element fits no format, or the file has no parameters.
 pub fn parse(bytes: &[u8]) -> Result<Parameters, NotParameters> {
     let values = match std::str::from_utf8(bytes) {
         Ok(text) if !is_bson(bytes) => text_lines(text)?,
@@ -49,7 +49,7 @@ fn text_lines(text: &str) -> Result<BTreeMap<String, f64>, NotParameters> {
             {
                 pair(name, value)
             }
-            // With a third column such as @READONLY.
+            // The third column may be a flag such as @READONLY.
             [name, value] | [name, value, _] => pair(name, value),
             _ => None,
         };
@@ -78,7 +78,7 @@ fn is_bson(bytes: &[u8]) -> bool {
     bytes.len() > 5 && bytes.last() == Some(&0) && bytes.get(..4).is_some_and(|b| b.contains(&0))
 }
 
-/// The numbers of a document: its length, then elements of a type, a name and a value, then 0.
+/// Parses a BSON document: its length, then elements of a type, a name and a value, then 0.
 fn bson(bytes: &[u8]) -> Option<BTreeMap<String, f64>> {
     let mut rest = bytes.get(4..)?;
     let mut values = BTreeMap::new();

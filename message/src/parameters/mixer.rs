@@ -1,23 +1,23 @@
-//! What a normalised torque of 1 becomes at the motors.
+//! The autopilot's mixer: motor thrusts for a normalised torque of 1.
 
 use nalgebra::{Matrix4, Vector4};
 
 use super::{Autopilot, Parameters, RotorFact};
 
-/// Motors' thrust, as shares of full thrust, for each normalised torque of 1 about front, right and
-/// down.
+/// Thrust of each motor, as a share of full thrust, for a normalised torque of 1 about front, right
+/// and down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mixer {
-    /// By axis, then by motor.
+    /// Shares by axis, then by motor.
     pub shares: [[f64; 4]; 3],
 }
 
-/// Sides below this share of the largest are none: rounding of angles.
+/// Shares below this fraction of the largest count as 0; they come from rounding of angles.
 const NO_SIDE: f64 = 1e-3;
 
 impl Mixer {
-    /// The mixer of a quadrotor's autopilot; none where parameters do not say it, or the rotors
-    /// they state have no authority about an axis.
+    /// The mixer of a quadrotor's autopilot. Returns `None` if the parameters do not determine it,
+    /// or the rotors have no authority about an axis.
     pub fn of(parameters: &Parameters) -> Option<Self> {
         let rotors: [RotorFact; 4] = parameters.rotors().try_into().ok()?;
         match parameters.autopilot()? {
@@ -26,18 +26,18 @@ impl Mixer {
         }
     }
 
-    /// The moment of a normalised torque of 1, N m, about front, right and down, of rotors with
-    /// these levers: N m for each N of a rotor's thrust, by axis.
+    /// The moment of a normalised torque of 1 about front, right and down, N m. `levers` are by
+    /// axis, in N m per N of a rotor's thrust.
     pub fn moments(&self, levers: &[[f64; 4]; 3], thrust_max_n: [f64; 4]) -> [f64; 3] {
         std::array::from_fn(|axis| {
             (0..4).map(|i| self.shares[axis][i] * levers[axis][i] * thrust_max_n[i]).sum()
         })
     }
 
-    /// PX4's control allocation: the inverse of what its rotors do by CA_ROTORn_PX, _PY, _KM and
-    /// _CT, with columns scaled so that roll and pitch have a root of the sum of squares of
-    /// sqrt(n/2) over the n motors that turn the vehicle (the larger of both scales for both), and
-    /// yaw a largest entry of 1.
+    /// PX4's control allocation: the inverse of the effectiveness matrix from CA_ROTORn_PX, _PY,
+    /// _KM and _CT, with scaled columns. Roll and pitch have the norm sqrt(n/2) over the n motors
+    /// that act on the axis, where the larger of the two scales applies to both. Yaw has a largest
+    /// entry of 1.
     fn px4(parameters: &Parameters, rotors: &[RotorFact; 4]) -> Option<Self> {
         let number = |at: usize, end: &str| parameters.number(&format!("CA_ROTOR{at}_{end}"));
         let mut does = Matrix4::zeros();
@@ -64,7 +64,8 @@ impl Mixer {
         Some(Self { shares: [scaled(0, tilt), scaled(1, tilt), scaled(2, yaw)] })
     }
 
-    /// ArduPilot's factors: each axis by the motors' sides, scaled to a largest of 0.5.
+    /// ArduPilot's factors: each axis in proportion to the motors' positions or spins, scaled to a
+    /// largest magnitude of 0.5.
     fn arducopter(rotors: &[RotorFact; 4]) -> Self {
         let halved = |sides: [f64; 4]| {
             let largest = sides.iter().fold(0.0, |most: f64, side| most.max(side.abs()));
@@ -103,7 +104,7 @@ mod tests {
         for (found, expected) in mixer.shares.iter().flatten().zip(expected.iter().flatten()) {
             assert!((found - expected).abs() < 1e-12, "{mixer:?}");
         }
-        // SIH: arms of 0.2 m, 5 N and 0.1 N m a rotor.
+        // SIH: arms of 0.2 m, 5 N and 0.1 N m per rotor.
         let levers = [[-0.2, 0.2, 0.2, -0.2], [0.2, -0.2, 0.2, -0.2], [0.02, 0.02, -0.02, -0.02]];
         close(mixer.moments(&levers, [5.0; 4]), [2.0 * 2f64.sqrt(), 2.0 * 2f64.sqrt(), 0.4]);
     }
@@ -113,7 +114,7 @@ mod tests {
         let wide = SIH.replace("_PY 1", "_PY 2").replace("_PY -1", "_PY -2");
         let mixer = Mixer::of(&parameters(&wide)).expect("a mixer");
         let half = 0.5f64.sqrt();
-        // The inverse's roll column is half its pitch column, and both are divided by pitch's scale.
+        // The inverse's roll column is half its pitch column; the scale of pitch divides both.
         assert!((mixer.shares[0][0] + 0.5 * half).abs() < 1e-12, "{mixer:?}");
         assert!((mixer.shares[1][0] - half).abs() < 1e-12, "{mixer:?}");
     }

@@ -1,25 +1,26 @@
-//! Where an autopilot believes its rotors to be.
+//! The rotors as configured in an autopilot's parameters.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Autopilot, Parameters};
 
-/// Where the autopilot believes a rotor to be.
+/// A rotor's position and spin, as configured in the autopilot.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct RotorFact {
-    /// Towards the front, in the autopilot's unit: only its sign and ratio to others are meant.
+    /// Position towards the front, in the autopilot's unit: only its sign and its ratio to the
+    /// others matter.
     pub front: f64,
-    /// Towards the right, likewise.
+    /// Position towards the right, in the same unit.
     pub right: f64,
     /// +1 if the rotor's drag torque on the body is about +z body (down), else -1.
     pub spin: i8,
 }
 
 impl RotorFact {
-    /// Each rotor in words, as `front right (turns the body right)`.
+    /// Each rotor in words, such as `front right (spin +1)`.
     pub fn in_words(rotors: &[Self; 4]) -> [String; 4] {
-        // Places nearer to an axis than this share of the arm are on it.
+        // A position nearer to an axis than this share of the arm counts as on it.
         const ON_AXIS: f64 = 0.2;
         let arm = rotors.iter().map(|rotor| rotor.front.hypot(rotor.right)).fold(0.0, f64::max);
         rotors.map(|rotor| {
@@ -36,10 +37,10 @@ impl RotorFact {
     }
 }
 
-/// Most rotors that PX4 has parameters for.
+/// Largest accepted CA_ROTOR_COUNT.
 const ROTORS_MAX: f64 = 64.0;
-/// Motors 1 to 4 of a quadrotor: clockwise from the front, in degrees, and the sense in which the
-/// rotor's drag turns the body.
+/// Motors 1 to 4 of a quadrotor: angle clockwise from the front in degrees, and the direction in
+/// which the rotor's drag turns the body.
 type Quadrotor = [(f64, i8); 4];
 
 pub(super) fn count(parameters: &Parameters) -> Option<u32> {
@@ -66,12 +67,12 @@ pub(super) fn of(parameters: &Parameters) -> Vec<RotorFact> {
     }
 }
 
-/// CA_ROTORn_*.
+/// Rotors from PX4's CA_ROTORn_*.
 fn px4(parameters: &Parameters) -> Vec<RotorFact> {
     let rotor = |at: u32| {
         let number = |axis: &str| parameters.number(&format!("CA_ROTOR{at}_{axis}"));
-        // A rotor whose coefficient is positive turns anticlockwise, seen from above, and turns the
-        // body clockwise: about +z.
+        // A rotor with a positive coefficient spins anticlockwise, seen from above, and turns the
+        // body clockwise, about +z.
         let spin = if number("KM")? >= 0.0 { 1 } else { -1 };
         Some(RotorFact { front: number("PX")?, right: number("PY")?, spin })
     };
@@ -79,22 +80,22 @@ fn px4(parameters: &Parameters) -> Vec<RotorFact> {
     rotors.unwrap_or_default()
 }
 
-/// FRAME_CLASS and FRAME_TYPE, by ArduPilot's motor order diagrams, of quadrotors whose rotors all
-/// push up.
+/// Rotors from FRAME_CLASS and FRAME_TYPE, according to ArduPilot's motor order diagrams. Only
+/// quadrotors whose rotors all push up are supported.
 fn arducopter(parameters: &Parameters) -> Vec<RotorFact> {
     const QUADROTOR: f64 = 1.0;
     if parameters.number("FRAME_CLASS") != Some(QUADROTOR) {
         return Vec::new();
     }
-    // A rotor that turns anticlockwise turns the body clockwise.
+    // A rotor that spins anticlockwise turns the body clockwise.
     let motors: Quadrotor = match parameters.number("FRAME_TYPE").map(|kind| kind as u32) {
         // Plus.
         Some(0) => [(90.0, 1), (-90.0, 1), (0.0, -1), (180.0, -1)],
         // X, and V, whose arms differ in yaw only.
         Some(1 | 2) => [(45.0, 1), (-135.0, 1), (-45.0, -1), (135.0, -1)],
-        // H: as X, each the other way round.
+        // H: as X, with every spin reversed.
         Some(3) => [(45.0, -1), (-135.0, -1), (-45.0, 1), (135.0, 1)],
-        // Plus, each the other way round.
+        // Plus, with every spin reversed.
         Some(6) => [(90.0, -1), (-90.0, -1), (0.0, 1), (180.0, 1)],
         // X in Betaflight's order.
         Some(12) => [(135.0, -1), (45.0, 1), (-135.0, 1), (-45.0, -1)],
@@ -102,7 +103,7 @@ fn arducopter(parameters: &Parameters) -> Vec<RotorFact> {
         Some(13) => [(45.0, 1), (-45.0, -1), (-135.0, 1), (135.0, -1)],
         // X, clockwise.
         Some(14) => [(45.0, 1), (135.0, -1), (-135.0, 1), (-45.0, -1)],
-        // X in Betaflight's order, each the other way round.
+        // X in Betaflight's order, with every spin reversed.
         Some(18) => [(135.0, 1), (45.0, -1), (-135.0, -1), (-45.0, 1)],
         _ => return Vec::new(),
     };

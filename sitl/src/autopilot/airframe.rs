@@ -1,4 +1,4 @@
-//! The airframe under the autopilot: the plant and its sensors.
+//! The airframe: the plant and its sensors.
 
 use crate::config::SitlConfig;
 use crate::sensors::{Readings, Sensors};
@@ -12,11 +12,11 @@ use super::flight::Perception;
 use super::protocol::Report;
 use super::telemetry::Battery;
 
-/// A start this far above the floor is a start in flight, m.
+/// A start higher than this above the floor is a start in flight, m.
 const AIRBORNE_ABOVE_M: f64 = 0.05;
 
-/// Plant and sensors. The sensors are read once a step, whoever asks, so that their noise does not
-/// depend on who listens.
+/// Plant and sensors. The sensors are sampled exactly once per step, so their noise does not depend
+/// on who reads them.
 pub(super) struct Airframe {
     plant: Plant,
     sensors: Sensors,
@@ -24,12 +24,12 @@ pub(super) struct Airframe {
     airborne: bool,
     cells: u8,
     consumed_ah: f64,
-    /// What the vehicle becomes, and from which step on, the next one last.
+    /// Step and new physics of each onset, the next one last.
     onsets: Vec<(u64, Physics)>,
 }
 
 impl Airframe {
-    /// At the configuration's start; rotors hover if that is in the air.
+    /// Creates the airframe at the configured start; in the air, the rotors start at hover.
     pub(super) fn new(
         vehicle: &VehicleParams,
         truth: &EffectSet,
@@ -54,7 +54,7 @@ impl Airframe {
         Ok(Self { plant, sensors, readings, airborne, cells, consumed_ah: 0.0, onsets: Vec::new() })
     }
 
-    /// Lets effects set in, over `truth`, each over those before it.
+    /// Schedules onsets; each overrides `truth` and the earlier onsets.
     pub(super) fn schedule(
         &mut self,
         vehicle: &VehicleParams,
@@ -98,7 +98,7 @@ impl Airframe {
         self.consumed_ah += self.plant.current() * Plant::STEP / 3600.0;
     }
 
-    /// What the on-board loop sees.
+    /// The inputs of the on-board loop.
     pub(super) fn perceive(&self) -> Perception {
         let Readings { estimate, onboard_attitude, gyro, battery, estimator, .. } = self.readings;
         Perception {
@@ -112,7 +112,7 @@ impl Airframe {
         }
     }
 
-    /// What goes over the links.
+    /// The data for telemetry.
     pub(super) fn report(&self) -> Report {
         let Readings { estimate, gyro, specific_force, battery, estimator, .. } = self.readings;
         Report {

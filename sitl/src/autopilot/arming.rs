@@ -1,6 +1,6 @@
-//! Arming: what must hold, and the words for what does not.
+//! Arming checks and the reasons for a refusal.
 
-/// What the vehicle checks before it arms its motors.
+/// The inputs of the arming checks.
 #[derive(Clone, Copy, Debug)]
 pub struct Preflight {
     /// Angle between body down and world down, rad.
@@ -11,50 +11,50 @@ pub struct Preflight {
     pub battery: f64,
     /// Whether the estimate is finite.
     pub estimate_ok: bool,
-    /// Whether the vehicle stands on the ground.
+    /// Whether the vehicle is on the ground.
     pub landed: bool,
-    /// Whether the mode can begin a flight.
+    /// Whether the mode can start a flight.
     pub mode_can_arm: bool,
-    /// Whether the mode needs setpoints and none are coming.
+    /// Whether the mode needs setpoints and none arrive.
     pub stream_missing: bool,
-    /// Whether a ground station is demanded and none is heard.
+    /// Whether a ground station is required and none is connected.
     pub ground_station_missing: bool,
 }
 
 /// Charge below which arming is refused.
 const BATTERY_MIN: f64 = 0.10;
 
-/// Why the vehicle does not arm, disarm or change its mode.
+/// Why the vehicle refuses to arm, disarm or change its mode.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
     /// The estimate is not finite.
     #[error("no valid estimate of attitude and position")]
     Estimate,
-    /// Disarmed in the air, for instance by force.
+    /// The vehicle is in the air, for example after a forced disarming.
     #[error("vehicle is not landed")]
     NotLanded,
-    /// The vehicle does not stand level.
+    /// The vehicle is not level.
     #[error("vehicle is not level: tilted by {degrees:.0} degrees")]
     NotLevel {
-        /// Tilt.
+        /// Tilt in degrees.
         degrees: f64,
     },
-    /// The pack is too low.
+    /// The charge is too low.
     #[error("battery too low: {percent:.0} %")]
     Battery {
-        /// Remaining charge.
+        /// Remaining charge in percent.
         percent: f64,
     },
-    /// Land and Return end flights.
+    /// The mode ends flights: Land or Return.
     #[error("mode {mode} cannot start a flight")]
     Mode {
-        /// The mode in force.
+        /// The active mode.
         mode: super::Mode,
     },
     /// OFFBOARD without setpoints.
     #[error("no offboard signal: stream SET_ATTITUDE_TARGET first")]
     NoOffboardSignal,
-    /// NAV_DLL_ACT asks for a ground station.
+    /// NAV_DLL_ACT requires a ground station.
     #[error("no connection to the ground control station")]
     NoGroundStation,
     /// Disarming in the air needs the force code.
@@ -63,13 +63,13 @@ pub enum Refusal {
 }
 
 impl Preflight {
-    /// The first reason not to arm in `mode`, the gravest first.
+    /// The most serious reason not to arm in `mode`, if any.
     pub fn refusal(&self, mode: super::Mode) -> Option<Refusal> {
         let checks = [
             (!self.estimate_ok, Refusal::Estimate),
             (!self.landed, Refusal::NotLanded),
             (
-                // A tilt that is not a number is not level either.
+                // A NaN tilt does not count as level.
                 self.tilt.is_nan() || self.tilt > self.tilt_max,
                 Refusal::NotLevel { degrees: self.tilt.to_degrees() },
             ),

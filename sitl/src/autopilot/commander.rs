@@ -1,5 +1,5 @@
-//! The commander: armed or not, which mode is in force and which one is intended, and the changes
-//! between them. The `Personality` says when the vehicle takes one of its own accord.
+//! The commander: arming state, active and intended mode, and the transitions between modes. The
+//! `Personality` decides on transitions that nobody requested.
 
 use wire::dialect::MavSeverity;
 
@@ -8,7 +8,7 @@ use super::arming::{Preflight, Refusal};
 use super::parameters::Parameters;
 use super::personality::{Personality, Refused};
 
-/// What the commander looks at in every tick.
+/// The commander's inputs in each tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Situation {
     /// Vehicle time, us.
@@ -17,13 +17,13 @@ pub struct Situation {
     pub stream_live: bool,
     /// Whether MANUAL_CONTROL is younger than COM_RC_LOSS_T.
     pub sticks_live: bool,
-    /// Whether the sticks are out of their centre.
+    /// Whether a stick is off centre.
     pub sticks_moved: bool,
-    /// Whether sticks were ever heard.
+    /// Whether sticks were ever received.
     pub sticks_known: bool,
-    /// Age of the watched ground station's last heartbeat, us; `None` before the first.
+    /// Age of the monitored ground station's last heartbeat, us; `None` before the first.
     pub ground_station_age_us: Option<u64>,
-    /// Whether the vehicle stands on the ground.
+    /// Whether the vehicle is on the ground.
     pub landed: bool,
     /// Whether a take-off has reached its height.
     pub climbed: bool,
@@ -33,16 +33,16 @@ pub struct Situation {
     pub voltage: f64,
 }
 
-/// A line of text for whoever listens.
+/// A text message for all peers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Notice {
-    /// How grave.
+    /// Severity of the message.
     pub severity: MavSeverity,
-    /// The text.
+    /// Text of the message.
     pub text: String,
 }
 
-/// The state of the flight.
+/// Arming and mode state of the flight.
 #[derive(Clone, Debug)]
 pub struct Commander {
     personality: &'static dyn Personality,
@@ -51,26 +51,26 @@ pub struct Commander {
     intended: Mode,
     mode_after_disarming: Option<Mode>,
     failsafe: bool,
-    /// Whether the failsafe ends by itself when setpoints come again.
+    /// Whether the failsafe ends when setpoints resume.
     pub(super) ends_with_stream: bool,
-    /// Whether the vehicle has left the ground since it was armed.
+    /// Whether the vehicle has left the ground since arming.
     pub(super) flown: bool,
-    /// When it was armed, us.
+    /// Time of arming, us.
     pub(super) armed_us: u64,
     pub(super) landed_since_us: Option<u64>,
-    /// Warnings about the pack that were given.
+    /// Number of battery warnings issued.
     pub(super) battery_warnings: usize,
-    /// When a loss that is acted on later began, us.
+    /// Start of a loss whose action is delayed, us.
     pub(super) loss_us: Option<u64>,
-    /// Whether the loss of the watched ground station has been acted on.
+    /// Whether the loss of the monitored ground station has been handled.
     pub(super) ground_station_lost: bool,
-    /// Whether the loss of the sticks has been acted on.
+    /// Whether the loss of the sticks has been handled.
     pub(super) sticks_lost: bool,
     notices: Vec<Notice>,
 }
 
 impl Commander {
-    /// A vehicle switched on: disarmed, on the ground, or armed and in the air, in Hold.
+    /// The state after power-on: disarmed on the ground, or armed in the air in Hold.
     pub(super) fn new(personality: &'static dyn Personality, airborne: bool) -> Self {
         let mode = if airborne { Mode::Hold } else { personality.first_mode() };
         Self {
@@ -101,40 +101,40 @@ impl Commander {
         self.armed
     }
 
-    /// The mode in force.
+    /// The active mode.
     pub fn mode(&self) -> Mode {
         self.mode
     }
 
-    /// The mode that was asked for last.
+    /// The mode requested last.
     pub fn intended(&self) -> Mode {
         self.intended
     }
 
-    /// Whether a failsafe holds the mode in force.
+    /// Whether a failsafe has set the active mode.
     pub fn failsafe(&self) -> bool {
         self.failsafe
     }
 
-    /// Takes the lines of text that have come up.
+    /// Takes the pending text messages.
     pub fn take_notices(&mut self) -> impl Iterator<Item = Notice> + use<> {
         std::mem::take(&mut self.notices).into_iter()
     }
 
-    /// Whether there are lines of text to take.
+    /// Whether there are pending text messages.
     pub fn has_notices(&self) -> bool {
         !self.notices.is_empty()
     }
 
-    /// Says something.
+    /// Queues a text message.
     pub fn notify(&mut self, severity: MavSeverity, text: impl Into<String>) {
         self.notices.push(Notice { severity, text: text.into() });
     }
 
-    /// Changes the mode as someone asked.
+    /// Changes the mode on request.
     ///
     /// # Errors
-    /// [`Refusal::NoOffboardSignal`] for OFFBOARD while armed without the stream that it needs.
+    /// [`Refusal::NoOffboardSignal`] for OFFBOARD while armed, without the required stream.
     pub fn request_mode(&mut self, mode: Mode, stream_live: bool) -> Result<(), Refusal> {
         let needs_stream = mode == Mode::Offboard && self.personality.needs_stream();
         if self.armed && needs_stream && !stream_live {
@@ -150,7 +150,7 @@ impl Commander {
         Ok(())
     }
 
-    /// Arms; `force` without checks. Arming an armed vehicle changes nothing and is no error.
+    /// Arms; `force` skips the checks. Arming an armed vehicle changes nothing and is not an error.
     ///
     /// # Errors
     /// The first [`Refusal`] of `preflight`.
@@ -171,10 +171,10 @@ impl Commander {
         Ok(())
     }
 
-    /// Disarms; `force` also in the air.
+    /// Disarms; in the air only with `force`.
     ///
     /// # Errors
-    /// [`Refusal::InAir`] without `force`.
+    /// [`Refusal::InAir`] in the air without `force`.
     pub fn disarm(&mut self, landed: bool, force: bool) -> Result<(), Refusal> {
         if !self.armed {
             return Ok(());
@@ -192,19 +192,19 @@ impl Commander {
         self.notify(MavSeverity::MAV_SEVERITY_CRITICAL, text);
     }
 
-    /// Whether a flight can begin in the mode in force.
+    /// Whether a flight can start in the active mode.
     pub fn mode_can_arm(&self) -> bool {
         self.personality.mode_can_arm(self.mode)
     }
 
-    /// One tick.
+    /// Runs one tick.
     pub fn update(&mut self, now: &Situation, parameters: &Parameters) {
         if self.armed {
             self.personality.watch(self, now, parameters);
         }
     }
 
-    /// Stops the motors; `by` names who did, in the vehicle's text.
+    /// Stops the motors; `by` names the cause in the vehicle's text.
     pub(super) fn stop_motors(&mut self, by: &str) {
         self.armed = false;
         self.failsafe = false;
@@ -216,26 +216,26 @@ impl Commander {
         self.notify(MavSeverity::MAV_SEVERITY_INFO, text);
     }
 
-    /// A mode that replaces what was intended too.
+    /// Enters a mode that also becomes the intended one.
     pub(super) fn enter(&mut self, mode: Mode) {
         self.mode = mode;
         self.intended = mode;
     }
 
-    /// A mode that a failsafe takes; the intended one stays.
+    /// Enters a failsafe's mode; the intended mode stays.
     pub(super) fn fail_over(&mut self, mode: Mode) {
         self.failsafe = true;
         self.ends_with_stream = false;
         self.mode = mode;
     }
 
-    /// The mode that was intended, after a failsafe or another pause.
+    /// Returns to the intended mode after a failsafe or another interruption.
     pub(super) fn resume(&mut self) {
         self.failsafe = false;
         self.mode = self.intended;
     }
 
-    /// How long the vehicle has stood on the ground, us; notes that it flew otherwise.
+    /// Time since the vehicle landed, us. In the air, returns `None` and records that it has flown.
     pub(super) fn landed_for_us(&mut self, now: &Situation) -> Option<u64> {
         if !now.landed {
             self.flown = true;

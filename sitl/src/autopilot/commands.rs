@@ -1,7 +1,7 @@
 //! MAV_CMD requests: COMMAND_LONG, COMMAND_INT and their acknowledgement.
 //!
-//! They are read from the payload's bytes, because a command number that the dialect does not name
-//! deserves its answer ("unsupported") too.
+//! They are decoded from the payload's bytes, because a command number that the dialect lacks must
+//! get the reply "unsupported" too.
 
 use mavlink::error::ParserError;
 use mavlink::{MavlinkVersion, MessageData};
@@ -10,18 +10,18 @@ use wire::dialect::{
     COMMAND_ACK_DATA, COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavMessage, MavResult,
 };
 
-/// A request as it came in either message.
+/// A request from either message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
-    /// Number on the wire.
+    /// Command number on the wire.
     pub number: u16,
-    /// The command, where the dialect knows the number.
+    /// The command; `None` if the dialect lacks the number.
     pub id: Option<MavCmd>,
-    /// Parameters 1 to 7; 5 and 6 of COMMAND_INT are its integers.
+    /// Parameters 1 to 7; 5 and 6 are integers in COMMAND_INT.
     pub params: [f32; 7],
-    /// System addressed, 0 for all.
+    /// Target system, 0 for all.
     pub target_system: u8,
-    /// Component addressed, 0 for all.
+    /// Target component, 0 for all.
     pub target_component: u8,
 }
 
@@ -33,7 +33,7 @@ impl Command {
             COMMAND_INT_DATA::ID => true,
             _ => return None,
         };
-        // MAVLink 2 cuts trailing zeros off. Both messages have the same layout up to byte 32.
+        // MAVLink 2 truncates trailing zeros. Both messages have the same layout up to byte 32.
         let mut bytes = [0; 32];
         let payload = frame.payload();
         let len = payload.len().min(bytes.len());
@@ -66,16 +66,16 @@ impl Command {
     }
 }
 
-/// COMMAND_ACK with the command as a number.
+/// COMMAND_ACK with a numeric command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Acknowledgement {
     /// Number of the command.
     pub command: u16,
-    /// Answer.
+    /// Result of the command.
     pub result: MavResult,
-    /// System that asked.
+    /// System that sent the request.
     pub target_system: u8,
-    /// Component that asked.
+    /// Component that sent the request.
     pub target_component: u8,
 }
 

@@ -1,4 +1,4 @@
-//! Flight control: from what is sensed to motor outputs, once per tick of the on-board loop.
+//! Flight control: computes motor outputs from sensor data, once per tick of the on-board loop.
 
 use rand::Rng;
 use wire::dialect::{
@@ -24,17 +24,17 @@ use super::personality::{
 use super::position::{PositionController, PositionTarget};
 use super::vision::{OutsidePose, Vision};
 
-/// A ground station is lost when its last heartbeat is older than this, us.
+/// Age of the last heartbeat above which a ground station is lost, us.
 const GROUND_STATION_LOST_US: u64 = 10_000_000;
 
-/// What the loop sees: the estimate without the latency of its reports, and the battery.
+/// The loop's inputs: the estimate without latency, and the battery.
 #[derive(Clone, Copy, Debug)]
 pub struct Perception {
     /// Position, m.
     pub position: Ned,
     /// Velocity, m/s.
     pub velocity: Ned,
-    /// Attitude as reported, trim included.
+    /// Attitude as reported, including the trim error.
     pub attitude: Attitude,
     /// Gyro, rad/s.
     pub body_rate: Frd,
@@ -42,7 +42,7 @@ pub struct Perception {
     pub battery: f64,
     /// Terminal voltage, V.
     pub voltage: f64,
-    /// What the estimator says of itself.
+    /// The estimator's status.
     pub estimator: EstimatorStatus,
 }
 
@@ -69,27 +69,27 @@ pub struct FlightControl {
     detector: LandDetector,
     sticks: Option<(u64, Sticks)>,
     ground_station_us: Option<u64>,
-    /// When the position becomes known, us.
+    /// Time at which the position becomes known, us.
     ready_us: u64,
-    /// The position, where it comes from outside.
+    /// The external position, if configured.
     vision: Option<Vision>,
     home: Ned,
     take_off_height: Option<f64>,
     perception: Perception,
     setpoint: Option<AttitudeSetpoint>,
-    /// When the setpoint came, us, if that was after the last tick.
+    /// Time at which the setpoint took effect, us, if after the previous tick.
     came_us: Option<u64>,
     outputs: [f64; ROTORS],
     tick_s: f64,
 }
 
-/// How a flight begins.
+/// Initial conditions of a flight.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Beginning {
     pub perception: Perception,
-    /// In the air there, or on the ground.
+    /// Whether the flight starts in the air.
     pub airborne: bool,
-    /// Of the errors of a position from outside.
+    /// Seed of the errors of the external position.
     pub seed: u64,
 }
 
@@ -140,44 +140,44 @@ impl FlightControl {
         self.commander.armed()
     }
 
-    /// The mode in force.
+    /// The active mode.
     pub fn mode(&self) -> Mode {
         self.commander.mode()
     }
 
-    /// The motor outputs in force, 0..1.
+    /// The present motor outputs, 0..1.
     pub fn outputs(&self) -> [f64; ROTORS] {
         self.outputs
     }
 
-    /// The setpoint that the attitude loop tracks, where it runs.
+    /// The setpoint that the attitude loop tracks; `None` while it does not run.
     pub fn setpoint(&self) -> Option<&AttitudeSetpoint> {
         self.setpoint.as_ref()
     }
 
-    /// The setpoint that ATTITUDE_TARGET tells.
+    /// The setpoint that ATTITUDE_TARGET reports.
     pub(super) fn told_setpoint(&self) -> Option<AttitudeSetpoint> {
         self.setpoint.map(|setpoint| self.attitude_loop.told(setpoint))
     }
 
-    /// Whether the estimator knows where the vehicle is.
+    /// Whether the estimator has a position.
     pub(super) fn position_known(&self, now_us: u64) -> bool {
         now_us >= self.ready_us && self.vision.as_ref().is_none_or(|vision| vision.is_known(now_us))
     }
 
-    /// Whether the position comes from outside, and is not known.
+    /// Whether the position is external and unknown.
     pub(super) fn lacks_vision(&self, now_us: u64) -> bool {
         self.vision.as_ref().is_some_and(|vision| !vision.is_known(now_us))
     }
 
-    /// Takes a pose from outside, where the position comes from there.
+    /// Processes an external pose, if the position is external.
     pub(super) fn take_outside_pose(&mut self, now_us: u64, pose: &OutsidePose) {
         if let Some(vision) = &mut self.vision {
             vision.take(now_us, pose);
         }
     }
 
-    /// Makes what is sensed of the position what is estimated, where it comes from outside.
+    /// Adds the errors of the external position to the sensed one, if the position is external.
     pub(super) fn correct(
         &self,
         position: &mut Ned,
@@ -192,13 +192,13 @@ impl FlightControl {
         }
     }
 
-    /// How the autopilot judges the pack.
+    /// The autopilot's assessment of the pack.
     pub(super) fn charge_state(&self) -> MavBatteryChargeState {
         let Self { perception, commander, parameters, .. } = self;
         self.personality.charge_state(perception.battery, commander.battery_warnings, parameters)
     }
 
-    /// Says what has changed of the estimate.
+    /// Reports a change of the estimator's status.
     fn tell_estimator(&mut self, before: EstimatorStatus) {
         let now = self.perception.estimator;
         if now.rejects_gps == before.rejects_gps {
@@ -209,29 +209,29 @@ impl FlightControl {
         }
     }
 
-    /// Whether the vehicle stands on the ground, as far as it knows.
+    /// Whether the land detector reports the vehicle as landed.
     pub fn landed(&self) -> bool {
         self.detector.landed()
     }
 
-    /// Where the vehicle was armed, m.
+    /// Position of arming, m.
     pub fn home(&self) -> Ned {
         self.home
     }
 
-    /// Takes the pilot's sticks.
+    /// Updates the pilot's sticks.
     pub fn take_sticks(&mut self, now_us: u64, sticks: Sticks) {
         self.sticks = Some((now_us, sticks));
     }
 
-    /// Notes a HEARTBEAT of another system.
+    /// Records a HEARTBEAT from another system.
     pub(super) fn hear_heartbeat(&mut self, now_us: u64, system: u8, kind: MavType) {
         if self.personality.is_ground_station(system, kind, &self.parameters) {
             self.ground_station_us = Some(now_us);
         }
     }
 
-    /// Takes a SET_ATTITUDE_TARGET.
+    /// Processes a SET_ATTITUDE_TARGET.
     pub(super) fn receive(
         &mut self,
         now_us: u64,
@@ -248,7 +248,7 @@ impl FlightControl {
         }
     }
 
-    /// Sets a parameter to what the wire says and returns its index.
+    /// Sets a parameter to a value from the wire and returns its index.
     ///
     /// # Errors
     /// As [`Parameters::set_from_wire`].
@@ -284,7 +284,7 @@ impl FlightControl {
         Ok(())
     }
 
-    /// Takes off to `height` above home in m, or to MIS_TAKEOFF_ALT; begins once armed.
+    /// Takes off to `height` above home in m, or to MIS_TAKEOFF_ALT; starts once armed.
     ///
     /// # Errors
     /// As [`Commander::request_mode`].
@@ -301,12 +301,12 @@ impl FlightControl {
         Ok(())
     }
 
-    /// Whether a take-off does not leave the mode in force.
+    /// Whether a take-off keeps the active mode.
     fn takes_off_here(&self) -> bool {
         self.personality.takes_off_in_offboard() && self.commander.mode() == Mode::Offboard
     }
 
-    /// Arms; with `force` perhaps without checks.
+    /// Arms; `force` skips the checks if the personality allows it.
     ///
     /// # Errors
     /// The first [`Refusal`] of [`FlightControl::preflight`].
@@ -323,7 +323,7 @@ impl FlightControl {
         Ok(())
     }
 
-    /// Disarms; `force` also in the air.
+    /// Disarms; in the air only with `force`.
     ///
     /// # Errors
     /// As [`Commander::disarm`].
@@ -331,7 +331,7 @@ impl FlightControl {
         self.commander.disarm(self.detector.landed(), force)
     }
 
-    /// What arming would look at now.
+    /// The inputs of the arming checks at `now_us`.
     pub fn preflight(&self, now_us: u64) -> Preflight {
         let heard = self
             .ground_station_us
@@ -359,7 +359,7 @@ impl FlightControl {
         (now_us.saturating_sub(heard) < timeout).then_some(sticks)
     }
 
-    /// One tick of the on-board loop.
+    /// Runs one tick of the on-board loop.
     pub fn tick(&mut self, now_us: u64, mut perception: Perception) {
         if let Some(vision) = &mut self.vision {
             vision.advance(now_us, perception.position);
@@ -434,7 +434,7 @@ impl FlightControl {
     }
 
     fn choose_setpoint(&mut self, now_us: u64) -> Option<AttitudeSetpoint> {
-        // The delay line runs in every mode, so that OFFBOARD begins with the newest setpoint.
+        // The delay line runs in every mode, so OFFBOARD starts with the newest setpoint.
         let setpoint = self.stream.at(now_us);
         self.came_us = None;
         let mode = self.commander.mode();
@@ -468,12 +468,12 @@ impl FlightControl {
         }
     }
 
-    /// `setpoint` with the thrust that makes a climb rate in m/s.
+    /// `setpoint` with the thrust for a climb rate in m/s.
     fn climbing(&mut self, setpoint: AttitudeSetpoint, rate_m_s: f64) -> AttitudeSetpoint {
         let Perception { position, velocity, attitude, .. } = self.perception;
         let target = PositionTarget {
             position: [None; 3],
-            // Across, what there is: only the height is looked after.
+            // The horizontal target is the present motion: only the height is controlled.
             velocity: Ned::new(velocity.north(), velocity.east(), -rate_m_s),
             yaw: attitude.yaw(),
         };
@@ -488,7 +488,7 @@ impl FlightControl {
         AttitudeSetpoint { thrust, ..setpoint }
     }
 
-    /// What guidance and position control fly in `mode`.
+    /// The setpoint of guidance and position control in `mode`.
     fn guided(&mut self, now_us: u64, mode: Mode) -> Option<AttitudeSetpoint> {
         let sticks = self.live_sticks(now_us).or(self.personality.sticks_without_radio());
         let up = sticks.map_or(0.0, |sticks| sticks.up);
@@ -531,7 +531,7 @@ impl FlightControl {
         })
     }
 
-    /// Level, and down at the speed of a landing: all that can be flown without a position.
+    /// Level attitude and a descent at landing speed, the only option without a position.
     fn blind_descent(&mut self) -> AttitudeSetpoint {
         self.guidance.leave();
         let level = AttitudeSetpoint {
@@ -543,7 +543,7 @@ impl FlightControl {
         self.climbing(level, -self.parameters.get(Key::MpcLandSpeed))
     }
 
-    /// The sticks tilt the vehicle, and set its climb rate or its thrust.
+    /// The setpoint from the sticks, which set the tilt and the climb rate or thrust.
     fn by_hand(&mut self, mode: Mode, sticks: Sticks) -> AttitudeSetpoint {
         self.guidance.leave();
         let tilt_max = self.parameters.get(Key::MpcTiltMaxAir).to_radians();

@@ -1,9 +1,9 @@
-//! File transfer, for a vehicle without files: every request is answered, so that a client falls
-//! back to other ways at once and does not wait for a time-out.
+//! File transfer for a vehicle without files: it replies to every request, so a client falls back
+//! at once instead of waiting for a time-out.
 
 use wire::dialect::FILE_TRANSFER_PROTOCOL_DATA;
 
-// Bytes of the payload, and values in them, as in MAVLink's file transfer protocol.
+// Payload offsets and values of MAVLink's file transfer protocol.
 const OPCODE: usize = 3;
 const SIZE: usize = 4;
 const REQUEST_OPCODE: usize = 5;
@@ -13,7 +13,7 @@ const NAK: u8 = 129;
 const UNKNOWN_COMMAND: u8 = 7;
 const FILE_NOT_FOUND: u8 = 10;
 
-/// The answer to `request` from this system and component; `None` where it is an answer itself.
+/// The reply to a request from this system and component; `None` if `request` is itself a reply.
 pub(super) fn answer(
     request: &FILE_TRANSFER_PROTOCOL_DATA,
     target_system: u8,
@@ -22,7 +22,7 @@ pub(super) fn answer(
     let opcode = request.payload[OPCODE];
     let error = match opcode {
         ACK.. => return None,
-        // None, TerminateSession, ResetSessions: nothing to do is done.
+        // None, TerminateSession, ResetSessions: nothing to do.
         0..=2 => None,
         // ListDirectory, OpenFileRO, CalcFileCRC32.
         3 | 4 | 14 => Some(FILE_NOT_FOUND),

@@ -1,4 +1,4 @@
-//! Where the vehicle goes in each mode but OFFBOARD: the target of the position controller.
+//! The target of the position controller in every mode except OFFBOARD.
 
 use vehicle::frame::Ned;
 
@@ -6,29 +6,29 @@ use super::Mode;
 use super::parameters::{Key, Parameters};
 use super::position::PositionTarget;
 
-/// A moving vehicle stops about this far ahead, in seconds of its velocity.
+/// Stopping distance of a moving vehicle over its velocity, s.
 const BRAKING_S: f64 = 0.8;
-/// A take-off reaches its climb speed in this time, s.
+/// Time for a take-off to reach its climb speed, s.
 const SPOOL_UP_S: f64 = 1.0;
-/// A take-off is over this close to its height, m.
+/// Distance to the target height at which a take-off ends, m.
 const CLIMBED_WITHIN_M: f64 = 0.15;
-/// Return begins to descend this close to home, m.
+/// Distance to home at which Return starts to descend, m.
 const HOME_WITHIN_M: f64 = 0.3;
-/// Above this height a landing descends at the vertical speed limit, m.
+/// Height above which a landing descends at the vertical speed limit, m.
 const SLOW_BELOW_M: f64 = 5.0;
-/// Turn rate of a fully deflected yaw stick, rad/s.
+/// Yaw rate of a fully deflected yaw stick, rad/s.
 const YAW_RATE_MAX: f64 = 1.5;
 
 /// The pilot's sticks, each -1..1: forward, right, up, clockwise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sticks {
-    /// Forward.
+    /// Forward deflection.
     pub forward: f64,
-    /// Right.
+    /// Right deflection.
     pub right: f64,
-    /// Up.
+    /// Up deflection.
     pub up: f64,
-    /// Clockwise seen from above.
+    /// Yaw deflection, clockwise seen from above.
     pub turn: f64,
 }
 
@@ -36,13 +36,13 @@ impl Sticks {
     /// Deflection below which a stick counts as centred.
     const DEAD_ZONE: f64 = 0.1;
 
-    /// Whether any stick is out of its centre.
+    /// Whether any stick is off centre.
     pub fn moved(&self) -> bool {
         [self.forward, self.right, self.up, self.turn].iter().any(|s| s.abs() > Self::DEAD_ZONE)
     }
 }
 
-/// Where the vehicle is, for guidance.
+/// The vehicle's pose and velocity, as inputs of guidance.
 #[derive(Clone, Copy, Debug)]
 pub struct Pose {
     /// Position, m.
@@ -53,30 +53,30 @@ pub struct Pose {
     pub yaw: f64,
 }
 
-/// Where a flight begins and where its take-off ends.
+/// Home and target height of a flight.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
     /// Point of arming, m.
     pub home: Ned,
-    /// Down coordinate that a take-off ends at, m.
+    /// Down coordinate at which a take-off ends, m.
     pub take_off_down: f64,
 }
 
-/// The target and what it remembers of the mode it serves.
+/// The state of guidance in the active mode.
 #[derive(Clone, Debug)]
 pub struct Guidance {
     mode: Option<Mode>,
-    /// Where to stay.
+    /// Position to hold, m.
     anchor: Ned,
     yaw: f64,
-    /// Down coordinate that a take-off ends at.
+    /// Down coordinate at which a take-off ends, m.
     take_off_down: f64,
     climb_s: f64,
     climbed: bool,
 }
 
 impl Default for Guidance {
-    /// Guidance that has served no mode yet.
+    /// Guidance before its first mode.
     fn default() -> Self {
         Self {
             mode: None,
@@ -95,7 +95,7 @@ impl Guidance {
         self.climbed
     }
 
-    /// Stops serving: the next tick begins its mode afresh, from where the vehicle then is.
+    /// Resets guidance: the next tick enters its mode anew from the vehicle's position.
     pub fn leave(&mut self) {
         self.mode = None;
         self.climbed = false;
@@ -118,9 +118,9 @@ impl Guidance {
         self.mode = Some(mode);
     }
 
-    /// The target in `mode`, `dt` s after the last tick.
+    /// The target in `mode`, `dt` s after the previous tick.
     ///
-    /// `sticks` are the pilot's where they are alive.
+    /// `sticks` are the pilot's, if live.
     pub fn target(
         &mut self,
         mode: Mode,

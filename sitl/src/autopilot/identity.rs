@@ -1,18 +1,18 @@
-//! What the vehicle says it is and can do.
+//! The vehicle's identity and capabilities.
 
 use wire::dialect::*;
 
 use super::Mode;
 use super::personality::Personality;
 
-/// What AUTOPILOT_VERSION says about the vehicle: it takes attitude, rates and thrust together, as
-/// a PD.
+/// Vendor id in AUTOPILOT_VERSION. It marks a vehicle that takes attitude, rates and thrust
+/// together, with a PD law.
 pub const VENDOR_ID: u16 = 0x4457;
-/// See [`VENDOR_ID`].
+/// Product id in AUTOPILOT_VERSION; see [`VENDOR_ID`].
 pub const PRODUCT_ID: u16 = 1;
 
-/// Version that the vehicle reports, major, minor, patch, and 255 for a release: the PX4 whose
-/// protocol it follows.
+/// Reported version as major, minor, patch, and 255 for a release: the PX4 version whose protocol
+/// it follows.
 pub(super) const PX4_VERSION: u32 = u32::from_be_bytes([1, 17, 0, 255]);
 
 /// AUTOPILOT_VERSION of the bundled vehicle.

@@ -1,53 +1,53 @@
-//! Whether the vehicle stands on the ground, judged from what the autopilot itself knows.
+//! Detects whether the vehicle is on the ground, from the autopilot's data only.
 
 use vehicle::frame::{Frd, Ned};
 
-/// Still for this long, with little thrust, is landed, us.
+/// Time without motion and with little thrust that counts as landed, us.
 const STILL_US: u64 = 500_000;
-/// Thrust above hover's for this long is flight, even if nothing moves, us.
+/// Time with more than hover thrust that counts as flight, even without motion, us.
 const LIFTING_US: u64 = 500_000;
 
-/// What the detector looks at.
+/// The detector's inputs.
 #[derive(Clone, Copy, Debug)]
 pub struct Motion {
     /// Velocity, m/s.
     pub velocity: Ned,
     /// Body rate, rad/s.
     pub body_rate: Frd,
-    /// Collective output over hover's; 0 while disarmed.
+    /// Collective output over the one at hover; 0 while disarmed.
     pub thrust_over_hover: f64,
-    /// Tilt that the attitude loop is to hold, rad.
+    /// Commanded tilt of the attitude loop, rad.
     pub lean_asked: f64,
 }
 
-/// Landed or not, with hysteresis.
+/// The land detector, with hysteresis.
 #[derive(Clone, Debug)]
 pub struct LandDetector {
-    /// Whether a landing is ever noticed.
+    /// Whether it detects landings at all.
     works: bool,
-    /// Largest tilt that the attitude loop may ask for of a vehicle that has landed, rad.
+    /// Largest commanded tilt of a landed vehicle, rad.
     lean_max: f64,
     landed: bool,
     since_us: Option<u64>,
 }
 
 impl LandDetector {
-    /// A vehicle that stands on the ground, or one that starts in the air; one that does not work
-    /// never notices a landing, and none does while the loop asks for more tilt than `lean_max`, rad.
+    /// Creates a detector that starts as `landed` or in the air. Without `works` it never detects a
+    /// landing. It detects none while the commanded tilt exceeds `lean_max`, rad.
     pub fn new(landed: bool, works: bool, lean_max: f64) -> Self {
         Self { works, lean_max, landed, since_us: None }
     }
 
-    /// Whether the vehicle stands on the ground.
+    /// Whether the vehicle is on the ground.
     pub fn landed(&self) -> bool {
         self.landed
     }
 
-    /// One look at `now_us`; returns whether the judgement changed.
+    /// Updates the state at `now_us` and returns whether it changed.
     pub fn update(&mut self, now_us: u64, motion: &Motion) -> bool {
         let speed = motion.velocity.norm();
         let suspected = if self.landed {
-            // Rising under thrust is flight at once; thrust without motion takes longer to believe.
+            // Climbing under thrust counts as flight at once; thrust without motion takes longer.
             if motion.thrust_over_hover > 0.3 && motion.velocity.down() < -0.2 {
                 self.landed = false;
                 self.since_us = None;

@@ -1,4 +1,4 @@
-//! The vehicle's end of a link to one peer.
+//! The vehicle's end of a link to a peer.
 
 use mavlink::MavlinkVersion;
 use wire::dialect::MavMessage;
@@ -9,20 +9,20 @@ use super::streams::{Schedule, StreamRules};
 use super::telemetry::Snapshot;
 use super::{COMPONENT_ID, SYSTEM_ID};
 
-/// A remote end, numbered by whoever carries the bytes.
+/// A remote end, with a number chosen by the owner of the transport.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Peer(pub u32);
 
-/// How bytes come from a peer.
+/// How bytes from a peer arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkKind {
-    /// Whole datagrams (UDP, or frames handed over in process): no frame spans two.
+    /// Whole datagrams (UDP, or in-process frames): no frame spans two.
     Datagrams,
-    /// A stream (TCP, serial): a frame may come in pieces.
+    /// A stream (TCP, serial): a frame may arrive in pieces.
     Stream,
 }
 
-/// Bytes to frames, of one peer.
+/// Decodes the bytes of one peer to frames.
 pub(super) struct Receiver {
     pub(super) peer: Peer,
     kind: LinkKind,
@@ -45,7 +45,7 @@ impl Receiver {
     }
 }
 
-/// Frames on their way out, in order.
+/// Outgoing frames, in order.
 #[derive(Debug, Default)]
 pub(super) struct Outbox {
     bytes: Vec<u8>,
@@ -53,7 +53,7 @@ pub(super) struct Outbox {
 }
 
 impl Outbox {
-    /// Hands over every frame and forgets it; the buffers stay.
+    /// Delivers and removes all frames; keeps the buffers.
     pub(super) fn take(&mut self, mut deliver: impl FnMut(Peer, &[u8])) {
         let mut start = 0;
         for (peer, end) in self.frames.drain(..) {
@@ -64,17 +64,17 @@ impl Outbox {
     }
 }
 
-/// What the vehicle sends to one peer, and when.
+/// The outgoing side of a link: encoder, schedule and pending parameter list.
 ///
-/// As PX4, the vehicle speaks MAVLink 1 to a peer until it hears MAVLink 2 from it; messages that
-/// MAVLink 1 cannot carry are then left out. Unlike PX4, whose streams belong to a link, every peer
-/// has its own rates, so that one cannot change another's.
+/// As with PX4, the vehicle sends MAVLink 1 until the peer sends MAVLink 2; until then it skips
+/// messages that MAVLink 1 cannot carry. PX4's streams belong to a link. Here each peer has its own
+/// rates, so one peer cannot change another's.
 pub(super) struct Link {
     pub(super) peer: Peer,
     encoder: Encoder,
     speaks_v2: bool,
     pub(super) schedule: Schedule,
-    /// Index of the next parameter of a list that is being sent.
+    /// Index of the next parameter, while a parameter list is being sent.
     pub(super) parameter_list: Option<usize>,
 }
 
@@ -86,18 +86,18 @@ impl Link {
         Self { peer, encoder, speaks_v2: false, schedule, parameter_list: None }
     }
 
-    /// Signs from the next frame on, or not any more. What is signed is MAVLink 2.
+    /// Starts or stops signing with the next frame. Signed frames are MAVLink 2.
     pub(super) fn sign(&mut self, signer: Option<Signer>) {
         self.speaks_v2 |= signer.is_some();
         self.encoder.set_signer(signer);
     }
 
-    /// Advances the time of the signatures.
+    /// Advances the signing time.
     pub(super) fn turn(&mut self, now: Stamp) {
         self.encoder.signer().into_iter().for_each(|signer| signer.turn(now));
     }
 
-    /// Notes the version that the peer speaks.
+    /// Records the peer's protocol version.
     pub(super) fn hear(&mut self, version: MavlinkVersion) {
         if version == MavlinkVersion::V2 && !self.speaks_v2 {
             self.speaks_v2 = true;
@@ -105,7 +105,7 @@ impl Link {
         }
     }
 
-    /// Whether a message of this id reaches the peer.
+    /// Whether the peer's protocol version can carry a message with this id.
     pub(super) fn can_carry(&self, id: u32) -> bool {
         self.speaks_v2 || id <= u8::MAX.into()
     }
@@ -117,7 +117,7 @@ impl Link {
         }
     }
 
-    /// Queues what is due at the time of `snapshot`.
+    /// Queues the messages that are due at the time of `snapshot`.
     pub(super) fn send_due(&mut self, snapshot: &Snapshot<'_>, outbox: &mut Outbox) {
         let Self { peer, encoder, schedule, .. } = self;
         schedule.take_due(snapshot.now_us, |stream| {
@@ -129,7 +129,7 @@ impl Link {
         });
     }
 
-    /// Queues a message given as payload.
+    /// Queues a message that the dialect's types cannot express.
     pub(super) fn send_data<D: mavlink::MessageData>(&mut self, data: &D, outbox: &mut Outbox) {
         if self.encoder.encode_data(data, &mut outbox.bytes) {
             outbox.frames.push((self.peer, outbox.bytes.len()));

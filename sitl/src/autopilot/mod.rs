@@ -1,11 +1,10 @@
-//! The autopilot: behaves on the wire as PX4 or ArduCopter does, flies the plant. Sans I/O: bytes
-//! in, bytes out, time passed in.
+//! The autopilot: it flies the plant and behaves like PX4 or ArduCopter on the wire. Sans I/O: it
+//! takes and returns bytes, and its caller advances the time.
 //!
-//! Once per tick of the on-board loop, [`flight`] turns what is sensed into motor outputs: the
-//! [`commander`] rules over mode and arming, [`guidance`] and [`position`] fly every mode but
-//! OFFBOARD, [`offboard`] holds the setpoint stream. [`protocol`] speaks MAVLink around it. What
-//! differs between the autopilots that the vehicle can be, and the attitude loop of each, is a
-//! `personality`.
+//! Once per tick of the on-board loop, [`flight`] turns sensor data into motor outputs. The
+//! [`commander`] decides mode and arming, [`guidance`] and [`position`] fly every mode except
+//! OFFBOARD, and [`offboard`] holds the setpoint stream. [`protocol`] implements MAVLink. A
+//! `personality` holds what differs between the simulated autopilots, including the attitude loop.
 
 mod airframe;
 pub mod arming;
@@ -60,12 +59,12 @@ pub const COMPONENT_ID: u8 = 1;
 /// The plant's step, us.
 const STEP_US: u64 = 1_000;
 
-/// The vehicle's next event is never further away than this, us: so soon does a change that no
-/// stream carries reach its peers.
+/// Largest time to the vehicle's next event, us. It bounds the delay of messages outside the
+/// streams.
 const EVENT_WITHIN_US: u64 = 20_000;
 
-/// An attitude loop for a vehicle of these moments of inertia, as a table of its file: `I w^2` and
-/// `2 D I w`, damping ratio D 0.9.
+/// An attitude loop for a vehicle with these moments of inertia, as a table of its file: gains `I
+/// w^2` and `2 D I w` with the damping ratio D = 0.9.
 fn example_loop(inertia: &[f64; 3]) -> String {
     let axes = || inertia.iter().zip([10.0, 10.0, 5.0]);
     let kp: Vec<_> = axes().map(|(i, w)| format!("{:.3e}", i * w * w)).collect();
@@ -74,10 +73,10 @@ fn example_loop(inertia: &[f64; 3]) -> String {
     format!("[attitude_pd]\nkp = [{kp}]\nkd = [{kd}]\nrate_hz = 250.0")
 }
 
-/// Why a vehicle does not fly.
+/// Why a vehicle cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum VehicleRefused {
-    /// The vehicle file has no attitude loop that the autopilot flies.
+    /// The vehicle file has no attitude loop.
     #[error(
         "vehicle {vehicle}: the file has neither attitude_pd nor attitude_cascade, so its \
          autopilot's attitude loop is not known; add it to simulate the vehicle, such as this, which \
@@ -85,30 +84,30 @@ pub enum VehicleRefused {
         example_loop(inertia)
     )]
     NoAttitudeLoop {
-        /// The vehicle's name.
+        /// Name of the vehicle.
         vehicle: String,
         /// Its moments of inertia, kg m^2.
         inertia: [f64; 3],
     },
-    /// A parameter of the configuration is not one of the autopilot's, or cannot have the value.
+    /// A parameter in the configuration is unknown to the autopilot or has an invalid value.
     #[error("SITL configuration: parameters.{name} = {value}: {error}")]
     Parameter {
         /// Its name.
         name: String,
         /// The value.
         value: f64,
-        /// What is wrong.
+        /// Why it is refused.
         error: SetError,
     },
-    /// The vehicle file holds what cannot be, or lacks what an effect needs.
+    /// The vehicle file has an impossible value, or lacks a number that an effect needs.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
 }
 
-/// The simulated vehicle.
+/// The simulated vehicle with its autopilot.
 ///
-/// Time is the vehicle's own, microseconds since its boot, and only [`Vehicle::advance_to`] moves
-/// it. The same seed and the same bytes at the same times give the same bytes out.
+/// Time is on the vehicle's clock, in microseconds since boot, and only [`Vehicle::advance_to`]
+/// advances it. The same seed and the same bytes at the same times produce the same output.
 pub struct Vehicle {
     airframe: Airframe,
     protocol: Protocol,
@@ -121,10 +120,10 @@ pub struct Vehicle {
 }
 
 impl Vehicle {
-    /// A vehicle switched on at time 0.
+    /// Creates a vehicle that is switched on at time 0.
     ///
     /// # Errors
-    /// [`VehicleRefused`].
+    /// [`VehicleRefused`] if the vehicle cannot be simulated.
     pub fn new(
         params: VehicleParams,
         effects: EffectSet,
@@ -134,11 +133,12 @@ impl Vehicle {
         Self::built(params.clone(), params, effects, config, seed)
     }
 
-    /// A vehicle whose firmware believes `params` (its loop, its mixer, its hover thrust), and whose
-    /// body, rotors and link are `body`'s, as a builder's numbers are never quite the vehicle's.
+    /// Creates a vehicle whose firmware uses `params` (loop, mixer, hover thrust), while body,
+    /// rotors and link follow `body`. It models a builder's numbers that never quite match the
+    /// vehicle.
     ///
     /// # Errors
-    /// [`VehicleRefused`].
+    /// [`VehicleRefused`] if the vehicle cannot be simulated.
     pub fn built(
         params: VehicleParams,
         body: VehicleParams,
@@ -193,10 +193,10 @@ impl Vehicle {
         })
     }
 
-    /// A vehicle in which effects set in, at times of its clock.
+    /// Creates a vehicle in which effects set in at times on its clock.
     ///
     /// # Errors
-    /// [`VehicleRefused`].
+    /// [`VehicleRefused`] if the vehicle cannot be simulated.
     pub fn scheduled(
         params: VehicleParams,
         schedule: Schedule,
@@ -209,25 +209,24 @@ impl Vehicle {
         Ok(vehicle)
     }
 
-    /// Lets something from outside the catalogue act on the vehicle from now on, beside what does
-    /// already; `seed` draws what of it is random.
+    /// Adds a disturbance from outside the catalogue from now on; `seed` seeds its random part.
     pub fn disturb(&mut self, foreign: Foreign, seed: u64) {
         self.airframe.disturb(foreign, seed);
     }
 
-    /// The pack is down to this charge, 0..1, at once.
+    /// Drains the pack to `charge`, 0..1, at once; never raises it.
     pub fn drain(&mut self, charge: f64) {
         self.airframe.drain(charge);
     }
 
-    /// Signs with `key` from now on, as if it had been set up, and believes only what is signed with
-    /// it. It is `now`.
+    /// Signs with `key` from now on, as after SETUP_SIGNING, and accepts only frames signed with
+    /// it. `now` is the present signing time.
     pub fn sign(&mut self, key: Key, now: Stamp) {
         self.protocol.sign(Some((key, now)));
     }
 
-    /// Begins to serve a peer: streams go to it before it says anything. A peer that is already
-    /// served stays as it is; beyond [`protocol::PEERS_MAX`] peers a new one is not served.
+    /// Starts to serve a peer; streams start before the peer sends anything. Does nothing for a
+    /// known peer, or beyond [`protocol::PEERS_MAX`] peers.
     pub fn connect(&mut self, peer: Peer, kind: LinkKind) {
         let known = self.receivers.iter().any(|receiver| receiver.peer == peer);
         if !known && self.protocol.connect(peer) {
@@ -235,14 +234,14 @@ impl Vehicle {
         }
     }
 
-    /// Forgets a peer and its rates.
+    /// Removes a peer and its stream rates.
     pub fn disconnect(&mut self, peer: Peer) {
         self.protocol.disconnect(peer);
         self.receivers.retain(|receiver| receiver.peer != peer);
     }
 
-    /// Takes bytes from `peer` at the present time: one datagram, or a piece of a stream. A peer
-    /// that was not connected before is served from now on, its bytes taken as datagrams.
+    /// Processes bytes from `peer` at the present time: one datagram, or a piece of a stream.
+    /// Connects an unknown peer, whose bytes then count as datagrams.
     pub fn receive(&mut self, peer: Peer, bytes: &[u8]) {
         self.connect(peer, LinkKind::Datagrams);
         let Self { receivers, protocol, .. } = self;
@@ -251,10 +250,10 @@ impl Vehicle {
         }
     }
 
-    /// Lets time pass until `time_us`; does nothing if that is past.
+    /// Advances the time to `time_us`; does nothing if that is in the past.
     ///
-    /// At each step of the plant that something is due in, messages are sent first and the
-    /// attitude loop ticks then: motor outputs in a message are those of the latest tick before it.
+    /// In each step of the plant, due messages are sent before the attitude loop ticks. Motor
+    /// outputs in a message are therefore those of the previous tick.
     pub fn advance_to(&mut self, time_us: u64) {
         while self.stepped_us + STEP_US <= time_us {
             self.airframe.step(self.protocol.flight.outputs());
@@ -280,7 +279,7 @@ impl Vehicle {
             self.protocol.set_report(report);
             self.protocol.stream();
         }
-        // Tick k is due at k / loop_hz, on the plant's grid.
+        // Tick k is due at k / loop_hz, rounded up to the plant's steps.
         let due_us = (self.ticks as f64 * 1e6 / self.loop_hz).ceil() as u64;
         if due_us <= self.now_us {
             self.ticks += 1;
@@ -289,13 +288,13 @@ impl Vehicle {
         }
     }
 
-    /// The vehicle time of the next event: after advancing to it, there may be output to take.
+    /// Vehicle time of the next event, us; after advancing to it, there may be output to take.
     pub fn next_event_us(&self) -> u64 {
         let due_us = self.protocol.next_us().min(self.now_us + EVENT_WITHIN_US);
         due_us.div_ceil(STEP_US).max(self.stepped_us / STEP_US + 1) * STEP_US
     }
 
-    /// Takes what the vehicle has sent, in order: one whole frame per call of `deliver`.
+    /// Takes the vehicle's output in order, one whole frame per call of `deliver`.
     pub fn take_output(&mut self, deliver: impl FnMut(Peer, &[u8])) {
         self.protocol.take_output(deliver);
     }
@@ -305,22 +304,22 @@ impl Vehicle {
         self.now_us
     }
 
-    /// Vehicle time against host time.
+    /// The map between vehicle time and host time.
     pub fn clock(&self) -> &Clock {
         &self.clock
     }
 
-    /// Parameters 2 and 3 of MAV_CMD_DO_SET_MODE that choose a mode of this autopilot.
+    /// Parameters 2 and 3 of MAV_CMD_DO_SET_MODE that select a mode of this autopilot.
     pub fn mode_command(&self, mode: Mode) -> [u8; 2] {
         self.flight().personality.mode_command(mode)
     }
 
-    /// The physics under the vehicle: the truth, for logs.
+    /// The plant, for the ground truth in logs.
     pub fn plant(&self) -> &Plant {
         self.airframe.plant()
     }
 
-    /// Flight control: mode, setpoint and outputs in force, for logs.
+    /// Flight control with the active mode, setpoint and outputs, for logs.
     pub fn flight(&self) -> &FlightControl {
         &self.protocol.flight
     }

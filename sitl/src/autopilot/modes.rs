@@ -1,4 +1,4 @@
-//! Flight modes and their words on the wire, as PX4 encodes them.
+//! Flight modes and PX4's encoding of them on the wire.
 
 use std::fmt;
 
@@ -7,28 +7,28 @@ use wire::dialect::{MavModeFlag, MavStandardMode};
 /// A flight mode of the vehicle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// Position hold that the sticks move (POSCTL).
+    /// Hold position; the sticks move it (POSCTL).
     Position,
     /// Climb to the take-off altitude, then [`Mode::Hold`] (AUTO.TAKEOFF).
     Takeoff,
     /// Stay in place (AUTO.LOITER).
     Hold,
-    /// Fly over the point of arming, then land there (AUTO.RTL).
+    /// Return to the position of arming and land (AUTO.RTL).
     Return,
-    /// Descend in place, touch down, disarm (AUTO.LAND).
+    /// Descend in place, touch down and disarm (AUTO.LAND).
     Land,
     /// Follow SET_ATTITUDE_TARGET (OFFBOARD).
     Offboard,
-    /// Sticks tilt the vehicle and set its climb (ALTCTL).
+    /// The sticks set tilt and climb rate (ALTCTL).
     Altitude,
-    /// Sticks tilt the vehicle and set its thrust (STABILIZED).
+    /// The sticks set tilt and thrust (STABILIZED).
     Stabilized,
 }
 
 const AUTO: u8 = 4;
 
 impl Mode {
-    /// Every mode; PX4 has them all.
+    /// Every mode; PX4 supports them all.
     pub const ALL: [Self; 8] = [
         Self::Position,
         Self::Takeoff,
@@ -40,7 +40,7 @@ impl Mode {
         Self::Stabilized,
     ];
 
-    /// The modes of the bundled vehicle, in the order of their words.
+    /// The modes of the bundled vehicle, in the order of AVAILABLE_MODES.
     pub const BUNDLED: [Self; 6] =
         [Self::Position, Self::Takeoff, Self::Hold, Self::Return, Self::Land, Self::Offboard];
 
@@ -57,17 +57,17 @@ impl Mode {
         }
     }
 
-    /// The mode of PX4's main and sub mode numbers, as in the parameters of MAV_CMD_DO_SET_MODE;
-    /// `None` for a mode that is not simulated.
+    /// The mode with PX4's main and sub mode numbers, the parameters of MAV_CMD_DO_SET_MODE; `None`
+    /// for a mode that is not simulated.
     pub fn from_main_and_sub(main: u8, sub: u8) -> Option<Self> {
-        // The sub mode of a mode without any is ignored, as in PX4.
+        // As in PX4, the sub mode is ignored for a mode without sub modes.
         Self::ALL.into_iter().find(|mode| {
             let (mode_main, mode_sub) = mode.main_and_sub();
             mode_main == main && (main != AUTO || mode_sub == sub)
         })
     }
 
-    /// PX4's `custom_mode` word: main mode << 16 | sub mode << 24.
+    /// PX4's `custom_mode`: main mode << 16 | sub mode << 24.
     pub const fn custom_mode(self) -> u32 {
         let (main, sub) = self.main_and_sub();
         u32::from_le_bytes([0, 0, main, sub])

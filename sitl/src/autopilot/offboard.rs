@@ -1,5 +1,5 @@
-//! The offboard setpoint: which SET_ATTITUDE_TARGET counts, when it starts to act, and whether the
-//! stream is alive.
+//! The offboard setpoint: which SET_ATTITUDE_TARGET is accepted, when it takes effect, and whether
+//! the stream is live.
 
 use std::collections::VecDeque;
 
@@ -12,28 +12,28 @@ use vehicle::frame::{Attitude, Euler, Frd};
 /// Mean of the transport jitter, s: the exponential part of the command delay.
 pub const JITTER_MEAN_S: f64 = 0.001;
 
-/// Setpoints under way at once; more than a flood can use up, so that memory stays bounded.
+/// Largest number of setpoints in the delay line, which bounds memory during a flood.
 const UNDER_WAY_MAX: usize = 256;
 
-/// What the attitude loop tracks.
+/// The setpoint of the attitude loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AttitudeSetpoint {
-    /// Desired attitude; `None` where only the rate part of the loop acts.
+    /// Desired attitude; `None` if only the rate part of the loop acts.
     pub attitude: Option<Euler>,
     /// Desired body rate, rad/s.
     pub body_rate: Frd,
     /// Collective thrust, 0..1 of the rotors' sum.
     pub thrust: f64,
-    /// The type mask that asked for it, for the echo.
+    /// The type mask of the message, for the echo.
     pub type_mask: AttitudeTargetTypemask,
 }
 
 impl AttitudeSetpoint {
-    /// The setpoint of a message: masks 0x00 (attitude, rates, thrust), 0x07 (attitude, thrust)
-    /// and 0x80 (rates, thrust). Thrust is clamped to 0..1, the quaternion normalised.
+    /// Decodes a message with mask 0x00 (attitude, rates, thrust), 0x07 (attitude, thrust) or 0x80
+    /// (rates, thrust). Clamps the thrust to 0..1 and normalises the quaternion.
     ///
-    /// Returns `None`, and the message does not count as a stream, for any other mask, a number
-    /// that is not finite, or a quaternion whose norm is below 0.1.
+    /// Returns `None` for any other mask, a number that is not finite, or a quaternion whose norm
+    /// is at most 0.1. Such a message does not keep the stream alive.
     pub fn from_message(message: &SET_ATTITUDE_TARGET_DATA) -> Option<Self> {
         let SET_ATTITUDE_TARGET_DATA { q, thrust, type_mask, .. } = message;
         let rates = [message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate];
@@ -55,32 +55,32 @@ impl AttitudeSetpoint {
     }
 }
 
-/// PX4 flies a quaternion of any scale; one near zero has no direction.
+/// PX4 accepts a quaternion of any norm; one near zero has no direction.
 pub(super) fn unit([w, x, y, z]: [f32; 4]) -> Option<Attitude> {
     let q: Attitude = Attitude { w: w.into(), x: x.into(), y: y.into(), z: z.into() };
     let norm = (q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z).sqrt();
     (norm.is_finite() && norm > 0.1).then(|| q.normalized())
 }
 
-/// The stream of setpoints: a delay line, then the setpoint in force.
+/// The stream of setpoints: a delay line, followed by the active setpoint.
 #[derive(Clone, Debug)]
 pub struct OffboardStream {
     delay_s: f64,
     under_way: VecDeque<(u64, AttitudeSetpoint)>,
     in_force: Option<AttitudeSetpoint>,
-    /// When the setpoint of the last tick came into force, if that was after the tick before.
+    /// Time at which the active setpoint took effect, if after the previous tick.
     came_us: Option<u64>,
     heard_us: Option<u64>,
 }
 
 impl OffboardStream {
-    /// A stream whose setpoints act `delay_s` after they are received, on average. Up to 1 ms of
-    /// it is an exponential jitter; what is above is constant.
+    /// Creates a stream whose setpoints take effect `delay_s` after reception, on average. Up to 1
+    /// ms of the delay is exponential jitter; the rest is constant.
     pub fn new(delay_s: f64) -> Self {
         Self { delay_s, under_way: VecDeque::new(), in_force: None, came_us: None, heard_us: None }
     }
 
-    /// Takes a setpoint received at `now_us`. One never overtakes another.
+    /// Adds a setpoint received at `now_us`. Setpoints never overtake one another.
     pub fn receive(&mut self, now_us: u64, setpoint: AttitudeSetpoint, rng: &mut impl Rng) {
         let jitter_mean = self.delay_s.min(JITTER_MEAN_S);
         let jitter: f64 = Exp1.sample(rng);
@@ -94,7 +94,7 @@ impl OffboardStream {
         self.heard_us = Some(now_us);
     }
 
-    /// The setpoint in force at the tick at `now_us`.
+    /// The active setpoint at the tick at `now_us`.
     pub fn at(&mut self, now_us: u64) -> Option<AttitudeSetpoint> {
         self.came_us = None;
         while let Some((acts_us, setpoint)) =
@@ -107,13 +107,13 @@ impl OffboardStream {
         self.in_force
     }
 
-    /// When the setpoint of the last [`OffboardStream::at`] came into force, us; `None` if it was
-    /// in force before.
+    /// Time at which the setpoint of the last [`OffboardStream::at`] took effect, us; `None` if it
+    /// was active before.
     pub fn came_us(&self) -> Option<u64> {
         self.came_us
     }
 
-    /// Forgets every setpoint.
+    /// Drops all setpoints.
     pub fn clear(&mut self) {
         *self = Self::new(self.delay_s);
     }

@@ -1,12 +1,12 @@
-//! Parameters: names, values and ranges, how a value is carried by the protocol's float, and what
-//! each one that the vehicle heeds means to it.
+//! Parameters: names, values, ranges, their encoding in the protocol's float, and their meaning to
+//! the flight control.
 
 use std::borrow::Cow;
 
 use wire::dialect::MavParamType;
 
-/// What a parameter means to the flight control, as PX4 names it; each autopilot's table says
-/// which of its parameters it is, and in which unit.
+/// The meaning of a parameter to the flight control, named as in PX4. Each autopilot's table maps
+/// its parameters and their units to keys.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "the autopilots' tables describe each")]
 pub enum Key {
@@ -54,7 +54,7 @@ pub enum Key {
     YawWeight,
 }
 
-/// Number of [`Key`]s.
+/// Number of variants of [`Key`].
 const KEYS: usize = Key::YawWeight as usize + 1;
 
 /// A value with its type.
@@ -83,18 +83,18 @@ impl Value {
     }
 }
 
-/// How the protocol's float carries a parameter.
+/// Encoding of a parameter in the protocol's float.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cast {
-    /// An integer's four bytes are reinterpreted, not converted, so that 5 reads 7.0e-45; a value
-    /// of another type is refused (PX4).
+    /// An integer's four bytes are reinterpreted, not converted: 5 reads as 7.0e-45. A value of a
+    /// different type is refused (PX4).
     Bytes,
-    /// Integers are converted, and a value of either type is taken (ArduPilot).
+    /// Integers are converted, and values of either type are accepted (ArduPilot).
     Number,
 }
 
 impl Cast {
-    /// The protocol's float and type.
+    /// Encodes a value as the protocol's float and type.
     pub fn to_wire(self, value: Value) -> (f32, MavParamType) {
         match (value, self) {
             (Value::Float(value), _) => (value, MavParamType::MAV_PARAM_TYPE_REAL32),
@@ -105,7 +105,7 @@ impl Cast {
         }
     }
 
-    /// Undoes [`Cast::to_wire`]; `None` for a type that no parameter here has.
+    /// Decodes a value, the inverse of [`Cast::to_wire`]; `None` for an unsupported type.
     pub fn from_wire(self, value: f32, kind: MavParamType) -> Option<Value> {
         match (kind, self) {
             (_, Self::Number) => Some(Value::Float(value)),
@@ -118,13 +118,13 @@ impl Cast {
     }
 }
 
-/// Why a parameter was not set.
+/// Why a parameter cannot be set.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SetError {
-    /// No such name.
+    /// There is no parameter with this name.
     #[error("no parameter of this name")]
     Unknown,
-    /// The type on the wire is not the parameter's.
+    /// The type on the wire differs from the parameter's.
     #[error("wrong type")]
     Type,
     /// Not finite, or outside the range.
@@ -135,7 +135,7 @@ pub enum SetError {
         /// Greatest value.
         max: f64,
     },
-    /// It tells about the vehicle file and cannot be set.
+    /// The parameter reflects the vehicle file and cannot be set.
     #[error("read only")]
     ReadOnly,
 }
@@ -144,7 +144,7 @@ pub enum SetError {
 #[derive(Clone, Debug)]
 pub struct Spec {
     key: Option<Key>,
-    /// The key's unit over the parameter's.
+    /// Factor from the parameter's unit to the key's.
     scale: f64,
     name: Cow<'static, str>,
     default: Value,
@@ -154,24 +154,24 @@ pub struct Spec {
 }
 
 impl Spec {
-    /// Its name.
+    /// The parameter's name on the wire.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// A parameter that the vehicle heeds as its key, `scale` of the key's unit for each of its own.
+    /// Sets the factor from the parameter's unit to the key's.
     pub const fn scaled(mut self, scale: f64) -> Self {
         self.scale = scale;
         self
     }
 }
 
-/// A real number that the vehicle heeds.
+/// A real parameter that affects the vehicle.
 pub const fn float(key: Key, name: &'static str, default: f32, min: f64, max: f64) -> Spec {
     heeded(key, name, Value::Float(default), [min, max])
 }
 
-/// An integer that the vehicle heeds.
+/// An integer parameter that affects the vehicle.
 pub const fn int(key: Key, name: &'static str, default: i32, min: i32, max: i32) -> Spec {
     heeded(key, name, Value::Int(default), [min as f64, max as f64])
 }
@@ -188,18 +188,18 @@ const fn heeded(key: Key, name: &'static str, default: Value, [min, max]: [f64; 
     }
 }
 
-/// A parameter that tells what is built in and cannot be set.
+/// A read-only parameter that reports a built-in value.
 pub fn fact(name: impl Into<Cow<'static, str>>, value: Value) -> Spec {
     let (min, max) = (f64::MIN, f64::MAX);
     Spec { key: None, scale: 1.0, name: name.into(), default: value, min, max, writable: false }
 }
 
-/// A number that can be set; the attitude loop finds it by its name.
+/// A writable real parameter that the attitude loop looks up by name.
 pub fn gain(name: impl Into<Cow<'static, str>>, value: f64) -> Spec {
     Spec { writable: true, ..fact(name, Value::Float(value as f32)) }
 }
 
-/// The values in force.
+/// The parameters with their present values.
 #[derive(Clone, Debug)]
 pub struct Parameters {
     specs: Vec<Spec>,
@@ -210,8 +210,8 @@ pub struct Parameters {
 }
 
 impl Parameters {
-    /// The defaults of `specs`, in the order of their indices on the wire; `built_in` are the
-    /// numbers of keys that the autopilot has no parameter for. A key without either is 0.
+    /// Creates parameters with the defaults of `specs`, in the order of their wire indices.
+    /// `built_in` gives values for keys without a parameter; a key without either is 0.
     pub fn new(specs: Vec<Spec>, built_in: &[(Key, f64)], cast: Cast) -> Self {
         let mut parameters = Self {
             values: specs.iter().map(|spec| spec.default).collect(),
@@ -245,32 +245,32 @@ impl Parameters {
         }
     }
 
-    /// A time in seconds, in microseconds; `None` where it is zero or less, which means never.
+    /// A time parameter in microseconds; `None` if it is zero or negative, which means never.
     pub fn timeout_us(&self, key: Key) -> Option<u64> {
         let seconds = self.get(key);
         (seconds > 0.0).then(|| (seconds * 1e6).round() as u64)
     }
 
-    /// The value of `name` as a number.
+    /// The value of `name`, in the parameter's unit.
     pub fn named(&self, name: &str) -> Option<f64> {
         Some(self.values[self.find(name)?].as_f64())
     }
 
-    /// Index of `name`.
+    /// Wire index of `name`.
     pub fn find(&self, name: &str) -> Option<usize> {
         self.specs.iter().position(|spec| spec.name == name)
     }
 
-    /// Name, and value and type for the wire, at `index`.
+    /// Name, encoded value and type of the parameter at `index`.
     pub fn at(&self, index: usize) -> Option<(&str, f32, MavParamType)> {
         let (wire, kind) = self.cast.to_wire(*self.values.get(index)?);
         Some((&self.specs.get(index)?.name, wire, kind))
     }
 
-    /// Sets `name` to what the wire says and returns its index.
+    /// Sets `name` to a value from the wire and returns its index.
     ///
     /// # Errors
-    /// [`SetError`]; the value in force stays.
+    /// [`SetError`]; the value stays unchanged.
     pub fn set_from_wire(
         &mut self,
         name: &str,
@@ -280,10 +280,10 @@ impl Parameters {
         self.set(name, self.cast.from_wire(value, kind).ok_or(SetError::Type)?)
     }
 
-    /// Sets `name` to a number, whatever its type.
+    /// Sets `name` to a number, converted to the parameter's type.
     ///
     /// # Errors
-    /// [`SetError`]; the value in force stays.
+    /// [`SetError`]; the value stays unchanged.
     pub fn set_number(&mut self, name: &str, value: f64) -> Result<usize, SetError> {
         let index = self.find(name).ok_or(SetError::Unknown)?;
         let value = Value::Float(value as f32).cast_as(self.specs[index].default);
@@ -293,7 +293,7 @@ impl Parameters {
     /// Sets `name` and returns its index.
     ///
     /// # Errors
-    /// [`SetError`]; the value in force stays.
+    /// [`SetError`]; the value stays unchanged.
     pub fn set(&mut self, name: &str, value: Value) -> Result<usize, SetError> {
         let index = self.find(name).ok_or(SetError::Unknown)?;
         let spec = &self.specs[index];

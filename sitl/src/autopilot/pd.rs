@@ -1,8 +1,8 @@
-//! The on-board attitude loop.
+//! The PD attitude loop of the bundled autopilot.
 //!
-//! M = kp (zeta_des - zeta) + kd (omega_des - omega), yaw difference wrapped; with rates alone
-//! M = kd (omega_des - omega). The mixer and the collective always use the vehicle file's numbers:
-//! they are what the firmware believes. Only the gains can be the true ones.
+//! M = kp (zeta_des - zeta) + kd (omega_des - omega), with the yaw difference wrapped. With rates
+//! only, M = kd (omega_des - omega). Mixer and collective always use the firmware's nominal numbers
+//! from the vehicle file. Only the gains may be the true ones.
 
 use vehicle::frame::{Euler, Frd, wrap_angle};
 use vehicle::rotor::Allocation;
@@ -10,7 +10,7 @@ use vehicle::{AttitudePd, ROTORS};
 
 use super::offboard::AttitudeSetpoint;
 
-/// The loop with its gains and its mixer.
+/// The attitude loop with its gains and mixer.
 #[derive(Clone, Debug)]
 pub struct AttitudeLoop {
     gains: AttitudePd,
@@ -18,7 +18,7 @@ pub struct AttitudeLoop {
 }
 
 impl AttitudeLoop {
-    /// The loop with the gains that are really there, and the firmware's mixer.
+    /// Creates the loop with the true gains and the firmware's mixer.
     pub fn new(gains: AttitudePd, allocation: Allocation) -> Self {
         Self { gains, allocation }
     }

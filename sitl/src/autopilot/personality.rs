@@ -1,5 +1,5 @@
-//! What differs between the autopilots that the vehicle can be: one implementation of
-//! [`Personality`] for each. Everything else in [`super`] is shared.
+//! What differs between the simulated autopilots: one implementation of [`Personality`] for each.
+//! Everything else in [`super`] is shared.
 
 mod arducopter;
 mod bundled;
@@ -29,7 +29,7 @@ use vehicle::effects::PdGain;
 use vehicle::frame::{Attitude, Frd};
 use vehicle::{ROTORS, VehicleError, VehicleParams};
 
-/// The personality that `autopilot` names.
+/// The personality of `autopilot`.
 pub(super) fn of(autopilot: Autopilot) -> &'static dyn Personality {
     match autopilot {
         Autopilot::Bundled => &bundled::Bundled,
@@ -38,7 +38,7 @@ pub(super) fn of(autopilot: Autopilot) -> &'static dyn Personality {
     }
 }
 
-/// The on-board loop with its parameters, as a personality builds them from a vehicle file.
+/// The on-board loop with its parameters, built from a vehicle file.
 pub(super) struct Onboard {
     pub parameters: Parameters,
     pub attitude_loop: Box<dyn OnboardLoop>,
@@ -46,19 +46,19 @@ pub(super) struct Onboard {
     pub rate_hz: f64,
 }
 
-/// What the attitude loop has at one tick.
+/// The attitude loop's inputs at one tick.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LoopInput<'a> {
     pub setpoint: &'a AttitudeSetpoint,
-    /// How long the setpoint has been in force, if it was not at the last tick, s.
+    /// Time since the setpoint took effect, s, if that was after the previous tick.
     pub new_for_s: Option<f64>,
-    /// As reported.
+    /// Reported attitude, with trim and noise.
     pub attitude: Attitude,
     /// Gyro, rad/s.
     pub body_rate: Frd,
-    /// Whether the vehicle stands on the ground: integrals rest then.
+    /// Whether the vehicle is on the ground, where integrals do not run.
     pub landed: bool,
-    /// Time since the last tick, s.
+    /// Time since the previous tick, s.
     pub dt: f64,
 }
 
@@ -67,54 +67,54 @@ pub(super) trait OnboardLoop: fmt::Debug + Send {
     /// The motor outputs, 0..1.
     fn outputs(&mut self, input: &LoopInput<'_>) -> [f64; ROTORS];
 
-    /// The motors stand: forgets what was integrated and shaped.
+    /// Resets integrals and input shaping while the motors are stopped.
     fn rest(&mut self) {}
 
-    /// Takes the gains that the parameters now say.
+    /// Updates the gains from the parameters.
     fn configure(&mut self, _parameters: &Parameters) {}
 
-    /// What ATTITUDE_TARGET tells while `setpoint` is in force.
+    /// The setpoint that ATTITUDE_TARGET reports while `setpoint` is active.
     fn told(&self, setpoint: AttitudeSetpoint) -> AttitudeSetpoint {
         setpoint
     }
 }
 
-/// What a SET_ATTITUDE_TARGET does.
+/// The effect of a SET_ATTITUDE_TARGET.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Reception {
-    /// It is flown.
+    /// The vehicle tracks the setpoint.
     Fly(AttitudeSetpoint),
-    /// Setpoints end: the vehicle stops and holds its place.
+    /// Setpoints end: the vehicle stops and holds its position.
     Stop,
-    /// Nothing; it does not keep the stream alive either.
+    /// No effect; it does not keep the stream alive either.
     Ignore,
 }
 
-/// What the mode that takes setpoints flies at a tick.
+/// What the offboard mode flies at a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Pursuit {
-    /// The setpoint as it is; without one the motors stand.
+    /// The setpoint unchanged; without one the motors stop.
     Setpoint(Option<AttitudeSetpoint>),
-    /// The setpoint's attitude, with a thrust that makes this climb rate in m/s.
+    /// The setpoint's attitude, with the thrust for this climb rate in m/s.
     Climb(AttitudeSetpoint, f64),
-    /// The place where setpoints ended.
+    /// Hold the position at which setpoints ended.
     Hold,
 }
 
 /// The state of the setpoint stream at a tick.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StreamState {
-    /// The setpoint in force.
+    /// The active setpoint.
     pub setpoint: Option<AttitudeSetpoint>,
-    /// Whether one was heard within [`Key::ComOfLossT`].
+    /// Whether a setpoint arrived within [`Key::ComOfLossT`].
     pub is_live: bool,
     /// Heading, rad.
     pub yaw: f64,
-    /// Whether the vehicle stands on the ground.
+    /// Whether the vehicle is on the ground.
     pub landed: bool,
 }
 
-/// The values that a message has for an output of 0, for 1, and for motors that are disarmed.
+/// The message's values for an output of 0, for an output of 1, and for disarmed motors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct OutputScale {
     pub zero: f64,
@@ -122,7 +122,7 @@ pub(super) struct OutputScale {
     pub disarmed: f64,
 }
 
-/// An autopilot, as far as it differs from the others.
+/// The behaviour of an autopilot that differs from the others.
 pub(super) trait Personality: fmt::Debug + Sync {
     /// HEARTBEAT's `autopilot`.
     fn autopilot(&self) -> MavAutopilot {
@@ -132,31 +132,31 @@ pub(super) trait Personality: fmt::Debug + Sync {
     /// AUTOPILOT_VERSION.
     fn version(&self) -> AUTOPILOT_VERSION_DATA;
 
-    /// The modes that it has, in the order of AVAILABLE_MODES.
+    /// The supported modes, in the order of AVAILABLE_MODES.
     fn modes(&self) -> &'static [Mode];
 
-    /// The word of a mode in HEARTBEAT.
+    /// HEARTBEAT's `custom_mode` for a mode.
     fn custom_mode(&self, mode: Mode) -> u32 {
         mode.custom_mode()
     }
 
-    /// The mode of parameters 2 and 3 of MAV_CMD_DO_SET_MODE.
+    /// The mode that parameters 2 and 3 of MAV_CMD_DO_SET_MODE select.
     fn mode_of_command(&self, main: u8, sub: u8) -> Option<Mode> {
         Mode::from_main_and_sub(main, sub).filter(|mode| self.modes().contains(mode))
     }
 
-    /// Parameters 2 and 3 of MAV_CMD_DO_SET_MODE that choose a mode.
+    /// Parameters 2 and 3 of MAV_CMD_DO_SET_MODE that select a mode.
     fn mode_command(&self, mode: Mode) -> [u8; 2] {
         let [_, _, main, sub] = self.custom_mode(mode).to_le_bytes();
         [main, sub]
     }
 
-    /// The mode of a `custom_mode` word.
+    /// The mode with this `custom_mode`.
     fn mode_of_word(&self, word: u32) -> Option<Mode> {
         self.modes().iter().copied().find(|mode| self.custom_mode(*mode) == word)
     }
 
-    /// What the autopilot calls a mode.
+    /// The autopilot's name for a mode.
     fn mode_name(&self, mode: Mode) -> &'static str {
         mode.name()
     }
@@ -171,106 +171,106 @@ pub(super) trait Personality: fmt::Debug + Sync {
         mode.standard_mode()
     }
 
-    /// The mode after switching on.
+    /// The mode after power-on.
     fn first_mode(&self) -> Mode {
         Mode::Hold
     }
 
-    /// Whether a flight can begin in `mode`.
+    /// Whether a flight can start in `mode`.
     fn mode_can_arm(&self, mode: Mode) -> bool {
         !matches!(mode, Mode::Land | Mode::Return)
     }
 
-    /// Whether the vehicle sends CURRENT_MODE at once when its mode changes.
+    /// Whether the vehicle sends CURRENT_MODE immediately when its mode changes.
     fn announces_mode(&self) -> bool {
         true
     }
 
-    /// What MAV_CMD_DO_SET_MODE is answered with before the mode is checked.
+    /// A reply to MAV_CMD_DO_SET_MODE before the mode is checked, if any.
     fn early_answer(&self) -> Option<MavResult> {
         None
     }
 
-    /// Whether a refused parameter is answered by PARAM_ERROR and a text.
+    /// Whether a refused parameter triggers PARAM_ERROR and a text.
     fn explains_refused_parameters(&self) -> bool {
         false
     }
 
-    /// Whether the code that forces arming skips the checks.
+    /// Whether the force code for arming skips the checks.
     fn forced_arming_skips_checks(&self) -> bool {
         false
     }
 
-    /// Whether NAV_TAKEOFF is flown without leaving the mode that takes setpoints.
+    /// Whether NAV_TAKEOFF runs without leaving the offboard mode.
     fn takes_off_in_offboard(&self) -> bool {
         false
     }
 
-    /// Whether NAV_TAKEOFF names a height above home, not above sea level.
+    /// Whether NAV_TAKEOFF's altitude is above home instead of above sea level.
     fn takes_off_to_height(&self) -> bool {
         false
     }
 
-    /// Which streams there are and how often they come.
+    /// The available streams and their rates.
     fn streams(&self) -> &'static StreamRules;
 
     /// Parameters and attitude loop of `vehicle`; `truth` scales the loop's gains.
     ///
     /// # Errors
-    /// [`NoLoop`].
+    /// [`NoLoop`] if the vehicle file has no usable loop.
     fn onboard(&self, vehicle: &VehicleParams, truth: Option<PdGain>) -> Result<Onboard, NoLoop>;
 
-    /// The scale of motor outputs in the message of this name.
+    /// The scale of motor outputs in the message with this name.
     fn output_scale(&self, message: &str, parameters: &Parameters) -> OutputScale;
 
-    /// Whether the vehicle sends outputs as the vehicle file's `motor_output` says, not as the autopilot's
-    /// own parameters do.
+    /// Whether outputs are sent with the scale of the vehicle file's `motor_output` instead of the
+    /// autopilot's parameters.
     fn heeds_motor_output(&self) -> bool {
         false
     }
 
-    /// ACTUATOR_OUTPUT_STATUS's `active` for outputs of which these are in use, bit by bit.
+    /// ACTUATOR_OUTPUT_STATUS's `active` for a bit mask of the outputs in use.
     fn active_outputs(&self, bits: u32) -> u32 {
         bits
     }
 
-    /// The answer to a request for an interval that is not granted.
+    /// The reply to a refused request for an interval.
     fn refused_interval(&self, _error: IntervalError) -> MavResult {
         MavResult::MAV_RESULT_FAILED
     }
 
-    /// What a SET_ATTITUDE_TARGET does while `mode` is in force.
+    /// The effect of a SET_ATTITUDE_TARGET in `mode`.
     fn receive(&self, message: &SET_ATTITUDE_TARGET_DATA, mode: Mode) -> Reception;
 
-    /// What the mode that takes setpoints flies.
+    /// What the offboard mode flies.
     fn pursue(&self, stream: &StreamState, _parameters: &Parameters) -> Pursuit {
         Pursuit::Setpoint(stream.setpoint)
     }
 
-    /// Whether a mode that needs setpoints needs them now, to be entered in flight or armed in.
+    /// Whether OFFBOARD requires live setpoints to be entered in flight or to arm.
     fn needs_stream(&self) -> bool {
         true
     }
 
-    /// Share of the thrust that may be used `armed_s` after arming, on the ground.
+    /// Thrust limit on the ground `armed_s` after arming, as a share of full thrust.
     fn thrust_limit(&self, _armed_s: f64, _parameters: &Parameters) -> f64 {
         1.0
     }
 
-    /// Whether SYS_STATUS has the position control enabled and healthy in `mode`, while the position
-    /// is known.
+    /// Whether SYS_STATUS reports position control as enabled and healthy in `mode` while the
+    /// position is known.
     fn controls_position(&self, _mode: Mode) -> bool {
         true
     }
 
-    /// How long after the last pose from outside the position is no longer vouched for, s: PX4's simulation
-    /// was measured to say so 5.8 s after its last fix.
+    /// Time after the last external pose at which the position becomes invalid, s. PX4's simulation
+    /// was measured to report it 5.8 s after its last fix.
     fn vision_lost_after_s(&self) -> f64 {
         5.8
     }
 
-    /// Whether an ODOMETRY is taken for a pose from outside: one in front, right, down or north, east, down,
-    /// of an estimator that may be believed.
+    /// Whether an ODOMETRY is accepted as an external pose: it must be in LOCAL_FRD or LOCAL_NED
+    /// and from a trusted kind of estimator.
     fn takes_odometry(&self, message: &ODOMETRY_DATA) -> bool {
         let frame = message.frame_id;
         let is_frame =
@@ -285,44 +285,43 @@ pub(super) trait Personality: fmt::Debug + Sync {
             )
     }
 
-    /// Whether a vehicle that has lost its position leaves `mode` to land. PX4's OFFBOARD with attitudes needs
-    /// none.
+    /// Whether a vehicle that loses its position leaves `mode` to land. PX4's OFFBOARD with
+    /// attitude setpoints needs no position.
     fn lands_without_position(&self, mode: Mode) -> bool {
         matches!(mode, Mode::Hold | Mode::Position | Mode::Takeoff | Mode::Return)
     }
 
-    /// Largest tilt that the attitude loop may ask for while the detector takes the vehicle for landed,
-    /// rad.
+    /// Largest commanded tilt at which the land detector may report a landing, rad.
     fn landed_lean_max(&self) -> f64 {
         f64::INFINITY
     }
 
-    /// Sticks where none are heard.
+    /// Sticks to assume without a radio.
     fn sticks_without_radio(&self) -> Option<Sticks> {
         None
     }
 
-    /// Whether a HEARTBEAT is one of the ground station whose loss is watched.
+    /// Whether a HEARTBEAT comes from the monitored ground station.
     fn is_ground_station(&self, _system: u8, kind: MavType, _parameters: &Parameters) -> bool {
         kind == MavType::MAV_TYPE_GCS
     }
 
-    /// The mode after disarming, now that `chosen` was asked for; `None`: it stays as it was.
+    /// The mode after disarming, now that `chosen` was requested; `None` keeps the previous one.
     fn mode_after_disarming(&self, chosen: Mode, armed: bool) -> Option<Mode>;
 
-    /// Runs one tick of an armed vehicle: takes failsafes, follows the pilot's sticks, and disarms
+    /// Runs one tick of an armed vehicle: triggers failsafes, obeys the pilot's sticks, and disarms
     /// after a landing or a time-out.
     fn watch(&self, commander: &mut Commander, now: &Situation, parameters: &Parameters);
 
-    /// Words for a refused arming, mode or disarming.
+    /// Text for a refused arming, mode or disarming.
     fn refusal_text(&self, refused: Refused, refusal: &Refusal) -> String;
 
-    /// Words for a failsafe that takes `mode`.
+    /// Text for a failsafe that enters `mode`.
     fn failsafe_text(&self, mode: Mode, why: &str) -> String {
         format!("{why}: failsafe activated, switching to {mode}")
     }
 
-    /// How the pack is judged by its charge, 0..1, and the warnings that were given.
+    /// The assessment of the pack from its charge, 0..1, and the number of warnings issued.
     fn charge_state(
         &self,
         _charge: f64,
@@ -332,26 +331,26 @@ pub(super) trait Personality: fmt::Debug + Sync {
         MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK
     }
 
-    /// Words for GPS being rejected, or no longer.
+    /// Text for GPS being rejected, or accepted again.
     fn gps_text(&self, _is_rejected: bool) -> Option<&'static str> {
         None
     }
 
-    /// Words for a mode that there is not.
+    /// Text for an unknown mode.
     fn unknown_mode_text(&self) -> &'static str {
         "Mode not available: use Hold, Position, Takeoff, Land, Return, Offboard"
     }
 
-    /// Words for the motors being armed or disarmed `by` someone.
+    /// Text for arming or disarming; `by` names the cause.
     fn motors_text(&self, armed: bool, by: &str) -> String;
 
-    /// A text as STATUSTEXT carries it.
+    /// Formats a text for STATUSTEXT.
     fn text(&self, text: &str) -> String {
         text.to_owned()
     }
 }
 
-/// What was asked for and refused.
+/// A refused request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Refused {
     Arming,
@@ -359,10 +358,10 @@ pub(super) enum Refused {
     Disarming,
 }
 
-/// Why a vehicle file has no loop that a personality can fly.
+/// Why a vehicle file has no loop that a personality can use.
 #[derive(Debug)]
 pub(super) enum NoLoop {
-    /// It names none.
+    /// The file has no loop.
     Missing,
     /// The mixer cannot be inverted.
     Vehicle(VehicleError),
@@ -374,11 +373,11 @@ impl From<VehicleError> for NoLoop {
     }
 }
 
-/// A key's value as the integer that its parameter is.
 /// Parameters of the bundled vehicle, for unit tests.
 #[cfg(test)]
 pub(super) use bundled::parameters as bundled_parameters;
 
+/// The value of an integer parameter, such as an action.
 fn choice(parameters: &Parameters, key: Key) -> i32 {
     parameters.get(key) as i32
 }

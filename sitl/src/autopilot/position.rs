@@ -1,42 +1,43 @@
 //! Position hold: position -> velocity -> acceleration -> attitude and collective thrust, with the
-//! numbers that the firmware believes.
+//! firmware's nominal numbers.
 
 use vehicle::frame::{Euler, Ned, wrap_angle};
 
 use super::parameters::{Key, Parameters};
 
-/// Position error to velocity, 1/s: horizontal, vertical.
+/// Gains from position error to velocity for north, east and down, 1/s.
 const POSITION_P: [f64; 3] = [0.95, 0.95, 1.0];
-/// Velocity error to acceleration, 1/s.
+/// Gains from velocity error to acceleration for north, east and down, 1/s.
 const VELOCITY_P: [f64; 3] = [2.4, 2.4, 4.0];
-/// Integrated velocity error to acceleration, 1/s^2: takes up wind and a wrong hover thrust.
+/// Gains from integrated velocity error to acceleration, 1/s^2. They compensate wind and a wrong
+/// hover thrust.
 const VELOCITY_I: [f64; 3] = [0.6, 0.6, 2.0];
-/// Bound of the integral's part, as a fraction of gravity.
+/// Bound on the integral's acceleration, as a fraction of gravity.
 const INTEGRAL_MAX: f64 = 0.8;
-/// Least collective output in the air, so that the rotors keep authority over the attitude.
+/// Smallest collective output in the air, which preserves authority over the attitude.
 const THRUST_MIN: f64 = 0.08;
-/// Largest collective output that position control asks for; the rest belongs to the attitude.
+/// Largest collective output that position control commands; the rest is for the attitude.
 const THRUST_MAX: f64 = 0.92;
 
-/// Position, velocity and heading to track; `None` leaves an axis to the velocity alone.
+/// Position, velocity and heading to track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PositionTarget {
-    /// Position per axis, m; `None`: only the velocity is tracked.
+    /// Position on each axis, m; on an axis with `None`, only the velocity is tracked.
     pub position: [Option<f64>; 3],
-    /// Velocity, m/s: the feed-forward where there is a position.
+    /// Velocity, m/s; the feed-forward on axes with a position.
     pub velocity: Ned,
     /// Heading, rad.
     pub yaw: f64,
 }
 
 impl PositionTarget {
-    /// Stays at `position`.
+    /// Holds `position` and the heading `yaw`.
     pub fn hold(position: Ned, yaw: f64) -> Self {
         Self { position: position.to_array().map(Some), velocity: Ned::zero(), yaw }
     }
 }
 
-/// Attitude and collective thrust that follow from a target.
+/// Attitude and collective thrust, the output of the position controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TiltAndThrust {
     /// Desired attitude.
@@ -45,7 +46,7 @@ pub struct TiltAndThrust {
     pub thrust: f64,
 }
 
-/// The cascade and its one state, the integral of the velocity error.
+/// The cascade with its only state, the integral of the velocity error.
 #[derive(Clone, Debug)]
 pub struct PositionController {
     gravity: f64,
@@ -53,17 +54,17 @@ pub struct PositionController {
 }
 
 impl PositionController {
-    /// A controller at rest, in a field of `gravity` m/s^2.
+    /// Creates a controller with a zero integral; `gravity` is in m/s^2.
     pub fn new(gravity: f64) -> Self {
         Self { gravity, integral: [0.0; 3] }
     }
 
-    /// Forgets what was integrated.
+    /// Resets the integral.
     pub fn reset(&mut self) {
         self.integral = [0.0; 3];
     }
 
-    /// One tick, `dt` s after the last.
+    /// Runs one tick, `dt` s after the previous one.
     pub fn update(
         &mut self,
         target: &PositionTarget,
@@ -102,8 +103,8 @@ impl PositionController {
         Ned::new(north * scale, east * scale, down.clamp(-up, dn))
     }
 
-    /// The attitude whose -z axis points along the specific force `a - g`, and the thrust whose
-    /// vertical part is right; the tilt is limited, the vertical part has precedence.
+    /// The attitude whose -z axis points along the specific force `a - g`, and the matching thrust.
+    /// If the tilt limit is active, the vertical component has precedence.
     fn tilt_and_thrust(
         &self,
         [north, east, down]: [f64; 3],
@@ -117,7 +118,7 @@ impl PositionController {
         let (sin, cos) = yaw.sin_cos();
         let (forward, right) =
             ((north * cos + east * sin) * scale, (east * cos - north * sin) * scale);
-        // z-y-x: pitch tips the force in the heading's plane, roll then sideways.
+        // z-y-x: pitch tilts the force in the plane of the heading, then roll tilts it sideways.
         let pitch = (-forward).atan2(up);
         let roll = right.atan2(forward.hypot(up));
         let force = forward.hypot(up).hypot(right);
@@ -148,7 +149,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the heading, the force tips towards the target and the tilt keeps its limit.
+        /// At any heading, the force tilts towards the target and the tilt stays within its limit.
         #[test]
         fn force_points_to_the_target(north in -9.0..9.0f64, east in -9.0..9.0f64, yaw in -3.1..3.1f64) {
             prop_assume!(north.hypot(east) > 0.1);

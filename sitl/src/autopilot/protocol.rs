@@ -1,4 +1,4 @@
-//! The autopilot on the wire: what it answers to, and what it says unasked.
+//! The autopilot on the wire: its replies and its unsolicited messages.
 
 #![allow(deprecated, reason = "clients still send and ask for superseded messages")]
 
@@ -25,31 +25,31 @@ use super::telemetry::{Battery, Snapshot};
 use super::vision::OutsidePose;
 use super::{COMPONENT_ID, Mode, SYSTEM_ID, ftp, status_text};
 
-/// Most peers that are served at once; further ones are not heard.
+/// Largest number of peers served at once; further ones are ignored.
 pub const PEERS_MAX: usize = 64;
 
-/// What the vehicle reports, at one instant.
+/// The vehicle's reported state at one instant.
 #[derive(Clone, Copy, Debug)]
 pub struct Report {
     /// Position, m.
     pub position: Ned,
     /// Velocity, m/s.
     pub velocity: Ned,
-    /// Attitude.
+    /// Attitude, body to world.
     pub attitude: Attitude,
     /// Gyro, rad/s.
     pub body_rate: Frd,
     /// Accelerometer, m/s^2.
     pub specific_force: Frd,
-    /// The pack.
+    /// State of the pack.
     pub battery: Battery,
-    /// Rotor speeds, where known.
+    /// Rotor speeds in 1/min, signed by spin, if known.
     pub rpm: Option<[f64; ROTORS]>,
-    /// What the estimator says of itself.
+    /// The estimator's status.
     pub estimator: EstimatorStatus,
 }
 
-/// Who sent a frame, and over which link.
+/// The sender of a frame and its link.
 #[derive(Clone, Copy, Debug)]
 struct Sender {
     link: usize,
@@ -57,7 +57,7 @@ struct Sender {
     component: u8,
 }
 
-/// The autopilot's protocol side around its flight control.
+/// The MAVLink protocol of the autopilot, which owns its flight control.
 pub struct Protocol {
     pub(super) flight: FlightControl,
     links: Vec<Link>,
@@ -66,7 +66,7 @@ pub struct Protocol {
     report: Report,
     motor_output: Option<MotorOutput>,
     origin: Home,
-    /// Mode and intention as CURRENT_MODE said last.
+    /// Active and intended mode in the last CURRENT_MODE.
     announced: (Mode, Mode),
     texts: u16,
     rng: rand_pcg::Pcg64Mcg,
@@ -116,7 +116,7 @@ impl Protocol {
         self.outbox.take(deliver);
     }
 
-    /// When something is due to be sent, us.
+    /// Time at which the next message is due, us.
     pub(super) fn next_us(&self) -> u64 {
         let due = |link: &Link| match link.parameter_list {
             Some(_) => self.now_us,
@@ -133,7 +133,7 @@ impl Protocol {
         }
     }
 
-    /// A key and the time with it, in place of what was in force; without one nothing is signed.
+    /// Replaces the signing key and time; `None` turns signing off.
     pub(super) fn sign(&mut self, key: Option<(Key, Stamp)>) {
         self.signing = key.map(|(key, now)| Signing::new(key, now, self.now_us));
         for link in &mut self.links {
@@ -146,7 +146,7 @@ impl Protocol {
         self.report = report;
     }
 
-    /// Sends what is due.
+    /// Sends due messages.
     pub(super) fn stream(&mut self) {
         self.announce();
         if self.next_us() > self.now_us {
@@ -169,7 +169,7 @@ impl Protocol {
         self.outbox = outbox;
     }
 
-    /// Sends what has come up: texts, and a change of mode at once.
+    /// Sends pending texts, and CURRENT_MODE after a change of mode.
     pub(super) fn announce(&mut self) {
         if self.flight.commander.has_notices() {
             for notice in self.flight.commander.take_notices() {
@@ -237,10 +237,10 @@ impl Protocol {
         }
     }
 
-    /// Takes a frame of `peer`.
+    /// Processes a frame from `peer`.
     pub(super) fn handle(&mut self, peer: Peer, frame: &Frame) {
         let Some(link) = self.links.iter().position(|link| link.peer == peer) else { return };
-        // 32-bit system ids cannot be addressed by this protocol's target fields.
+        // The protocol's target fields cannot address 32-bit system ids.
         let Ok(system) = u8::try_from(frame.system()) else { return };
         let component = frame.component();
         if (system, component) == (SYSTEM_ID, COMPONENT_ID) {
@@ -312,7 +312,7 @@ impl Protocol {
                 self.reply(sender, &mission_ack(sender, accepted, request.mission_type));
             }
             MavMessage::MISSION_COUNT(request) => {
-                // An empty mission is what there already is.
+                // The mission is always empty.
                 let result = match request.count {
                     0 => MavMissionResult::MAV_MISSION_ACCEPTED,
                     _ => MavMissionResult::MAV_MISSION_UNSUPPORTED,
@@ -334,7 +334,7 @@ impl Protocol {
                 });
                 self.reply(sender, &message);
             }
-            // Once there is a key, only who knows it comes here.
+            // Once a key is set, only a sender that knows it gets here.
             MavMessage::SETUP_SIGNING(data) if !self.flight.commander.armed() => {
                 self.sign(signing::asked(data));
             }
@@ -357,12 +357,12 @@ impl Protocol {
     }
 }
 
-/// The number of a peer's link in signatures.
+/// The link id of a peer in signatures.
 fn link_number(peer: Peer) -> u8 {
     peer.0 as u8
 }
 
-/// Whether a message is for this vehicle; 0 addresses all, a missing target too.
+/// Whether a message is for this vehicle; 0 or a missing target addresses all.
 fn addressed(system: Option<u8>, component: Option<u8>) -> bool {
     system.is_none_or(|id| id == 0 || id == SYSTEM_ID)
         && component.is_none_or(|id| id == 0 || id == COMPONENT_ID)
@@ -373,7 +373,7 @@ fn sticks_of(message: &MANUAL_CONTROL_DATA) -> Sticks {
     Sticks {
         forward: axis(message.x),
         right: axis(message.y),
-        // Thrust, 0..1000, with the centre at 500.
+        // Thrust in 0..1000, centred at 500.
         up: (f64::from(message.z) / 500.0 - 1.0).clamp(-1.0, 1.0),
         turn: axis(message.r),
     }

@@ -1,17 +1,17 @@
-//! MAVLink 2 signing on board: one key for every link, as PX4 and ArduPilot have it.
+//! MAVLink 2 signing on board: one key for all links, as in PX4 and ArduPilot.
 
 use wire::Frame;
 use wire::dialect::SETUP_SIGNING_DATA;
 use wire::signing::{KEY_LEN, Key, Signer, Stamp, Verifier, VerifierSettings};
 
-/// RADIO_STATUS, which radios say themselves and cannot sign.
+/// Messages accepted unsigned: RADIO_STATUS, which radios generate and cannot sign.
 const UNSIGNED: [u32; 1] = [109];
-/// Stamps further ahead than this are not believed: a day.
+/// Largest accepted lead of a stamp over the clock: a day.
 const AHEAD_MAX: u64 = 86_400 * Stamp::PER_S;
-/// Units of a stamp in a microsecond: one in ten.
+/// Microseconds in a unit of a stamp.
 const US: u64 = 10;
 
-/// The key in force, and what was heard with it.
+/// The active key with its clock and verifier.
 #[derive(Debug)]
 pub(super) struct Signing {
     key: Key,
@@ -21,7 +21,7 @@ pub(super) struct Signing {
 }
 
 impl Signing {
-    /// Signing with `key`; it is `now` at vehicle time `now_us`.
+    /// Creates the state for `key`; the signing time is `now` at vehicle time `now_us`.
     pub(super) fn new(key: Key, now: Stamp, now_us: u64) -> Self {
         let booted = Stamp::from_ticks(now.ticks().saturating_sub(now_us / US));
         let unsigned = UNSIGNED.to_vec();
@@ -35,25 +35,26 @@ impl Signing {
         Stamp::from_ticks(self.booted.ticks().saturating_add(now_us / US))
     }
 
-    /// Advances the time, and returns it as a stamp.
+    /// Advances the time and returns it as a stamp.
     pub(super) fn turn(&mut self, now_us: u64) -> Stamp {
         let stamp = self.stamp(now_us);
         self.verifier.turn(stamp);
         stamp
     }
 
-    /// Whether a frame is believed.
+    /// Whether a frame is accepted.
     pub(super) fn believes(&mut self, frame: &Frame) -> bool {
         self.verifier.check(frame).is_ok()
     }
 
-    /// Who signs the frames of the link with this number.
+    /// A signer for the frames of the link with this id.
     pub(super) fn signer(&self, link: u8, now_us: u64) -> Signer {
         Signer::new(self.key.clone(), link, self.stamp(now_us))
     }
 }
 
-/// What SETUP_SIGNING asks for: a key and the time, or, by zeros, no signing.
+/// Decodes SETUP_SIGNING: a key and the time, or `None` for a key of zeros, which turns signing
+/// off.
 pub(super) fn asked(data: &SETUP_SIGNING_DATA) -> Option<(Key, Stamp)> {
     let is_off = data.secret_key == [0; KEY_LEN];
     (!is_off).then(|| (Key::new(data.secret_key), Stamp::from_ticks(data.initial_timestamp)))

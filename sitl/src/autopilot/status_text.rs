@@ -1,8 +1,8 @@
-//! Texts for people, as MAVLink messages.
+//! Texts for people as STATUSTEXT messages.
 
 use wire::dialect::*;
 
-/// A text in as many STATUSTEXT as it needs. `id` ties the chunks; it is 0 where one suffices.
+/// Splits a text into STATUSTEXT messages. `id` links the chunks; a single message has id 0.
 pub fn status_text(
     severity: MavSeverity,
     text: &str,

@@ -1,6 +1,6 @@
-//! What is sent unasked, how often, and when the next one is due.
+//! Streams: which messages are sent unsolicited, at which rates, and when the next is due.
 
-/// A message that can be streamed or asked for.
+/// A message that can be streamed or requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "each is the MAVLink message of that name")]
 pub enum Stream {
@@ -31,14 +31,14 @@ pub enum Stream {
     AvailableModes,
 }
 
-/// Never, as an interval or a due time.
+/// Interval or due time that means never.
 const NEVER: u64 = u64::MAX;
 
 const fn hz(rate: f64) -> u64 {
     if rate > 0.0 { (1e6 / rate) as u64 } else { NEVER }
 }
 
-/// Every stream and its message id. Messages that share a stamp are sent in this order.
+/// Every stream and its message id. Messages with the same time stamp are sent in this order.
 const TABLE: &[(Stream, u32)] = &[
     (Stream::Heartbeat, 0),
     (Stream::AttitudeQuaternion, 31),
@@ -67,20 +67,20 @@ const TABLE: &[(Stream, u32)] = &[
     (Stream::AvailableModes, 435),
 ];
 
-/// How an autopilot serves its streams.
+/// An autopilot's rules for its streams.
 #[derive(Debug)]
 pub struct StreamRules {
-    /// Rates in Hz of what is sent unasked.
+    /// Default rates in Hz.
     defaults: &'static [(Stream, f64)],
-    /// What the autopilot does not have: a request is refused.
+    /// Streams that the autopilot lacks; requests are refused.
     absent: &'static [Stream],
-    /// What is never sent though a request is accepted.
+    /// Streams that are never sent, although requests are accepted.
     silent: &'static [Stream],
-    /// The interval in us that a request for another one gets; `None` refuses it.
+    /// The granted interval in us for a requested one; `None` refuses the request.
     granted: fn(Stream, u64) -> Option<u64>,
 }
 
-/// PX4's onboard link, as measured where it was measured.
+/// Default rates of PX4's onboard link, measured where possible.
 const PX4_DEFAULTS: &[(Stream, f64)] = &[
     (Stream::Heartbeat, 1.0),
     (Stream::AttitudeQuaternion, 50.0),
@@ -103,7 +103,7 @@ const PX4_DEFAULTS: &[(Stream, f64)] = &[
     (Stream::HomePosition, 0.5),
 ];
 
-/// The bundled vehicle: every stream at every rate up to 250 Hz, that of the estimate.
+/// The bundled vehicle: every stream at any rate up to 250 Hz, the rate of the estimate.
 pub static BUNDLED: StreamRules = StreamRules {
     defaults: PX4_DEFAULTS,
     absent: &[],
@@ -111,8 +111,8 @@ pub static BUNDLED: StreamRules = StreamRules {
     granted: |_, interval| Some(interval.max(4_000)),
 };
 
-/// PX4: above 100 Hz, intervals are whole periods of the 250 Hz loop; the estimate is published at
-/// 125 Hz, the mode twice a second.
+/// PX4: above 100 Hz, intervals are multiples of the 250 Hz loop's period. The estimate is
+/// published at 125 Hz at most, the mode at 2 Hz.
 pub static PX4: StreamRules = StreamRules {
     defaults: PX4_DEFAULTS,
     absent: &[],
@@ -128,8 +128,8 @@ pub static PX4: StreamRules = StreamRules {
     },
 };
 
-/// ArduCopter: nothing unasked but HEARTBEAT and a rare TIMESYNC; whole milliseconds; no rate above
-/// 0.8 of the 400 Hz loop.
+/// ArduCopter: only HEARTBEAT and a rare TIMESYNC by default. Intervals are whole milliseconds, and
+/// rates are at most 0.8 of the 400 Hz loop rate.
 pub static ARDUCOPTER: StreamRules = StreamRules {
     defaults: &[(Stream::Heartbeat, 1.0), (Stream::Timesync, 0.12)],
     absent: &[
@@ -160,35 +160,35 @@ impl StreamRules {
 }
 
 impl Stream {
-    /// The stream of a message id.
+    /// The stream with this message id.
     pub fn from_id(id: u32) -> Option<Self> {
         TABLE.iter().find(|(_, known)| *known == id).map(|(stream, _)| *stream)
     }
 
-    /// The message id.
+    /// The stream's message id.
     pub fn id(self) -> u32 {
         TABLE[self as usize].1
     }
 }
 
-/// Why an interval was not changed.
+/// Why an interval cannot be changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum IntervalError {
-    /// Its interval is fixed.
+    /// The interval of HEARTBEAT is fixed.
     #[error("the interval of HEARTBEAT cannot be changed")]
     Fixed,
-    /// No such stream.
+    /// The message is not a stream of this autopilot.
     #[error("not a stream of this vehicle")]
     Unknown,
-    /// More often than the autopilot sends it.
+    /// The interval is shorter than the autopilot allows.
     #[error("too often for this vehicle")]
     TooOften,
 }
 
-/// One peer's streams.
+/// The streams of one peer.
 ///
-/// A message is due at whole multiples of its interval since boot, so that streams whose intervals
-/// divide one another share their stamps.
+/// A message is due at integer multiples of its interval since boot, so streams whose intervals
+/// divide one another share their time stamps.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     rules: &'static StreamRules,
@@ -198,14 +198,14 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// The default rates of `rules`, beginning after `now_us`.
+    /// Creates a schedule with the default rates of `rules`, starting after `now_us`.
     pub fn new(rules: &'static StreamRules, now_us: u64) -> Self {
         let mut schedule =
             Self { rules, intervals: [NEVER; TABLE.len()], due: [NEVER; TABLE.len()], next: NEVER };
         for (stream, _) in TABLE {
             schedule.start(*stream, rules.default_interval(*stream), now_us);
         }
-        // The first heartbeat introduces the vehicle.
+        // The first heartbeat is due at once and announces the vehicle.
         schedule.due[Stream::Heartbeat as usize] = now_us;
         schedule.next = now_us;
         schedule
@@ -217,11 +217,12 @@ impl Schedule {
         self.next = self.due.iter().copied().min().unwrap_or(NEVER);
     }
 
-    /// Sets the interval of message `id` as MAV_CMD_SET_MESSAGE_INTERVAL says it: microseconds, 0
-    /// for the default, negative for never. The rules may grant another interval.
+    /// Sets the interval of message `id`, in the encoding of MAV_CMD_SET_MESSAGE_INTERVAL:
+    /// microseconds, 0 for the default, negative for never. The rules may grant a different
+    /// interval.
     ///
     /// # Errors
-    /// [`IntervalError`].
+    /// [`IntervalError`] if the interval cannot be changed.
     pub fn set_interval(&mut self, id: u32, us: f32, now_us: u64) -> Result<(), IntervalError> {
         let stream = Stream::from_id(id).filter(|stream| self.rules.has(*stream));
         let stream = stream.ok_or(IntervalError::Unknown)?;
@@ -240,8 +241,8 @@ impl Schedule {
         Ok(())
     }
 
-    /// The interval of message `id` as MESSAGE_INTERVAL says it: microseconds, -1 for never sent
-    /// unasked, 0 for not a stream.
+    /// The interval of message `id`, in the encoding of MESSAGE_INTERVAL: microseconds, -1 for not
+    /// streamed, 0 for not a stream.
     pub fn interval(&self, id: u32) -> i32 {
         Stream::from_id(id).map_or(0, |stream| match self.intervals[stream as usize] {
             NEVER => -1,
@@ -249,12 +250,12 @@ impl Schedule {
         })
     }
 
-    /// When the next message is due, us.
+    /// Time at which the next message is due, us.
     pub fn next_us(&self) -> u64 {
         self.next
     }
 
-    /// Calls `send` for each stream that is due at `now_us`, once however late it is.
+    /// Calls `send` once for each stream that is due at `now_us`, however late it is.
     pub fn take_due(&mut self, now_us: u64, mut send: impl FnMut(Stream)) {
         if now_us < self.next {
             return;
@@ -271,7 +272,7 @@ impl Schedule {
     }
 }
 
-/// The first whole multiple of `interval` after `now_us`.
+/// The first integer multiple of `interval` after `now_us`.
 fn following(interval: u64, now_us: u64) -> u64 {
     if interval == NEVER { NEVER } else { (now_us / interval + 1) * interval }
 }

@@ -19,7 +19,7 @@ use super::parameters::Parameters;
 use super::personality::Personality;
 use super::streams::Stream;
 
-/// The pack as reported.
+/// State of the pack, as reported.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Battery {
     /// Cells in series.
@@ -28,13 +28,13 @@ pub struct Battery {
     pub voltage: f64,
     /// Current drawn, A.
     pub current: f64,
-    /// Charge drawn since it was full, Ah.
+    /// Charge drawn since the start, Ah.
     pub consumed_ah: f64,
     /// Remaining charge, 0..1.
     pub remaining: f64,
 }
 
-/// Everything that the messages say, at one instant.
+/// The data for all messages at one instant.
 #[derive(Clone, Copy, Debug)]
 pub struct Snapshot<'a> {
     pub(super) personality: &'static dyn Personality,
@@ -45,50 +45,50 @@ pub struct Snapshot<'a> {
     pub position: Ned,
     /// Reported velocity, m/s.
     pub velocity: Ned,
-    /// Reported attitude.
+    /// Reported attitude, body to world.
     pub attitude: Attitude,
     /// Gyro, rad/s.
     pub body_rate: Frd,
     /// Accelerometer, m/s^2.
     pub specific_force: Frd,
-    /// Motor outputs in force, 0..1.
+    /// Motor outputs, 0..1.
     pub outputs: [f64; ROTORS],
-    /// Rotor speeds, rpm, sign is spin; `None` where not known.
+    /// Rotor speeds in 1/min, signed by spin; `None` if unknown.
     pub rpm: Option<[f64; ROTORS]>,
-    /// How outputs are encoded; `None` for 0..1.
+    /// The vehicle file's encoding of outputs; `None` for the autopilot's.
     pub motor_output: Option<&'a MotorOutput>,
-    /// The setpoint in force, if the loop runs.
+    /// The active setpoint, if the loop runs.
     pub setpoint: Option<AttitudeSetpoint>,
-    /// The pack.
+    /// State of the pack.
     pub battery: Battery,
-    /// How the autopilot judges it.
+    /// The autopilot's assessment of the pack.
     pub charge: MavBatteryChargeState,
-    /// What the estimator says of itself.
+    /// The estimator's status.
     pub estimator: EstimatorStatus,
-    /// Whether the estimator knows where the vehicle is.
+    /// Whether the estimator has a position.
     pub position_known: bool,
-    /// Whether the position comes from outside, and is not known.
+    /// Whether the position is external and unknown.
     pub lacks_vision: bool,
     /// Whether the motors are armed.
     pub armed: bool,
-    /// Mode in force.
+    /// Active mode.
     pub mode: Mode,
-    /// Mode asked for.
+    /// Mode requested last.
     pub intended: Mode,
     /// Whether a failsafe is active.
     pub failsafe: bool,
-    /// Whether the vehicle stands on the ground.
+    /// Whether the vehicle is on the ground.
     pub landed: bool,
     /// Whether arming would succeed.
     pub can_arm: bool,
-    /// Point of arming, m.
+    /// Position of arming, m.
     pub home: Ned,
-    /// Place of the local frame's origin.
+    /// Geodetic position of the local frame's origin.
     pub origin: Home,
 }
 
 impl Snapshot<'_> {
-    /// The message of `stream`; `None` where the vehicle has nothing to say in it.
+    /// The message of `stream`; `None` if the vehicle has no data for it.
     pub fn message(&self, stream: Stream) -> Option<MavMessage> {
         Some(match stream {
             Stream::Heartbeat => MavMessage::HEARTBEAT(self.heartbeat()),
@@ -119,7 +119,7 @@ impl Snapshot<'_> {
             Stream::ExtendedSysState => MavMessage::EXTENDED_SYS_STATE(self.extended_sys_state()),
             Stream::GpsRawInt => MavMessage::GPS_RAW_INT(self.gps_raw()),
             Stream::SystemTime => MavMessage::SYSTEM_TIME(SYSTEM_TIME_DATA {
-                // No clock on board knows the date.
+                // The vehicle has no clock with the date.
                 time_unix_usec: 0,
                 time_boot_ms: self.now_ms(),
             }),
@@ -143,7 +143,7 @@ impl Snapshot<'_> {
                 max_version: 200,
                 ..Default::default()
             }),
-            // One message a mode: sent by request, not from here.
+            // It has one message for each mode and is sent on request only.
             Stream::AvailableModes => return None,
         })
     }
@@ -215,10 +215,10 @@ impl Snapshot<'_> {
 
     fn odometry(&self) -> ODOMETRY_DATA {
         let [x, y, z] = floats(self.position.to_array());
-        // In the local frame, as child_frame_id says: what PX4 was measured to send.
+        // In the local frame, as child_frame_id states; PX4 was measured to send it so.
         let [vx, vy, vz] = floats(self.velocity.to_array());
         let [rollspeed, pitchspeed, yawspeed] = floats(self.body_rate.to_array());
-        // NaN in the first element: the covariance is not known.
+        // NaN in the first element means that the covariance is unknown.
         let mut unknown = [0.0; 21];
         unknown[0] = f32::NAN;
         ODOMETRY_DATA {
@@ -296,7 +296,7 @@ impl Snapshot<'_> {
             voltage_battery: (self.battery.voltage * 1e3).round() as u16,
             current_battery: (self.battery.current * 100.0).round() as i16,
             battery_remaining: (self.battery.remaining * 100.0).round() as i8,
-            // The default of a set of flags is its first flag.
+            // The default of a flag set is its first flag, not the empty set.
             onboard_control_sensors_present_extended: MavSysStatusSensorExtended::empty(),
             onboard_control_sensors_enabled_extended: MavSysStatusSensorExtended::empty(),
             onboard_control_sensors_health_extended: MavSysStatusSensorExtended::empty(),
@@ -331,7 +331,7 @@ impl Snapshot<'_> {
             mavtype: MavBatteryType::MAV_BATTERY_TYPE_LIPO,
             battery_remaining: (remaining * 100.0).round() as i8,
             charge_state: self.charge,
-            // The default of a set of flags is its first flag.
+            // The default of a flag set is its first flag, not the empty set.
             fault_bitmask: MavBatteryFault::empty(),
             ..Default::default()
         }

@@ -1,9 +1,9 @@
-//! A vehicle for the unit tests, and its parameters.
+//! A vehicle and its parameters for unit tests.
 
 use super::parameters::Parameters;
 use vehicle::{AttitudePd, BatteryParams, RotorParams, VehicleParams};
 
-/// A quadrotor of half a kilogram, X configuration.
+/// A 0.5 kg quadrotor in X layout.
 pub(crate) fn vehicle() -> VehicleParams {
     let rotor = |x: f64, y: f64, spin: i8| RotorParams {
         position_m: [0.1 * x, 0.1 * y, 0.0],
@@ -45,7 +45,7 @@ pub(crate) fn vehicle() -> VehicleParams {
     }
 }
 
-/// The parameters that it starts with.
+/// The vehicle's default parameters.
 pub(crate) fn parameters() -> Parameters {
     let vehicle = vehicle();
     super::personality::bundled_parameters(&vehicle, &vehicle.attitude_pd.unwrap())

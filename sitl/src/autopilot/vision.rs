@@ -1,7 +1,7 @@
-//! The vehicle's position where it comes from outside alone, as in a motion-capture room.
+//! The position of a vehicle that gets it from external poses only, as in a motion-capture room.
 //!
-//! What the vehicle senses of its own motion carries the estimate on; poses from outside correct it, as long
-//! as they are near enough. Without them it drifts, and after a while it is no longer vouched for.
+//! The vehicle's sensed motion propagates the estimate; external poses correct it if they are close
+//! enough. Without poses the estimate drifts, and after a time it becomes invalid.
 
 use std::collections::VecDeque;
 
@@ -10,57 +10,58 @@ use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 use vehicle::frame::Ned;
 
-/// Share of a pose's difference that the estimate takes over.
+/// Gain of the correction by a pose.
 const GAIN: f64 = 0.1;
-/// Poses that are further off are not believed, m: five deviations of PX4's EKF2_EVP_NOISE.
+/// Gate beyond which a pose is rejected, m: five standard deviations of PX4's EKF2_EVP_NOISE.
 const GATE_M: f64 = 0.5;
-/// Without a pose for this long the estimate drifts, us.
+/// Time without a pose after which the estimate drifts, us.
 const COAST_US: u64 = 200_000;
-/// Standard deviation per axis of the acceleration that it drifts by, m/s^2: a tilt of some milliradians.
+/// Standard deviation of the drift's acceleration on each axis, m/s^2: a tilt of a few
+/// milliradians.
 const DRIFT_M_S2: f64 = 0.02;
-/// Time constant with which the velocity's error levels off, s: a filter without poses takes itself to be
-/// nearly at rest.
+/// Time constant of the velocity's error, s: without poses, a filter assumes that it is nearly at
+/// rest.
 const DRIFT_TIME_S: f64 = 4.0;
-/// Stamps older than this are of another clock, us.
+/// Age above which a time stamp must come from a different clock, us.
 const AGE_MAX_US: u64 = 500_000;
-/// Spacing of the places that are remembered, us.
+/// Spacing of the stored positions, us.
 const SPACING_US: u64 = 4_000;
 
-/// A pose from outside.
+/// An external pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutsidePose {
-    /// Its stamp, us.
+    /// Time stamp, us.
     pub stamp_us: u64,
     /// Position, m.
     pub position: Ned,
-    /// How often such poses have begun anew.
+    /// Reset counter of the source of the poses.
     pub reset_count: u8,
 }
 
-/// The position by poses from outside.
+/// The position estimate from external poses.
 #[derive(Clone, Debug)]
 pub struct Vision {
     lost_after_us: u64,
     drift: Ned,
-    /// The estimate less what is sensed, m and m/s.
+    /// Estimate minus sensed value, m and m/s.
     offset: Ned,
     velocity: Ned,
     sensed: VecDeque<(u64, Ned)>,
     advanced_us: u64,
     fused_us: Option<u64>,
     reset_count: Option<u8>,
-    /// How often the estimate has jumped to a pose.
+    /// Number of jumps of the estimate to a pose.
     resets: u8,
 }
 
 impl Vision {
-    /// An estimate that knows nothing yet, and nothing any more `lost_after_s` after the last pose.
+    /// Creates an estimate that is invalid before the first pose and `lost_after_s` after the last.
     pub(super) fn new(lost_after_s: f64, seed: u64) -> Self {
         let mut rng = Pcg64Mcg::seed_from_u64(seed ^ 0x7669_7369);
         let [north, east]: [f64; 2] = std::array::from_fn(|_| rng.sample(StandardNormal));
         Self {
             lost_after_us: (lost_after_s * 1e6) as u64,
-            // The barometer keeps the height.
+            // The barometer stabilises the height.
             drift: Ned::new(north, east, 0.0) * DRIFT_M_S2,
             offset: Ned::zero(),
             velocity: Ned::zero(),
@@ -72,27 +73,27 @@ impl Vision {
         }
     }
 
-    /// Whether the estimate is vouched for.
+    /// Whether the estimate is valid.
     pub fn is_known(&self, now_us: u64) -> bool {
         self.fused_us.is_some_and(|at| now_us.saturating_sub(at) <= self.lost_after_us)
     }
 
-    /// The estimate less what is sensed: of the position, m, and of the velocity, m/s.
+    /// Estimate minus sensed value, for position [m] and velocity [m/s].
     pub fn error(&self) -> [Ned; 2] {
         [self.offset, self.velocity]
     }
 
-    /// How often the estimate has jumped.
+    /// Number of jumps of the estimate, modulo 256.
     pub fn resets(&self) -> u8 {
         self.resets
     }
 
-    /// Goes on to `now_us`, at which the vehicle senses that it is at `sensed`.
+    /// Advances to `now_us`, with the sensed position `sensed`.
     pub(super) fn advance(&mut self, now_us: u64, sensed: Ned) {
         let dt = now_us.saturating_sub(self.advanced_us) as f64 * 1e-6;
         self.advanced_us = now_us;
         match self.fused_us {
-            // Before the first pose it takes itself to be at the origin.
+            // Before the first pose, the estimate is at the origin.
             None => self.offset = sensed * -1.0,
             Some(at) if now_us.saturating_sub(at) > COAST_US => {
                 self.velocity += (self.drift - self.velocity * (1.0 / DRIFT_TIME_S)) * dt;
@@ -108,8 +109,8 @@ impl Vision {
         }
     }
 
-    /// Takes a pose that came at `now_us`. A stamp that is of no time of late is of another clock: the pose
-    /// then counts as of its arrival.
+    /// Processes a pose received at `now_us`. A time stamp that is not recent comes from a
+    /// different clock; the pose then counts from its arrival.
     pub(super) fn take(&mut self, now_us: u64, pose: &OutsidePose) {
         if !pose.position.is_finite() {
             return;
@@ -123,7 +124,7 @@ impl Vision {
         let begins_anew = self.reset_count.replace(pose.reset_count) != Some(pose.reset_count);
         if begins_anew || !self.is_known(now_us) {
             self.offset += difference;
-            // The first place is none that it jumped to.
+            // The first pose does not count as a jump.
             let is_jump = self.fused_us.is_some();
             self.resets = self.resets.wrapping_add(is_jump.into());
         } else if difference.norm() > GATE_M {
@@ -142,7 +143,8 @@ mod tests {
 
     const RATE_US: u64 = 20_000;
 
-    /// Poses at 50 Hz until `until_us`, off by `off`, of a vehicle at rest at (1, 2, -3).
+    /// Sends poses at 50 Hz until `until_us`, with an error of `off`, for a vehicle at rest at (1,
+    /// 2, -3).
     fn run(vision: &mut Vision, from_us: u64, until_us: u64, off: Option<Ned>) {
         let here = Ned::new(1.0, 2.0, -3.0);
         for now_us in (from_us..until_us).step_by(4_000) {
@@ -170,7 +172,7 @@ mod tests {
         assert!((0.01..1.0).contains(&drift), "{drift}");
         run(&mut vision, 7_900_000, 8_100_000, None);
         assert!(!vision.is_known(8_100_000));
-        // It comes back with a jump, and says so.
+        // The position returns with a jump, which is counted.
         run(&mut vision, 8_100_000, 9_000_000, Some(Ned::zero()));
         assert!(vision.is_known(9_000_000) && vision.resets() == 1);
     }

@@ -1,4 +1,4 @@
-//! One vehicle's number of a block: arithmetic that a loop over vehicles can be vectorised with.
+//! The scalar of one lane in a block, with arithmetic that lets a loop over vehicles vectorise.
 
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
@@ -22,13 +22,13 @@ pub trait Real:
     + Div<Output = Self>
     + Neg<Output = Self>
 {
-    /// The nearest number.
+    /// Rounds to this precision.
     fn from_f64(value: f64) -> Self;
-    /// The same number.
+    /// Converts exactly to double precision.
     fn to_f64(self) -> f64;
     /// Square root.
     fn sqrt(self) -> Self;
-    /// The whole number n nearest to `self`, |n| < 1000, and 2^n.
+    /// The integer n nearest to `self`, and 2^n. Valid for |n| < 1000, or 126 in single precision.
     fn nearest_power_of_two(self) -> (Self, Self);
 }
 
@@ -47,7 +47,7 @@ impl Real for f32 {
     }
     #[inline(always)]
     fn nearest_power_of_two(self) -> (Self, Self) {
-        // Adding 1.5 * 2^23 leaves the whole number in the lowest bits.
+        // Adding 1.5 * 2^23 leaves the integer in the lowest bits.
         let shifted = self + 12_582_912.0;
         let exponent = shifted.to_bits().wrapping_sub(12_582_912.0_f32.to_bits());
         (shifted - 12_582_912.0, f32::from_bits(exponent.wrapping_add(127) << 23))
@@ -76,12 +76,12 @@ impl Real for f64 {
     }
 }
 
-/// A number of one vehicle. Its exponential is a polynomial and not a call, which would keep the loop
-/// from being vectorised; the other transcendental functions are no part of the equations of motion.
+/// A number of one vehicle. Its exponential is a polynomial, because a call would prevent
+/// vectorisation. The equations of motion use no other transcendental functions, except in laws.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Lane<F>(pub F);
 
-/// A state in double precision.
+/// Converts a state to double precision.
 pub(super) fn state_of<F: Real>(state: &State<Lane<F>>) -> State {
     let Attitude { w, x, y, z } = state.attitude;
     let [w, x, y, z] = [w, x, y, z].map(|value| value.0.to_f64());
@@ -93,7 +93,7 @@ pub(super) fn state_of<F: Real>(state: &State<Lane<F>>) -> State {
     }
 }
 
-/// A state in this precision.
+/// Converts a state to this precision.
 pub(super) fn state_from<F: Real>(state: &State) -> State<Lane<F>> {
     let Attitude { w, x, y, z } = state.attitude;
     let [w, x, y, z] = [w, x, y, z].map(Lane::from);
@@ -190,15 +190,14 @@ impl<F: Real> Scalar for Lane<F> {
     fn cos(self) -> Self {
         Self::from(self.value().cos())
     }
-    /// Within 2e-16 of its size (in single precision, rounding), of -80 to 80; beyond, its value at
-    /// these.
+    /// The argument is clamped to -80..=80; within it the error is of the order of rounding.
     #[inline(always)]
     fn exp(self) -> Self {
         let x = self.max(Self::from(-80.0)).min(Self::from(80.0));
-        // e^x = 2^n e^r with |r| <= ln 2 / 2; ln 2 in two parts, the first of few digits.
+        // e^x = 2^n e^r with |r| <= ln 2 / 2. ln 2 is split in two, the first part with few digits.
         let (n, power) = (x * std::f64::consts::LOG2_E).0.nearest_power_of_two();
         let r = x - Self(n) * 0.693_145_751_953_125 - Self(n) * 1.428_606_820_309_417e-6;
-        // Taylor's series, up to below rounding: 1 + r (1 + r/2 (1 + r/3 (...))).
+        // Taylor series, to below rounding: 1 + r (1 + r/2 (1 + r/3 (...))).
         let term = |rest: Self, k: f64| rest * r * (1.0 / k) + 1.0;
         let tail = term(term(term(term(Self::from(1.0), 13.0), 12.0), 11.0), 10.0);
         let middle = term(term(term(term(term(tail, 9.0), 8.0), 7.0), 6.0), 5.0);

@@ -1,4 +1,4 @@
-//! A block of vehicles: numbers of each lane, and what all lanes share.
+//! A block of vehicles: each lane's numbers, and the model that all lanes share.
 
 use super::lane::{Lane, Real};
 use crate::battery::PowerModel;
@@ -9,13 +9,13 @@ use crate::physics::Physics;
 use crate::rigid_body::State;
 use crate::rotor::Lag;
 
-/// Vehicles of a block: four of the widest vectors in single precision.
+/// Vehicles in a block: four of the widest vectors in single precision.
 pub const LANES: usize = 64;
 
-/// A number for each vehicle of a block.
+/// One number for each vehicle in a block.
 pub type Lanes<F> = [F; LANES];
 
-/// What all vehicles share.
+/// The parts of the model that all vehicles share.
 #[derive(Clone, Debug)]
 pub struct Model {
     pub physics: Physics,
@@ -25,14 +25,14 @@ pub struct Model {
     pub power: PowerModel,
 }
 
-/// What holds over a step, of each lane.
+/// Each lane's inputs, constant over a step.
 #[derive(Clone, Debug)]
 pub struct Held<F> {
     /// Motor outputs, 0..=1.
     pub outputs: [Lanes<F>; ROTORS],
     /// Velocity of the air in world axes, m/s.
     pub air_velocity: [Lanes<F>; 3],
-    /// Factor of the pack's voltage on thrust.
+    /// Factor of the pack's voltage on thrust and squared rotor speed.
     pub voltage_factor: Lanes<F>,
     /// The pack's terminal voltage, V.
     pub voltage: Lanes<F>,
@@ -40,7 +40,7 @@ pub struct Held<F> {
     pub time: f64,
 }
 
-/// What the equations of motion move.
+/// The lanes' states, which the equations of motion advance.
 #[derive(Clone, Debug)]
 pub struct Motion<F> {
     pub position: [Lanes<F>; 3],

@@ -1,4 +1,4 @@
-//! The step of a block of vehicles, compiled once for each set of vector instructions.
+//! The step of a block of vehicles, compiled once for each vector instruction set.
 
 use super::lane::{Lane, Real};
 use super::motion::{Held, LANES, Model, Motion};
@@ -7,21 +7,21 @@ use crate::physics::{BodyLaws, Environment, Loads, Physics};
 use crate::plant::Plant;
 use crate::rigid_body::{RightHandSide, Stage, State, rk4};
 
-/// Sets of vector instructions that the step is compiled for.
+/// Vector instruction sets that the step is compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Width {
-    /// Those that every processor of the target has.
+    /// The instructions that every processor of the target has.
     Baseline,
-    /// AVX2: eight single-precision numbers.
+    /// AVX2: eight single-precision numbers at once.
     #[cfg(target_arch = "x86_64")]
     Avx2,
-    /// AVX-512: sixteen.
+    /// AVX-512: sixteen single-precision numbers at once.
     #[cfg(target_arch = "x86_64")]
     Avx512,
 }
 
 impl Width {
-    /// The widest that this processor has.
+    /// The widest set that this processor supports.
     pub fn of_this_processor() -> Self {
         #[cfg(target_arch = "x86_64")]
         {
@@ -39,7 +39,7 @@ impl Width {
         Self::Baseline
     }
 
-    /// Those that this processor has, the narrowest first.
+    /// The sets that this processor supports, narrowest first.
     pub fn available() -> Vec<Self> {
         let all = [
             Self::Baseline,
@@ -51,7 +51,7 @@ impl Width {
         all.into_iter().filter(|width| *width <= Self::of_this_processor()).collect()
     }
 
-    /// Its name.
+    /// The set's name for people.
     pub fn name(self) -> &'static str {
         match self {
             Self::Baseline => "baseline",
@@ -63,13 +63,13 @@ impl Width {
     }
 }
 
-/// A precision that blocks are stepped in.
+/// A precision in which blocks can be stepped.
 pub trait Precision: Real {
-    /// Advances every lane by one step, without a floor to touch.
+    /// Advances every lane by one step, without contact with the floor.
     fn step(width: Width, motion: &mut Motion<Self>, held: &Held<Self>, model: &Model);
 }
 
-/// Compiles the step here, once, whoever makes batches.
+/// Compiles the step in this crate, once for each precision and width.
 macro_rules! precisions {
     ($($real:ty: $avx2:ident $avx512:ident;)*) => {$(
         #[cfg(target_arch = "x86_64")]
@@ -114,8 +114,8 @@ fn step<F: Real>(motion: &mut Motion<F>, held: &Held<F>, model: &Model) {
     }
 }
 
-/// `physics` is the model's, without what a bare vehicle does not have, and the loop would else
-/// compute and drop.
+/// `physics` is the model's, in the form that suits its effects: the loop does not compute terms
+/// that are unused.
 #[inline(always)]
 fn step_lanes<F: Real, L: BodyLaws>(
     motion: &mut Motion<F>,
@@ -150,7 +150,7 @@ fn step_lanes<F: Real, L: BodyLaws>(
     }
 }
 
-/// A vehicle in the air, through a step.
+/// The right-hand side of a vehicle in free flight over a step.
 struct Flight<'a, F, L> {
     physics: &'a Physics<L>,
     loads: [Loads<Lane<F>>; 3],

@@ -1,5 +1,5 @@
 //! Attitude trim: reported attitude = true attitude * q(trim), in every message that carries it and
-//! in what the on-board loop uses. The IMU stays in the true body axes.
+//! in the on-board loop. The IMU stays in the true body axes.
 
 use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::frame::{Attitude, Euler};
@@ -36,7 +36,7 @@ impl Effect for AttitudeTrim {
 }
 
 impl AttitudeTrim {
-    /// The rotation to multiply the true attitude with, from the right.
+    /// The rotation that multiplies the true attitude from the right.
     pub fn rotation(&self) -> Attitude {
         self.trim.attitude()
     }

@@ -1,14 +1,15 @@
 //! Battery sag: thrust and squared rotor speed are multiplied by (V / full_V)^exponent, V the
 //! pack's terminal voltage.
 //!
-//! 2 for a fixed duty cycle of a voltage-driven motor, 0 for a controller that compensates.
+//! The exponent is 2 for a voltage-driven motor at a fixed duty cycle, 0 for a speed controller
+//! that compensates.
 
 use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 
-/// Thrust's dependence on the pack's voltage.
+/// Dependence of the thrust on the pack's voltage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BatterySag {
-    /// Power of the voltage ratio.
+    /// Exponent of the voltage ratio.
     pub exponent: f64,
 }
 

@@ -1,6 +1,6 @@
 //! Blade flapping: M_body += moment nr (-v_ay, v_ax, 0), F_body += -T tilt (v_ax, v_ay, 0).
 //!
-//! The advancing blade lifts more, the rotor's disc tilts away from the air and pitches the
+//! The advancing blade lifts more. The rotor disc tilts away from the oncoming air and pitches the
 //! vehicle up against its motion (Hoffmann et al. 2007).
 
 use super::{BodyEffect, Effect, EffectId, Flow, Need, Parameter, Slots, Spec, Wrench, slots};
@@ -10,9 +10,9 @@ use crate::scalar::Scalar;
 /// Moment and force of the flapping rotors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BladeFlapping {
-    /// Moment at hover's rotor speed in N m per m/s.
+    /// Moment at the hover rotor speed in N m per m/s.
     pub moment_nms_m: f64,
-    /// Tilt of the thrust in rad per m/s.
+    /// Tilt of the thrust vector in rad per m/s.
     pub tilt_rad_s_m: f64,
 }
 

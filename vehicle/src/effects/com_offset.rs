@@ -1,5 +1,5 @@
-//! Centre of mass offset: the centre of mass lies at (x, y) of the nominal one, so the rotors'
-//! arms become position - offset.
+//! Centre of mass offset: the centre of mass is at (x, y) relative to the nominal one, so the
+//! rotors' arms become position - offset.
 
 use super::{ConstantEffect, Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::physics::Constants;

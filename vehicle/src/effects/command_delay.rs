@@ -1,10 +1,11 @@
-//! Command delay: total mean transport delay from the ground station's send to use on board.
+//! Command delay: total mean transport delay from sending a setpoint on the ground to its use on
+//! board.
 //!
-//! Acts on the way into the autopilot, not in the plant.
+//! It acts on the way into the autopilot, not in the plant.
 
 use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 
-/// Delay of setpoints.
+/// Transport delay of setpoints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommandDelay {
     /// Delay in s.

@@ -1,5 +1,5 @@
 //! Estimator latency: reported pose and velocity show the state latency_s before their time stamp;
-//! body rates, IMU and the on-board loop are not late.
+//! body rates, IMU and the on-board loop have no latency.
 
 use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 

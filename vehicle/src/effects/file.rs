@@ -1,12 +1,12 @@
-//! The effects file: a TOML table of parameters for each effect, as `[modelled_effects]` of a
-//! vehicle file.
+//! The effects file: a TOML table of parameters for each effect, in the format of
+//! `[modelled_effects]` in a vehicle file.
 
 use std::path::{Path, PathBuf};
 
 use super::{EffectError, EffectSet};
 use crate::bounded;
 
-/// Why effects that were asked for are refused.
+/// Why the requested effects are refused.
 #[derive(Debug, thiserror::Error)]
 pub enum EffectsRefused {
     /// The file cannot be read.
@@ -17,7 +17,7 @@ pub enum EffectsRefused {
         /// Why.
         source: std::io::Error,
     },
-    /// The text is not TOML, or holds what is no effect.
+    /// The text is not TOML, or holds an entry that is not a valid effect.
     #[error(
         "effects file {path}: {message}; expected a table of parameters for each effect, such as \
          [motor_lag] with tau_s = 0.03"
@@ -28,23 +28,22 @@ pub enum EffectsRefused {
         /// What the parser found and where.
         message: String,
     },
-    /// An argument on its own.
+    /// A command-line argument is refused.
     #[error("--effect {argument}: {source}")]
     Argument {
-        /// As given.
+        /// The argument as given.
         argument: String,
-        /// What is wrong with it.
+        /// Why it is refused.
         source: EffectError,
     },
 }
 
 impl EffectSet {
-    /// What is asked for on a command line: an effects file, and arguments such as
-    /// `motor_lag:tau_s=0.03` or `@FILE`, another effects file, which go over it.
+    /// The effects that a command line requests: an effects file, overridden by arguments such as
+    /// `motor_lag:tau_s=0.03` or `@FILE` (another effects file).
     ///
     /// # Errors
-    /// A file that cannot be read, is not TOML, or holds an effect that is refused; such an
-    /// argument.
+    /// A file cannot be read, is not TOML, or holds an invalid effect; or an argument is invalid.
     pub fn requested(file: Option<&Path>, arguments: &[String]) -> Result<Self, EffectsRefused> {
         let mut effects = file.map_or(Ok(Self::new()), Self::load)?;
         for argument in arguments {

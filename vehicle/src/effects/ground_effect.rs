@@ -4,7 +4,7 @@
 use super::{Effect, EffectId, Flow, Need, Parameter, Slots, Spec, ThrustEffect, slots};
 use crate::scalar::Scalar;
 
-/// The most that the closeness of the ground takes off the divisor.
+/// Bound on (r_eff / (4 h))^2, which would otherwise diverge at the ground.
 const LIMIT: f64 = 0.35;
 
 /// Extra thrust close to the ground.
@@ -36,7 +36,7 @@ impl ThrustEffect for GroundEffect {
     fn factor<T: Scalar>(&self, flow: &Flow<T>) -> T {
         let quarter2 = (0.25 * self.r_eff_m) * (0.25 * self.r_eff_m);
         let height2 = flow.height * flow.height;
-        // 1 / (1 - (q / h)^2) with one division. On or below the floor the limit holds.
+        // 1 / (1 - (q / h)^2) with one division. On or below the floor the factor is at its limit.
         if flow.height.is_above(0.0) && (height2 * LIMIT).is_above(quarter2) {
             height2 / (height2 + -quarter2)
         } else if quarter2 > 0.0 {

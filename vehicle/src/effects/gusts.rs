@@ -1,9 +1,9 @@
 //! Gusts: Dryden turbulence with time constant tau = length / speed.
 //!
-//! North is of first order, H = sigma sqrt(2 tau) / (1 + tau s) driven by white noise of unit
-//! density; east and down are of second order,
-//! H = sigma sqrt(tau) (1 + sqrt(3) tau s) / (1 + tau s)^2. The standard deviations are sigma,
-//! sigma and 0.6 sigma (MIL-F-8785C forms with a constant airspeed).
+//! White noise of unit density drives a filter for each axis. North is first order, H = sigma
+//! sqrt(2 tau) / (1 + tau s); east and down are second order, H = sigma sqrt(tau) (1 + sqrt(3) tau
+//! s) / (1 + tau s)^2. The standard deviations are sigma, sigma and 0.6 sigma (MIL-F-8785C forms
+//! with a constant airspeed).
 
 use rand::Rng;
 use rand_distr::StandardNormal;
@@ -11,14 +11,14 @@ use rand_distr::StandardNormal;
 use super::{Effect, EffectId, Need, Parameter, Slots, Spec};
 use crate::frame::Ned;
 
-/// Turbulence of the air.
+/// Dryden turbulence of the air.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gusts {
-    /// Standard deviation, m/s.
+    /// Standard deviation along north and east, m/s.
     pub sigma_m_s: f64,
-    /// Length scale in m.
+    /// Turbulence length scale in m.
     pub length_m: f64,
-    /// Speed at which the turbulence passes in m/s.
+    /// Speed at which the turbulence passes the vehicle, m/s.
     pub speed_m_s: f64,
 }
 
@@ -74,7 +74,7 @@ impl Turbulence {
         let q22 = 0.5 - (coupling * coupling + coupling * decay + 0.5 * decay * decay);
         let l11 = q11.sqrt();
         let l21 = q12 / l11;
-        // At short steps the difference is below rounding.
+        // At short steps the difference is smaller than the rounding error.
         let l22 = (q22 - l21 * l21).max(0.0).sqrt();
         let mut pair = || {
             let (a, b): (f64, f64) = (rng.sample(StandardNormal), rng.sample(StandardNormal));
@@ -113,8 +113,8 @@ mod tests {
     use rand::SeedableRng;
     use rand_pcg::Pcg64Mcg;
 
-    /// Sample moments over many correlation times, at a step much shorter than and one comparable
-    /// to the time constant.
+    /// Sample moments over many correlation times, at one step much shorter than the time constant
+    /// and one comparable to it.
     #[test]
     fn standard_deviations_are_those_of_the_specification() {
         for step in [0.02, 0.5] {

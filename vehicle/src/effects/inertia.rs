@@ -6,7 +6,7 @@ use crate::physics::Constants;
 /// True moments of inertia.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inertia {
-    /// Factors about front, right, down.
+    /// Factors on the moments about front, right and down.
     pub scale: [f64; 3],
 }
 

@@ -1,4 +1,4 @@
-//! Mass: the true mass, a payload at the centre of mass; the inertia is unchanged.
+//! Mass: the true mass, such as with a payload at the centre of mass; the inertia is unchanged.
 
 use super::{ConstantEffect, Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::physics::Constants;

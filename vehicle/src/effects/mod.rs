@@ -1,8 +1,8 @@
-//! The catalogue of effects: what a real vehicle may do that the nominal one does not.
+//! The catalogue of effects: how a real vehicle may differ from the nominal one.
 //!
-//! One effect, one file: its equation, parameters, neutral values, ranges and source. An effect
-//! acts at one place of the chain from motor output to motion, and the trait it implements says
-//! which. Effects that act outside the plant carry parameters only.
+//! Each effect has one file with its equation, parameters, neutral values, ranges and source. An
+//! effect acts at one point in the chain from motor output to motion; the trait it implements names
+//! that point. Effects that act outside the plant carry parameters only.
 //!
 //! Symbols: v_a = velocity relative to the air in body axes, V_h its horizontal part,
 //! n_i = rotor speed as a fraction of the maximum, nr = mean(n_i) / sqrt(hover_thrust),
@@ -31,18 +31,18 @@ use crate::frame::Frd;
 use crate::physics::Constants;
 use crate::scalar::Scalar;
 
-/// An effect with its parameters.
+/// An effect of the catalogue, holding values for its parameters.
 pub trait Effect: Copy {
-    /// Which one.
+    /// The effect's id.
     const ID: EffectId;
-    /// Its parameters.
+    /// The effect's parameters, and what the diagnosis and the exam know about it.
     const SPEC: Spec;
 
-    /// From checked numbers, in the order of the specification.
+    /// Creates the effect from numbers that are already checked, in the order of [`Effect::SPEC`].
     fn from_slots(slots: &Slots) -> Self;
 
-    /// With the defaults of its parameters, which do nothing where these are neutral; 0 for one that
-    /// has none.
+    /// Creates the effect with its default parameters, which do nothing where the defaults are
+    /// neutral. A parameter without a default becomes 0.
     fn neutral() -> Self {
         let mut slots = Slots::default();
         for (value, slot) in slots.iter_mut().zip(Self::SPEC.slots()) {
@@ -52,34 +52,34 @@ pub trait Effect: Copy {
     }
 }
 
-/// Acts by changing a constant of the nominal vehicle.
+/// An effect that changes a constant of the nominal vehicle.
 pub trait ConstantEffect: Effect {
-    /// Makes the constants the true ones.
+    /// Replaces nominal constants with the true ones.
     fn apply(&self, constants: &mut Constants);
 }
 
-/// Acts by a factor on every rotor's thrust, and not on its drag torque.
+/// An effect that multiplies every rotor's thrust and leaves its drag torque alone.
 pub trait ThrustEffect: Effect {
-    /// Whether it reads [`Flow::rotor_speed_ratio`], which costs a square root a rotor.
+    /// Whether the effect reads [`Flow::rotor_speed_ratio`], which costs one square root per rotor.
     const READS_ROTOR_SPEED: bool = false;
 
-    /// The factor; 1 is neutral.
+    /// The factor on the thrust; 1 is neutral.
     fn factor<T: Scalar>(&self, flow: &Flow<T>) -> T;
 }
 
-/// Acts by a force and a moment on the body.
+/// An effect that adds a force and a moment on the body.
 pub trait BodyEffect: Effect {
-    /// Whether it reads [`Flow::rotor_speed_ratio`], which costs a square root a rotor.
+    /// Whether the effect reads [`Flow::rotor_speed_ratio`], which costs one square root per rotor.
     const READS_ROTOR_SPEED: bool = false;
 
-    /// Adds to the force and moment.
+    /// Adds the effect's force (N) and moment (N m) to `wrench`.
     fn add<T: Scalar>(&self, flow: &Flow<T>, wrench: &mut Wrench<T>);
 }
 
-/// What the aerodynamic effects see.
+/// The inputs of the aerodynamic effects.
 #[derive(Clone, Copy, Debug)]
 pub struct Flow<T> {
-    /// v_a: velocity relative to the air, m/s.
+    /// v_a: velocity relative to the air in body axes, m/s.
     pub air_relative: Frd<T>,
     /// V_h^2 in m^2/s^2.
     pub horizontal_speed2: T,
@@ -112,9 +112,9 @@ impl<T: Scalar> AddAssign for Wrench<T> {
     }
 }
 
-/// The catalogue: each effect's type and file, and where it acts, which is the trait that it
-/// implements: on a `constant` of the vehicle, on `thrust`, on the `body`. What acts `elsewhere` is
-/// wired by hand. Calls another macro with the list, so that each effect is named here only.
+/// The catalogue: each effect's type, its file, and where it acts. `constant`, `thrust` and `body`
+/// name the trait it implements; an effect that acts `elsewhere` is wired by hand. The macro passes
+/// the list to another macro, so this is the only list of effects.
 macro_rules! catalogue {
     ($apply:ident) => {
         $apply! {
@@ -154,11 +154,11 @@ pub enum Place {
     Thrust,
     /// On the body: [`BodyEffect`].
     Body,
-    /// On the rotors, the air, the autopilot or what it reports.
+    /// On the rotors, the air, the autopilot or the autopilot's reports.
     Elsewhere,
 }
 
-/// Names the effects of the catalogue.
+/// Declares the effects' modules and [`EffectId`].
 macro_rules! named {
     ($($effect:ident $file:ident $place:ident),+ $(,)?) => {
         $(
@@ -184,10 +184,10 @@ macro_rules! named {
         /// Every effect's specification, in the order of [`EffectId::ALL`].
         pub static CATALOGUE: [Spec; COUNT] = [$(<$effect as Effect>::SPEC),+];
 
-        /// Where each acts.
+        /// Where each effect acts.
         static PLACES: [Place; COUNT] = [$(named!(@ $place)),+];
 
-        /// Text of every effect's file, whose first lines say what it does.
+        /// Source text of every effect's file; its module documentation describes the effect.
         static FILES: [&str; COUNT] = [$(include_str!(concat!(stringify!($file), ".rs"))),+];
     };
     (@ constant) => { Place::Constant };
@@ -198,30 +198,30 @@ macro_rules! named {
 catalogue!(named);
 
 impl EffectId {
-    /// Its specification.
+    /// The effect's entry in [`CATALOGUE`].
     pub fn spec(self) -> &'static Spec {
         &CATALOGUE[self as usize]
     }
 
-    /// Its id in files.
+    /// The effect's id in files and on the command line.
     pub fn name(self) -> &'static str {
         self.spec().id
     }
 
-    /// What it does, its equation and where that is from: the documentation of its file. The first
-    /// paragraph has the equation.
+    /// The effect's description, equation and source, taken from the module documentation of its
+    /// file. The first paragraph has the equation.
     pub fn about(self) -> String {
         let lines = FILES[self as usize].lines().map_while(|line| line.strip_prefix("//!"));
         lines.map(str::trim).collect::<Vec<_>>().join("\n")
     }
 
-    /// Where it acts.
+    /// Where the effect acts.
     pub fn place(self) -> Place {
         PLACES[self as usize]
     }
 
-    /// The effect that stands for its variants, and for all that no flight can tell from it: mass and
-    /// thrust act as their ratio.
+    /// The effect that represents its variants and the effects that no flight can distinguish from
+    /// it. Mass and thrust, for example, act only through their ratio.
     pub fn class(self) -> Self {
         self.spec().family.unwrap_or(self)
     }
@@ -260,7 +260,7 @@ mod tests {
             let spec = id.spec();
             assert_eq!(spec.id.parse::<EffectId>().unwrap(), id);
             assert!(spec.slots().count() <= MAX_SLOTS, "{id}");
-            // What it is called begins what it does.
+            // The description begins with the effect's name.
             let name = spec.id.replace('_', " ");
             let about = id.about().to_lowercase();
             assert!(about.starts_with(&name) || id == EffectId::ComOffset, "{id}: {about}");

@@ -6,7 +6,7 @@ use crate::physics::Constants;
 /// First-order lag of the rotors' states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorLag {
-    /// Time constant in s; 0 means none.
+    /// Time constant in s; 0 means no lag.
     pub tau_s: f64,
 }
 

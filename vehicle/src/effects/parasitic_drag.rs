@@ -6,7 +6,7 @@ use crate::scalar::Scalar;
 /// Quadratic drag of the frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ParasiticDrag {
-    /// Drag coefficient times area in m^2.
+    /// Drag coefficient times frontal area in m^2.
     pub cda_m2: f64,
 }
 
@@ -34,7 +34,7 @@ impl BodyEffect for ParasiticDrag {
     fn add<T: Scalar>(&self, flow: &Flow<T>, wrench: &mut Wrench<T>) {
         let v = flow.air_relative;
         let speed2 = flow.horizontal_speed2 + v.down() * v.down();
-        // The root's derivative is infinite at rest, where the force's is 0.
+        // At rest the square root has an infinite derivative, although the force's derivative is 0.
         if speed2.is_above(0.0) {
             wrench.force += v * (speed2.sqrt() * (-0.5 * flow.air_density * self.cda_m2));
         }

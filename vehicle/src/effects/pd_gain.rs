@@ -1,6 +1,6 @@
 //! PD gain: true on-board gains = nominal times scale, per axis roll, pitch, yaw.
 //!
-//! Acts in the autopilot, not in the plant.
+//! It acts in the autopilot, not in the plant.
 
 use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::params::AttitudePd;
@@ -8,9 +8,9 @@ use crate::params::AttitudePd;
 /// True gains of the on-board attitude loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PdGain {
-    /// Factors on kp.
+    /// Factors on kp for roll, pitch and yaw.
     pub kp_scale: [f64; 3],
-    /// Factors on kd.
+    /// Factors on kd for roll, pitch and yaw.
     pub kd_scale: [f64; 3],
 }
 
@@ -38,7 +38,7 @@ impl Effect for PdGain {
 }
 
 impl PdGain {
-    /// The true gains.
+    /// The true gains, from the nominal ones; the rate of the loop is unchanged.
     pub fn apply(&self, nominal: &AttitudePd) -> AttitudePd {
         let times = |gains: [f64; 3], scale: [f64; 3]| std::array::from_fn(|i| gains[i] * scale[i]);
         AttitudePd {

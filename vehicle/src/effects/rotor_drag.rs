@@ -1,17 +1,17 @@
 //! Rotor drag: F_body = -nr (d_xy v_ax, d_xy v_ay, d_z v_az).
 //!
-//! Induced drag and flapping of the rotors, linear in the air-relative velocity and growing with
+//! Induced drag and blade flapping, linear in the air-relative velocity and proportional to the
 //! rotor speed (Faessler, Franchi, Scaramuzza 2018; Foerster 2015).
 
 use super::{BodyEffect, Effect, EffectId, Flow, Need, Parameter, Slots, Spec, Wrench, slots};
 use crate::scalar::Scalar;
 
-/// Drag of the turning rotors.
+/// Drag of the spinning rotors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RotorDrag {
-    /// Coefficient along front and right, at hover's rotor speed, in kg/s.
+    /// Coefficient along front and right, at the hover rotor speed, in kg/s.
     pub d_xy: f64,
-    /// Coefficient along down, in kg/s.
+    /// Coefficient along down, at the hover rotor speed, in kg/s.
     pub d_z: f64,
 }
 
@@ -24,7 +24,7 @@ impl Effect for RotorDrag {
             Parameter::scalar("d_z", "kg/s", 0.0, [0.0, 100.0]),
         ],
         needs: &[Need::Pose, Need::Input],
-        // A time constant of drag of three seconds along the discs, of six across them.
+        // Drag time constants of 3 s along the discs and 6 s across them.
         typical: |vehicle| slots([vehicle.mass / 3.0, vehicle.mass / 6.0]),
         strong: |vehicle, chance, growth| {
             growth.by[0] = vehicle.mass * chance.within([0.4, 0.7]);

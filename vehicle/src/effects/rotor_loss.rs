@@ -8,7 +8,7 @@ use crate::physics::Constants;
 /// One weak rotor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RotorLoss {
-    /// Which, in the vehicle file's order from 0.
+    /// Index of the rotor in the vehicle file, from 0.
     pub rotor: usize,
     /// Factor on its thrust and drag torque.
     pub scale: f64,

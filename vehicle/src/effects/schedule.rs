@@ -1,4 +1,4 @@
-//! Effects that set in at an instant: a chip in a blade, a load that drops, a wind that begins.
+//! Effects that set in during a flight: a chipped blade, a dropped load, a rising wind.
 
 use std::path::Path;
 
@@ -7,38 +7,38 @@ use serde::Serialize;
 use super::{EffectError, EffectId, EffectSet, EffectsRefused};
 use crate::law::Law;
 
-/// Effects from an instant on.
+/// Effects that act from an instant on.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Onset {
-    /// When, s of the vehicle's clock since it was switched on.
+    /// Onset in s on the vehicle's clock, which starts at power-on.
     pub at_s: f64,
-    /// Over those that act before.
+    /// The effects to add; they override those that already act.
     pub effects: EffectSet,
 }
 
-/// Effects from the start, and those that set in later.
+/// The effects that act from the start, and those that set in later.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Schedule {
-    /// From the start.
+    /// Effects from the start.
     pub effects: EffectSet,
-    /// Later, in the order of time.
+    /// Later onsets, in order of time.
     pub onsets: Vec<Onset>,
 }
 
-/// Why effects cannot set in.
+/// Why an onset is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum OnsetError {
-    /// The instant is none.
+    /// The onset time is not a number of at least 0.
     #[error("@{0}: expected the time of an onset in s, 0 or more")]
     Time(String),
-    /// The effect belongs to a sensor, a link or a loop, or has a state of its own.
+    /// The effect acts in a sensor, a link or a loop, or carries its own state.
     #[error(
         "{0} cannot set in during a flight: only forces, moments and constants of the vehicle can"
     )]
     Fixed(EffectId),
 }
 
-/// Effects outside the plant, or with a state that begins with the flight.
+/// Effects outside the plant, or with a state that starts with the flight.
 const FIXED: [EffectId; 5] = [
     EffectId::CommandDelay,
     EffectId::AttitudeTrim,
@@ -48,11 +48,11 @@ const FIXED: [EffectId; 5] = [
 ];
 
 impl Schedule {
-    /// What is asked for on a command line, as by [`EffectSet::requested`]; an argument that ends in
-    /// `@41.2` sets in at 41.2 s.
+    /// The effects that a command line requests, as in [`EffectSet::requested`]. An argument that
+    /// ends in `@41.2` sets in at 41.2 s.
     ///
     /// # Errors
-    /// As [`EffectSet::requested`], and an effect that cannot set in, or no time.
+    /// As [`EffectSet::requested`]; also an effect that cannot set in, or an invalid time.
     pub fn requested(file: Option<&Path>, arguments: &[String]) -> Result<Self, EffectsRefused> {
         let (later, first): (Vec<_>, Vec<_>) =
             arguments.iter().cloned().partition(|argument| split(argument).is_some());
@@ -67,10 +67,10 @@ impl Schedule {
         Ok(schedule)
     }
 
-    /// Lets an effect set in, as `--effect` has it, at a time in s.
+    /// Adds an onset of the effect `effect`, written as in `--effect`, at the time `at` in s.
     ///
     /// # Errors
-    /// What is no effect, cannot set in, or is no time.
+    /// The effect or the time is invalid, or the effect cannot set in during a flight.
     pub fn insert(&mut self, effect: &str, at: &str) -> Result<(), EffectError> {
         let at_s = at.trim().parse().map_err(|_| OnsetError::Time(at.to_owned()))?;
         let mut effects = EffectSet::new();
@@ -78,10 +78,10 @@ impl Schedule {
         Ok(self.add(effects, at_s)?)
     }
 
-    /// Lets effects set in at a time in s.
+    /// Adds an onset of `effects` at `at_s`.
     ///
     /// # Errors
-    /// What cannot set in, or no time.
+    /// An effect cannot set in during a flight, or the time is negative or not finite.
     pub fn add(&mut self, effects: EffectSet, at_s: f64) -> Result<(), OnsetError> {
         if !(at_s.is_finite() && at_s >= 0.0) {
             return Err(OnsetError::Time(at_s.to_string()));
@@ -95,8 +95,8 @@ impl Schedule {
     }
 }
 
-/// An argument and its time; `None` of one that acts from the start, of a file, and of a law, whose
-/// formula may hold any sign.
+/// Splits an argument into effect and onset time. Returns `None` for an effect that acts from the
+/// start, for a file, and for a law, whose formula may hold any character.
 fn split(argument: &str) -> Option<(&str, &str)> {
     if argument.starts_with('@') || Law::is_line(argument) {
         return None;

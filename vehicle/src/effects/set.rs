@@ -1,4 +1,4 @@
-//! Which effects are on, with their parameters; reading them from files and the command line.
+//! A set of effects with their parameters, read from files and the command line.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,26 +11,26 @@ use super::spec::{Kind, Parameter, Slots};
 use super::{COUNT, Effect, EffectId};
 use crate::law::{LAWS_MAX, Law, LawError, LawText};
 
-/// Effects that are switched on, with their parameters, each within its accepted range.
+/// A set of active effects. Each parameter is within its accepted range.
 ///
-/// In files a map from id to parameters: `{"rotor_drag": {"d_xy": 0.02, "d_z": 0.01}}`, with laws by
-/// their names under `law`.
+/// Files hold it as a map from id to parameters, `{"rotor_drag": {"d_xy": 0.02, "d_z": 0.01}}`,
+/// with laws by name under `law`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EffectSet {
     values: [Option<Slots>; COUNT],
     laws: Vec<Law>,
 }
 
-/// The key that laws are under.
+/// The key of the laws in files.
 const LAW: &str = "law";
 
-/// A parameter's value as written in a file or on the command line.
+/// A parameter's value in a file or on the command line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum ParameterValue {
     /// A scalar or an index.
     Number(f64),
-    /// A vector.
+    /// A vector of three components; other lengths are refused later.
     Vector(Vec<f64>),
 }
 
@@ -49,7 +49,7 @@ pub enum EffectError {
     /// Not in the catalogue.
     #[error("unknown effect {id:?}; known are {}", EffectId::ALL.map(EffectId::name).join(", "))]
     UnknownEffect {
-        /// What was given.
+        /// The text as given.
         id: String,
     },
     /// The effect has no such parameter.
@@ -57,10 +57,10 @@ pub enum EffectError {
     UnknownParameter {
         /// The effect.
         effect: EffectId,
-        /// What was given.
+        /// The text as given.
         parameter: String,
     },
-    /// A parameter without a default is not given.
+    /// A parameter without a default is missing.
     #[error("effect {effect}: parameter {parameter} ({unit}) must be given")]
     Missing {
         /// The effect.
@@ -70,33 +70,33 @@ pub enum EffectError {
         /// Its unit.
         unit: &'static str,
     },
-    /// A value is of the wrong shape or outside the accepted range.
+    /// A value has the wrong shape or is outside its accepted range.
     #[error("effect {effect}: {parameter}: expected {expected}, found {found}")]
     Value {
         /// The effect.
         effect: EffectId,
         /// The parameter.
         parameter: &'static str,
-        /// What would be right.
+        /// The accepted shape or range.
         expected: String,
-        /// What is there.
+        /// The value as given.
         found: String,
     },
-    /// A formula is refused.
+    /// A law is refused.
     #[error(transparent)]
     Law(#[from] LawError),
-    /// An effect cannot set in.
+    /// An onset is refused.
     #[error(transparent)]
     Onset(#[from] super::OnsetError),
-    /// There are too many formulas.
+    /// There are more than [`LAWS_MAX`] laws.
     #[error("more than {LAWS_MAX} laws")]
     TooManyLaws,
     /// The text does not follow `id:key=value,key=value`.
     #[error("effect argument {argument:?}: {reason}; write id:key=value,key=[x,y,z]")]
     Syntax {
-        /// What was given.
+        /// The text as given.
         argument: String,
-        /// What is wrong.
+        /// Where the text departs from the form.
         reason: String,
     },
 }
@@ -107,25 +107,25 @@ fn parameters(effect: EffectId) -> String {
 }
 
 impl EffectSet {
-    /// No effect.
+    /// Creates an empty set.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Whether no effect is on.
+    /// Whether the set has neither an effect nor a law.
     pub fn is_empty(&self) -> bool {
         self.values.iter().all(Option::is_none) && self.laws.is_empty()
     }
 
-    /// The laws that act, in the order of their names.
+    /// The laws, sorted by name.
     pub fn laws(&self) -> &[Law] {
         &self.laws
     }
 
-    /// Lets a law act, or replaces the one of its name.
+    /// Adds a law, or replaces the one of the same name.
     ///
     /// # Errors
-    /// More than [`LAWS_MAX`].
+    /// The set already has [`LAWS_MAX`] laws.
     pub fn insert_law(&mut self, law: Law) -> Result<(), EffectError> {
         match self.laws.binary_search_by(|own| own.name().cmp(law.name())) {
             Ok(index) => self.laws[index] = law,
@@ -135,43 +135,42 @@ impl EffectSet {
         Ok(())
     }
 
-    /// The same without laws.
+    /// A copy of this set without its laws.
     pub fn without_laws(&self) -> Self {
         Self { values: self.values, laws: Vec::new() }
     }
 
-    /// Whether this effect is on.
+    /// Whether the set has this effect.
     pub fn contains(&self, id: EffectId) -> bool {
         self.values[id as usize].is_some()
     }
 
-    /// The effect `E`, if it is on.
+    /// The effect `E`, if the set has it.
     pub fn get<E: Effect>(&self) -> Option<E> {
         self.values[E::ID as usize].as_ref().map(E::from_slots)
     }
 
-    /// The effects that are on, in the catalogue's order.
+    /// The effects in the catalogue's order, without the laws.
     pub fn iter(&self) -> impl Iterator<Item = (EffectId, &Slots)> {
         EffectId::ALL.into_iter().filter_map(|id| self.slots(id).map(|slots| (id, slots)))
     }
 
-    /// An effect's numbers, if it is on.
+    /// An effect's numbers, if the set has it.
     pub fn slots(&self, id: EffectId) -> Option<&Slots> {
         self.values[id as usize].as_ref()
     }
 
-    /// One number of an effect that is on; `component` is 0 for a scalar.
+    /// One number of an effect, if the set has it; `component` is 0 for a scalar.
     pub fn value(&self, id: EffectId, parameter: &str, component: usize) -> Option<f64> {
         let slot = id.spec().find(parameter)?;
         (component < slot.parameter.kind.slots())
             .then(|| self.slots(id).map(|slots| slots[slot.index + component]))?
     }
 
-    /// Switches an effect on with all its numbers in the order of its specification, or replaces
-    /// them.
+    /// Adds or replaces an effect, given all its numbers in the order of its specification.
     ///
     /// # Errors
-    /// A number outside its accepted range; the set is then unchanged.
+    /// A number is outside its accepted range. The set stays unchanged.
     pub fn insert(&mut self, id: EffectId, slots: Slots) -> Result<(), EffectError> {
         for slot in id.spec().slots() {
             check(id, slot.parameter, slots[slot.index])?;
@@ -180,10 +179,10 @@ impl EffectSet {
         Ok(())
     }
 
-    /// Switches an effect on with named parameters; those not given take their defaults.
+    /// Adds or replaces an effect with named parameters; missing ones take their defaults.
     ///
     /// # Errors
-    /// An unknown or missing parameter, a wrong shape, a value outside its range; the set is then
+    /// A parameter is unknown, missing, of the wrong shape or out of range. The set stays
     /// unchanged.
     pub fn insert_named<'a>(
         &mut self,
@@ -226,13 +225,13 @@ impl EffectSet {
         self.insert(id, slots)
     }
 
-    /// Switches an effect off.
+    /// Removes an effect; does nothing if the set does not have it.
     pub fn remove(&mut self, id: EffectId) {
         self.values[id as usize] = None;
     }
 
-    /// These effects, with those of `other` added or put in their places. Of laws beyond
-    /// [`LAWS_MAX`], the last of `other` are left out.
+    /// These effects with those of `other` added or replacing them. Drops the last laws of `other`
+    /// once [`LAWS_MAX`] is reached.
     pub fn overlay(&self, other: &EffectSet) -> EffectSet {
         let mut values = self.values;
         for (mine, theirs) in values.iter_mut().zip(other.values) {
@@ -245,11 +244,11 @@ impl EffectSet {
         both
     }
 
-    /// Switches on the effect of a command line argument, as `motor_lag:tau_s=0.03` or
-    /// `inertia:scale=[1.2,1.1,1.0]`, or the law of one line, as `force_x = -0.02[kg/s] * air_x`.
+    /// Adds the effect of a command-line argument such as `motor_lag:tau_s=0.03` or
+    /// `inertia:scale=[1.2,1.1,1.0]`, or a one-line law such as `force_x = -0.02[kg/s] * air_x`.
     ///
     /// # Errors
-    /// Text that does not follow this form, or whatever [`EffectSet::insert_named`] refuses.
+    /// The text does not follow this form, or [`EffectSet::insert_named`] refuses it.
     pub fn insert_argument(&mut self, argument: &str) -> Result<(), EffectError> {
         if Law::is_line(argument) {
             let names = std::iter::once(LAW.to_owned()).chain((2..).map(|n| format!("{LAW}_{n}")));
@@ -289,7 +288,7 @@ fn check(effect: EffectId, parameter: &Parameter, value: f64) -> Result<(), Effe
     })
 }
 
-/// Splits at the commas that are not between brackets.
+/// Splits at commas outside brackets.
 fn split_outside_brackets(list: &str) -> impl Iterator<Item = &str> {
     let mut depth = 0_i32;
     list.split(move |c| {
@@ -329,7 +328,7 @@ impl Serialize for EffectSet {
     }
 }
 
-/// An effect's numbers under their parameters' names.
+/// Serialises an effect's numbers under its parameters' names.
 struct Named<'a> {
     id: EffectId,
     slots: &'a Slots,

@@ -1,16 +1,16 @@
-//! What the catalogue says about an effect: its id, and its parameters with units and ranges.
+//! A catalogue entry: an effect's id, its parameters with units and ranges, and its typical size.
 
 use super::EffectId;
 use crate::params::VehicleParams;
 
-/// Most numbers that one effect has; vectors count three.
+/// Largest number of slots of an effect; a vector takes three.
 pub const MAX_SLOTS: usize = 6;
 
 /// An effect's numbers in the order of its [`Spec::parameters`], vectors laid out in place;
 /// slots beyond [`Spec::slots`] are 0.
 pub type Slots = [f64; MAX_SLOTS];
 
-/// The first slots, and zeros.
+/// Fills the first slots with `values` and the rest with zeros.
 pub const fn slots<const N: usize>(values: [f64; N]) -> Slots {
     let mut slots = [0.0; MAX_SLOTS];
     let mut index = 0;
@@ -26,14 +26,14 @@ pub const fn slots<const N: usize>(values: [f64; N]) -> Slots {
 pub enum Kind {
     /// One real number.
     Scalar,
-    /// Three real numbers, in the axes' order.
+    /// Three real numbers, about or along body x, y, z.
     Vec3,
-    /// A whole number from 0, as a rotor's place in the vehicle file.
+    /// A whole number from 0, such as a rotor's index in the vehicle file.
     Index,
 }
 
 impl Kind {
-    /// How many numbers it takes.
+    /// Number of slots that the parameter takes.
     pub const fn slots(self) -> usize {
         match self {
             Kind::Scalar | Kind::Index => 1,
@@ -45,11 +45,11 @@ impl Kind {
 /// The value that means "no effect".
 #[derive(Clone, Copy, Debug)]
 pub enum Neutral {
-    /// The same for every vehicle; also the default of a parameter that is not given.
+    /// The same value for every vehicle.
     Value(f64),
-    /// A number of the vehicle file. The parameter must be given.
+    /// A number of the vehicle file. The parameter has no default.
     Vehicle(fn(&VehicleParams) -> f64),
-    /// No value of this parameter means "no effect", as for a rotor's index. It must be given.
+    /// No value of this parameter means "no effect": a rotor's index, or a shape parameter.
     None,
 }
 
@@ -58,13 +58,13 @@ pub enum Neutral {
 pub struct Parameter {
     /// Name in files and on the command line.
     pub name: &'static str,
-    /// Unit; "-" where there is none.
+    /// Unit; "-" for a dimensionless parameter.
     pub unit: &'static str,
-    /// Shape.
+    /// Whether the parameter is a scalar, a vector or an index.
     pub kind: Kind,
     /// The value that means "no effect".
     pub neutral: Neutral,
-    /// Value taken when the parameter is not given; `None` where it must be.
+    /// Value of a parameter that is not given; `None` if it is required.
     pub default: Option<f64>,
     /// Least accepted value.
     pub min: f64,
@@ -101,7 +101,7 @@ impl Parameter {
         Self { kind: Kind::Vec3, ..Self::scalar(name, unit, neutral, range) }
     }
 
-    /// A real number whose neutral value is the vehicle file's; it must be given.
+    /// A required real number whose neutral value comes from the vehicle file.
     pub const fn of_vehicle(
         name: &'static str,
         unit: &'static str,
@@ -112,37 +112,37 @@ impl Parameter {
         Self { neutral: Neutral::Vehicle(neutral), default: None, ..parameter }
     }
 
-    /// A place in a list of `count`; it must be given.
+    /// A required index into a list of `count`.
     pub const fn index(name: &'static str, count: usize) -> Self {
         let parameter = Self::scalar(name, "-", 0.0, [0.0, (count - 1) as f64]);
         Self { kind: Kind::Index, neutral: Neutral::None, default: None, ..parameter }
     }
 
-    /// The same parameter, without a neutral value of its own: it only shapes the effect that
-    /// another parameter switches on.
+    /// Removes the parameter's neutral value: it only shapes an effect that another parameter
+    /// switches on.
     pub const fn shape(self) -> Self {
         Self { neutral: Neutral::None, ..self }
     }
 }
 
-/// What a log must hold to show an effect.
+/// What a log must contain to show an effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
-    /// Something that was commanded: setpoints, motor outputs or rotor speeds.
+    /// Commands: setpoints, motor outputs or rotor speeds.
     Input,
     /// Pose or accelerometer.
     Motion,
     /// Position, velocity and attitude.
     Pose,
-    /// Attitude, and velocity or body rate beside it.
+    /// Attitude, and velocity or body rate.
     Attitude,
-    /// Attitude or body rate, and what each rotor did.
+    /// Attitude or body rate, and the output or speed of each rotor.
     Moment,
-    /// Motor outputs, where these are what drives, no slower than the rotors.
+    /// Motor outputs at a rate no slower than the rotors, where the model is driven by outputs.
     FastOutputs,
-    /// Setpoints, or else fast outputs.
+    /// Setpoints, or fast motor outputs.
     FastInput,
-    /// A voltage that changes.
+    /// A battery voltage that varies.
     Voltage,
     /// An IMU that is faster than the estimate.
     Imu,
@@ -150,81 +150,81 @@ pub enum Need {
     WholeSetpoint,
 }
 
-/// How an effect grows from nothing to as much as a vehicle may sensibly have: its slots are `from`
-/// at size 0 and `from` + `by` at size 1.
+/// How an effect grows from nothing to the largest plausible size: its slots are `from` at size 0
+/// and `from` + `by` at size 1.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Growth {
-    /// At size 0: what the vehicle file says, where nothing else is set.
+    /// Slots at size 0: the vehicle file's values, unless set otherwise.
     pub from: Slots,
     /// What size 1 adds.
     pub by: Slots,
 }
 
-/// Where the direction of an effect is drawn from.
+/// A source of random directions and signs for an effect.
 pub trait Chance {
-    /// Evenly within a range.
+    /// Uniform within a range.
     fn within(&mut self, range: [f64; 2]) -> f64;
 
-    /// Either sign.
+    /// 1 or -1.
     fn sign(&mut self) -> f64;
 
     /// A whole number below `count`, which is at least 1.
     fn below(&mut self, count: usize) -> usize;
 
-    /// Evenly in the logarithm within a range of positive numbers.
+    /// Log-uniform within a range of positive numbers.
     fn log_within(&mut self, [low, high]: [f64; 2]) -> f64 {
         self.within([low.ln(), high.ln()]).exp()
     }
 
-    /// What to add to a factor of 1: more by a share within a range, or less by it, down to 0.6.
+    /// What to add to a factor of 1: plus or minus a share drawn from `range`, at least -0.4.
     fn scale(&mut self, range: [f64; 2]) -> f64 {
         (self.sign() * self.within(range)).max(-0.4)
     }
 
-    /// A direction in a plane, as a unit vector.
+    /// A uniform direction in a plane, as a unit vector.
     fn heading(&mut self) -> [f64; 2] {
         let (sin, cos) = self.within([0.0, std::f64::consts::TAU]).sin_cos();
         [cos, sin]
     }
 }
 
-/// One effect of the catalogue.
+/// An effect's entry in the catalogue.
 #[derive(Clone, Copy, Debug)]
 pub struct Spec {
     /// Id in files and on the command line.
     pub id: &'static str,
     /// Parameters, in the order of the slots.
     pub parameters: &'static [Parameter],
-    /// What a log must hold to show it, the first first.
+    /// What a log must contain to show the effect, most basic need first.
     pub needs: &'static [Need],
-    /// Typical sizes of its slots where it occurs, beyond what the vehicle file says: the widths of
-    /// a diagnosis' priors. A slot of size 0 is not fitted.
+    /// Typical deviation of each slot from the vehicle file where the effect occurs: the widths of
+    /// the diagnosis' priors. A slot of size 0 is not fitted.
     pub typical: fn(&VehicleParams) -> Slots,
-    /// Draws how it grows to as much as a vehicle may sensibly have: what an exam makes of it.
+    /// Draws the growth to the largest plausible size, for the exam.
     pub strong: fn(&VehicleParams, &mut dyn Chance, &mut Growth),
-    /// The effect that it is a variant of, or that no flight tells from it: it is reported as that
-    /// one.
+    /// The effect under which a diagnosis reports this one: one that it is a variant of, or that no
+    /// flight can distinguish from it.
     pub family: Option<EffectId>,
-    /// Whether it grows with the square of its first slot, so that at 0 there is no slope.
+    /// Whether the effect grows with the square of its first slot and has no slope at 0.
     pub is_quadratic: bool,
-    /// Parameters that an answer is judged by, those of one group as one vector; none for each that
-    /// has a neutral value by itself.
+    /// Parameters by which the exam judges an answer; each group counts as one vector. Empty means
+    /// every parameter that has a neutral value, by itself.
     pub judged: &'static [&'static [&'static str]],
 }
 
 /// One number of an effect: a parameter, or one component of a vector.
 #[derive(Clone, Copy, Debug)]
 pub struct Slot {
-    /// Place in [`Slots`].
+    /// Index in [`Slots`].
     pub index: usize,
-    /// The parameter that it belongs to.
+    /// The parameter that the number belongs to.
     pub parameter: &'static Parameter,
-    /// Which component; 0 for a scalar.
+    /// Component of a vector; 0 for a scalar.
     pub component: usize,
 }
 
 impl Spec {
-    /// Without a name, and of no size.
+    /// Defaults for the fields of a specification: no name, no parameters, size 0.
     pub const PLAIN: Self = Self {
         id: "",
         parameters: &[],
@@ -245,7 +245,8 @@ impl Spec {
             .map(|(index, (parameter, component))| Slot { index, parameter, component })
     }
 
-    /// The parameters that an answer is judged by, those of one group as one vector.
+    /// The groups of parameters by which the exam judges an answer; each group counts as one
+    /// vector.
     pub fn judged(&self) -> Vec<Vec<&'static str>> {
         if !self.judged.is_empty() {
             return self.judged.iter().map(|group| group.to_vec()).collect();
@@ -254,7 +255,7 @@ impl Spec {
         self.parameters.iter().filter(has_neutral).map(|p| vec![p.name]).collect()
     }
 
-    /// The first slot of the parameter `name`, and the parameter.
+    /// The first slot of the parameter `name`.
     pub fn find(&self, name: &str) -> Option<Slot> {
         self.slots().find(|slot| slot.parameter.name == name)
     }

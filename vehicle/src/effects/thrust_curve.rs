@@ -1,14 +1,14 @@
 //! Thrust curve: T_i = thrust_max ((1 - a) s_i + a s_i^2).
 //!
-//! 0 where the output is linear in thrust, towards 1 where it is linear in rotor speed.
+//! a is 0 where the thrust is linear in the output, and near 1 where the rotor speed is.
 
 use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::scalar::Scalar;
 
-/// The bend of thrust over the rotor's state.
+/// Nonlinearity of the thrust over the rotor's state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ThrustCurve {
-    /// Share of the square.
+    /// Share of the quadratic term.
     pub a: f64,
 }
 

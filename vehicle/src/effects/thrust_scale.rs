@@ -1,7 +1,7 @@
-//! Thrust scale: T_i <- scale T_i for every rotor, and the drag torque with it.
+//! Thrust scale: T_i <- scale T_i for every rotor; the drag torque scales too.
 //!
-//! Propeller wear, another propeller, thin air. Only thrust over mass acts, so that nothing but
-//! the rotor speeds tells it from a mass.
+//! Causes are propeller wear, a different propeller or thin air. Only the ratio of thrust to mass
+//! matters, so only the rotor speeds distinguish it from a mass.
 
 use super::{ConstantEffect, Effect, EffectId, Need, Parameter, Slots, Spec, slots};
 use crate::physics::Constants;

@@ -6,7 +6,7 @@ use crate::scalar::Scalar;
 /// Extra thrust in horizontal flight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TranslationalLift {
-    /// Gain per squared speed in s^2/m^2.
+    /// Relative gain in thrust per squared horizontal speed, s^2/m^2.
     pub k_s2_m2: f64,
 }
 

@@ -1,8 +1,8 @@
 //! Vortex ring: T <- T (1 - loss_max S exp(-(V_h / v_i)^2)) with
 //! S = smoothstep((v_az / v_i - onset) / (full - onset)).
 //!
-//! A vehicle that sinks at the speed of its own wake loses thrust. v_i is the induced velocity at
-//! hover, sqrt(m g / (2 rho 4 pi R^2)), with the nominal mass.
+//! A vehicle that descends at the speed of its own wake loses thrust. v_i is the induced velocity
+//! at hover, sqrt(m g / (2 rho 4 pi R^2)), with the nominal mass.
 
 use super::{Effect, EffectId, Flow, Need, Parameter, Slots, Spec, ThrustEffect, slots};
 use crate::scalar::Scalar;
@@ -12,9 +12,9 @@ use crate::scalar::Scalar;
 pub struct VortexRing {
     /// Largest loss as a fraction of the thrust.
     pub loss_max: f64,
-    /// Descent over induced velocity where the loss begins.
+    /// Ratio of descent rate to induced velocity at which the loss begins.
     pub onset_ratio: f64,
-    /// Descent over induced velocity where the loss is complete.
+    /// Ratio of descent rate to induced velocity at which the loss is complete.
     pub full_ratio: f64,
 }
 
@@ -49,7 +49,7 @@ impl ThrustEffect for VortexRing {
         if !descent.is_above(0.0) {
             return T::from(1.0);
         }
-        // An interval without length is a step.
+        // An interval of zero length is a step.
         let span = self.full_ratio - self.onset_ratio;
         let x = if (-descent).is_above(-span) { descent * (1.0 / span) } else { T::from(1.0) };
         let step = x * x * (x * -2.0 + 3.0);

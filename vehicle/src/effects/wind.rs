@@ -1,4 +1,4 @@
-//! Wind: steady velocity of the air in the world, blowing towards; acts through every
+//! Wind: steady velocity of the air in world axes, in the direction it blows to; acts through every
 //! air-relative term.
 
 use super::{Effect, EffectId, Need, Parameter, Slots, Spec, slots};
@@ -21,7 +21,7 @@ impl Effect for Wind {
             Parameter::scalar("down_m_s", "m/s", 0.0, [-60.0, 60.0]),
         ],
         needs: &[Need::Pose, Need::Input],
-        // A steady wind blows along the floor.
+        // A steady wind is mostly horizontal.
         typical: |_| slots([4.0, 4.0, 0.2]),
         strong: |_, chance, growth| {
             let [north, east] = chance.heading();

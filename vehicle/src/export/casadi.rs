@@ -9,7 +9,7 @@ use crate::effects::{
     TranslationalLift, VortexRing,
 };
 
-/// What does not depend on the vehicle.
+/// The equations, which do not depend on the vehicle.
 const EQUATIONS: &str = include_str!("casadi.py");
 
 pub(super) fn text(model: &mut Model<'_>) -> String {

@@ -1,12 +1,12 @@
-//! drone-models and crazyflow: a drone's table of physical parameters. Rotors have thrust and torque
-//! by polynomials of their speed in 1/min, which follows its command in proportion.
+//! drone-models and crazyflow: a drone's table of physical parameters. A rotor's thrust and torque
+//! are polynomials of its speed in 1/min, which follows its command with a first-order lag.
 
 use std::fmt::Write as _;
 
 use super::{Model, one_line, real, reals};
 use crate::effects::{EffectId, RotorGyroscopic};
 
-/// Its lag must not be 0, s.
+/// Smallest lag that the simulator accepts, s; 0 is invalid.
 const LEAST_LAG: f64 = 1e-3;
 
 pub(super) fn text(model: &mut Model<'_>) -> String {

@@ -1,4 +1,4 @@
-//! MuJoCo: a free body with four thrusters, each with its own torque; the lag is the thrusters' own.
+//! MuJoCo: a free body with four thrusters, each with its drag torque and lag.
 
 use std::fmt::Write as _;
 
@@ -59,7 +59,7 @@ pub(super) fn text(model: &mut Model<'_>) -> String {
     text
 }
 
-/// A comment of XML must not hold two dashes in a row.
+/// Breaks up double dashes, which an XML comment must not contain.
 fn dashes(text: &str) -> String {
     text.replace("--", "- -")
 }

@@ -1,5 +1,5 @@
-//! PX4's simulator on board (SIH): parameters in QGroundControl's form. Four rotors in an X, one
-//! thrust and torque for all; a linear drag, damping of the body rate, a lag of the thrust.
+//! PX4's simulation in hardware (SIH): parameters in QGroundControl's format. Its model has four
+//! rotors in an X with a common thrust and torque, linear drag, rate damping and a thrust lag.
 
 use std::fmt::Write as _;
 
@@ -7,9 +7,9 @@ use super::Model;
 use crate::effects::EffectId;
 use crate::params::ROTORS;
 
-/// Its gravity, m/s^2.
+/// SIH's gravity, m/s^2.
 const GRAVITY: f64 = 9.806_65;
-/// MAVLink's type of a real parameter.
+/// MAV_PARAM_TYPE_REAL32 of MAVLink.
 const REAL32: u8 = 9;
 
 pub(super) fn text(model: &mut Model<'_>) -> String {

@@ -1,5 +1,5 @@
-//! RotorPy (Folk, Paulos and Kumar 2023): `quad_params`. Its rotors are commanded by speed, each has
-//! thrust k_eta w^2, torque k_m w^2, drag -w k_d v and a flapping moment -w k_flap (v x z).
+//! RotorPy (Folk, Paulos and Kumar 2023): `quad_params`. Commands are rotor speeds w. Each rotor
+//! has thrust k_eta w^2, torque k_m w^2, drag -w k_d v and a flapping moment -w k_flap (v x z).
 
 use std::fmt::Write as _;
 
@@ -7,14 +7,14 @@ use super::{Model, real, reals};
 use crate::effects::{BladeFlapping, EffectId, ParasiticDrag, TranslationalLift};
 use crate::params::ROTORS;
 
-/// Its gravity, m/s^2.
+/// RotorPy's gravity, m/s^2.
 const GRAVITY: f64 = 9.81;
-/// Its lag must not be 0, s.
+/// Smallest lag that RotorPy accepts, s; 0 is invalid.
 const LEAST_LAG: f64 = 1e-3;
 
 pub(super) fn text(model: &mut Model<'_>) -> String {
     let full = model.speed_max;
-    // All rotors at the speed of hover together, rad/s.
+    // Sum of the rotors' speeds at hover, rad/s.
     let hover = ROTORS as f64 * model.hover_speed() * full;
     let (thrust, torque) = model.mean_rotor();
     let (drag, follows_speed) = model.linear_drag().unwrap_or(([0.0; 3], true));

@@ -1,4 +1,4 @@
-//! A law or disturbance of [`Foreign`] at work on a plant.
+//! A law or disturbance of [`Foreign`] acting on a plant.
 
 use crate::effects::Wrench;
 use crate::frame::{Frd, Ned};
@@ -12,34 +12,34 @@ use std::f64::consts::TAU;
 
 use super::Foreign;
 
-/// Height at which [`Foreign::WindShear`] blows with its stated velocity, m.
+/// Height at which [`Foreign::WindShear`] has its stated velocity, m.
 const SHEAR_HEIGHT: f64 = 3.0;
-/// Least height that the shear is taken at, m.
+/// Smallest height at which the shear is evaluated, m.
 const SHEAR_HEIGHT_MIN: f64 = 0.1;
 
-/// Least height of a rotor over the floor, radii.
+/// Smallest height of a rotor above the floor, in radii.
 const GROUND_HEIGHT_MIN: f64 = 0.5;
-/// Eddies of an axis, and the ratio of one's length to the next.
+/// Number of eddies on each axis, and the ratio of one eddy's length to the next.
 const EDDIES: usize = 9;
 const EDDY_RATIO: f64 = 1.9;
 
-/// What a foreign thing sees of the plant at the start of a step.
+/// The plant at the start of a step, as seen by a [`Foreign`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scene<'a> {
     pub state: &'a State,
     pub rotors: &'a [RotorConstants; ROTORS],
-    /// Of each rotor before aerodynamic factors, N.
+    /// Thrust of each rotor before aerodynamic factors, N.
     pub thrusts: [f64; ROTORS],
     pub loads: &'a Loads<f64>,
     pub air_velocity: Ned,
-    /// Above the floor, m.
+    /// Height above the floor, m.
     pub height: f64,
     /// Terminal voltage over the full one.
     pub voltage: f64,
     pub gravity: f64,
 }
 
-/// A foreign thing at work.
+/// An active [`Foreign`] with its state.
 #[derive(Clone, Debug)]
 pub(crate) struct Active {
     law: Foreign,
@@ -51,13 +51,14 @@ pub(crate) struct Active {
     factors: [f64; ROTORS],
     swing: Swing,
     moment: Moment,
-    /// Rotors' states between two lags.
+    /// The rotors' states between the two lags of [`Foreign::LagSecondOrder`].
     between: [f64; ROTORS],
     slow_voltage: Option<f64>,
     eddies: Option<Eddies>,
 }
 
-/// Frozen turbulence of unit deviation: per axis sines whose length falls by a constant ratio.
+/// Frozen turbulence of unit deviation: on each axis, a sum of sines whose lengths fall by a
+/// constant ratio.
 #[derive(Clone, Debug)]
 struct Eddies([[f64; EDDIES]; 3]);
 
@@ -66,9 +67,9 @@ impl Eddies {
         Self(std::array::from_fn(|_| std::array::from_fn(|_| TAU * rng.random::<f64>())))
     }
 
-    /// The air's velocity so many longest eddies along the way.
+    /// The air's velocity after a distance of `way` longest eddies.
     fn velocity(&self, way: f64) -> Ned {
-        // Bands of equal ratio hold energy by their length to 2/3.
+        // In bands of equal ratio the energy goes as the length to 2/3.
         let energy = |eddy: usize| EDDY_RATIO.powf(-2.0 / 3.0 * eddy as f64);
         let total: f64 = (0..EDDIES).map(energy).sum();
         Ned::from(self.0.map(|phases| {
@@ -81,7 +82,7 @@ impl Eddies {
     }
 }
 
-/// A load under the vehicle: north and east.
+/// A slung load's offset, north and east, m.
 #[derive(Clone, Copy, Debug, Default)]
 struct Swing {
     place: [f64; 2],
@@ -89,7 +90,7 @@ struct Swing {
     velocity: Option<Ned>,
 }
 
-/// Something that lasts for a moment, at random times.
+/// A short event at a random time.
 #[derive(Clone, Copy, Debug)]
 struct Moment {
     begins: f64,
@@ -114,17 +115,17 @@ impl Active {
         }
     }
 
-    /// Force and moment over this step.
+    /// Force (N) and moment (N m) over this step, body axes.
     pub fn wrench(&self) -> Wrench<f64> {
         self.wrench
     }
 
-    /// Velocity of the air beside the plant's own, m/s.
+    /// Velocity of the air in addition to the plant's own, world axes, m/s.
     pub fn air_velocity(&self) -> Ned {
         self.air
     }
 
-    /// The states that give thrust and speed.
+    /// The effective states, which determine thrust and speed.
     pub fn bent(&self, states: &[f64; ROTORS]) -> [f64; ROTORS] {
         std::array::from_fn(|i| {
             let s = states[i];
@@ -139,12 +140,12 @@ impl Active {
         })
     }
 
-    /// Whether the rotors follow by a law of its own.
+    /// Whether it replaces the rotors' lag.
     pub fn lags(&self) -> bool {
         matches!(self.law, Foreign::LagSecondOrder { .. } | Foreign::LagAsymmetric { .. })
     }
 
-    /// The rotors' states half way and at the end of a step.
+    /// The rotors' states at the middle and end of a step.
     pub fn follow(
         &mut self,
         states: &[f64; ROTORS],
@@ -174,12 +175,12 @@ impl Active {
         }
     }
 
-    /// The rotors were put into these states.
+    /// Resets the state of the lag to these rotor states.
     pub fn reset(&mut self, states: &[f64; ROTORS]) {
         self.between = *states;
     }
 
-    /// Lets a step begin.
+    /// Computes force, moment, air velocity and thrust factors for the next step.
     pub fn advance(&mut self, scene: &Scene<'_>, step: f64) {
         self.time += step;
         let state = scene.state;
@@ -276,7 +277,7 @@ impl Active {
             Foreign::RotorWear { rotor, loss, torque_share } => {
                 let rotor = rotor.min(ROTORS - 1);
                 self.factors[rotor] = 1.0 - loss;
-                // The thrusts are those after the loss.
+                // `thrusts` already include the loss.
                 let kept = loss * (1.0 - torque_share) / (1.0 - loss).max(1e-9);
                 let torque = scene.thrusts[rotor] * scene.rotors[rotor].torque_per_thrust;
                 moment = Frd::new(0.0, 0.0, kept * torque);
@@ -310,7 +311,7 @@ impl Active {
         self.wrench = Wrench { force, moment };
     }
 
-    /// Whether one of the moments is now; the next is drawn where one has passed.
+    /// Whether an event is in progress; draws the next one once an event has passed.
     fn in_moment(&mut self, duration_s: f64, interval_s: f64) -> bool {
         if self.time >= self.moment.ends {
             let wait: f64 = Exp1.sample(&mut self.rng);
@@ -326,7 +327,7 @@ impl Active {
 }
 
 impl Swing {
-    /// The force over the load's mass, north and east.
+    /// Advances the load; returns its force over its mass, north and east, m/s^2.
     fn advance(&mut self, state: &State, stiffness: f64, damping: f64, step: f64) -> [f64; 2] {
         let before = self.velocity.replace(state.velocity).unwrap_or(state.velocity);
         let [n, e, _] = ((state.velocity - before) * step.recip()).to_array();

@@ -1,9 +1,9 @@
-//! Laws: effects as formulas, for what the catalogue does not have.
+//! Laws: effects as formulas, for causes that the catalogue does not have.
 //!
-//! A law is a table of formulas over [`Quantity`]s, each acting at one place of the physics. It is
-//! read once into a flat program, checked for units, bounded in magnitude, and has no access to
-//! anything but the quantities. It is a member of an [`EffectSet`](crate::effects::EffectSet) as an
-//! effect of the catalogue is.
+//! A law is a table of formulas over [`Quantity`]s, each acting at one place in the physics. A
+//! formula is parsed once into a flat program. Its units are checked, its magnitude is bounded, and
+//! it can access nothing except the quantities. Laws belong to an
+//! [`EffectSet`](crate::effects::EffectSet), as the catalogue's effects do.
 
 mod parser;
 mod program;
@@ -29,12 +29,12 @@ use crate::scalar::Scalar;
 
 pub(crate) use quantity::{Rotors, values};
 
-/// Most constants of a law.
+/// Largest number of constants in a law.
 const CONSTANTS_MAX: usize = 32;
-/// Most laws of a set.
+/// Largest number of laws in a set.
 pub const LAWS_MAX: usize = 8;
-/// Bound of a force, in weights, where the law states none; a moment is bounded by what the
-/// rotors' arm makes of as much.
+/// Default bound of a force, in weights. The default bound of a moment is this force times the
+/// rotors' largest arm.
 const WEIGHTS_MAX: f64 = 2.0;
 
 /// Where a formula acts.
@@ -46,15 +46,15 @@ pub enum Channel {
     WorldForce(usize),
     /// Moment about an axis of the body, N m.
     Moment(usize),
-    /// f in T <- T (1 + f), as an effect on thrust acts.
+    /// f in T <- T (1 + f); tilting moments scale too, as with a
+    /// [`ThrustEffect`](crate::effects::ThrustEffect).
     Thrust,
-    /// Time that the rotors' lag is longer by, s: of constants only, for it acts on all flights
-    /// alike.
+    /// Extra lag of the rotors, s. It may use constants only, because it is fixed for all flights.
     Lag,
 }
 
 impl Channel {
-    /// All of them.
+    /// Every channel, in the order of the documentation.
     pub const ALL: [Self; 11] = [
         Self::Force(0),
         Self::Force(1),
@@ -69,7 +69,7 @@ impl Channel {
         Self::Lag,
     ];
 
-    /// Its key in a law.
+    /// The channel's key in a law.
     pub fn name(self) -> &'static str {
         let axis = |names: [&'static str; 3], axis: usize| names.get(axis).copied().unwrap_or("");
         match self {
@@ -81,7 +81,7 @@ impl Channel {
         }
     }
 
-    /// The unit of its formula.
+    /// The required unit of the channel's formula.
     pub fn unit(self) -> Unit {
         match self {
             Self::Force(_) | Self::WorldForce(_) => Unit::FORCE,
@@ -96,13 +96,13 @@ impl Channel {
     }
 }
 
-/// A law as it is written in files.
+/// A law as written in files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LawText {
-    /// What it is, for people.
+    /// Description of the law, for people.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub about: Option<String>,
-    /// Formulas, by where they act: `force_x = "-c * air_x"`.
+    /// Formulas by the name of their channel: `force_x = "-c * air_x"`.
     #[serde(flatten)]
     pub formulas: BTreeMap<String, String>,
     /// Named numbers with their units: `c = "0.012 kg/s"`.
@@ -111,13 +111,13 @@ pub struct LawText {
     /// 90 % intervals of the constants, for people.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub intervals_90: BTreeMap<String, [f64; 2]>,
-    /// What the law is known for: a quantity beyond its range counts as at its end.
+    /// Range of validity of each quantity; the law clamps quantities to it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub range: BTreeMap<String, [f64; 2]>,
-    /// Largest force along an axis, N.
+    /// Bound on the force along each axis, N.
     #[serde(default, rename = "max_force_N", skip_serializing_if = "Option::is_none")]
     pub max_force_n: Option<f64>,
-    /// Largest moment about an axis, N m.
+    /// Bound on the moment about each axis, N m.
     #[serde(default, rename = "max_moment_Nm", skip_serializing_if = "Option::is_none")]
     pub max_moment_nm: Option<f64>,
 }
@@ -126,15 +126,15 @@ pub struct LawText {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("law {law:?}: {place}: {reason}")]
 pub struct LawError {
-    /// The law.
+    /// Name of the law.
     pub law: String,
-    /// The key of it that is wrong.
+    /// The key at fault.
     pub place: String,
-    /// What is wrong with it, and what would be right.
+    /// What is wrong and what is accepted.
     pub reason: String,
 }
 
-/// A law that was checked. Cheap to clone.
+/// A checked law; cheap to clone.
 #[derive(Clone)]
 pub struct Law(Arc<Checked>);
 
@@ -160,10 +160,10 @@ impl fmt::Debug for Law {
 }
 
 impl Law {
-    /// Checks a law.
+    /// Checks a law and compiles its formulas.
     ///
     /// # Errors
-    /// [`LawError`].
+    /// [`LawError`] names the key at fault and the reason.
     pub fn new(name: &str, text: LawText) -> Result<Self, LawError> {
         let refused = |place: &str, reason: String| LawError {
             law: name.chars().take(64).collect(),
@@ -255,10 +255,10 @@ impl Law {
         Ok(Self(Arc::new(Checked { name, text, formulas, limits, needed, lag_s })))
     }
 
-    /// Reads a law of one line: `force_x = -0.02[kg/s] * air_x; force_y = -0.02[kg/s] * air_y`.
+    /// Parses a one-line law: `force_x = -0.02[kg/s] * air_x; force_y = -0.02[kg/s] * air_y`.
     ///
     /// # Errors
-    /// [`LawError`].
+    /// [`LawError`] names the key at fault and the reason.
     pub fn from_line(name: &str, line: &str) -> Result<Self, LawError> {
         let mut text = LawText::default();
         for part in line.split(';').filter(|part| !part.trim().is_empty()) {
@@ -275,44 +275,45 @@ impl Law {
         Self::new(name, text)
     }
 
-    /// Whether text begins as [`Law::from_line`] reads it.
+    /// Whether `text` starts with a channel and `=`, the form that [`Law::from_line`] parses.
     pub fn is_line(text: &str) -> bool {
         text.split_once('=').is_some_and(|(key, _)| Channel::of(key.trim()).is_some())
     }
 
-    /// Its name.
+    /// The law's name within its set.
     pub fn name(&self) -> &str {
         &self.0.name
     }
 
-    /// As it is written.
+    /// The law as written.
     pub fn text(&self) -> &LawText {
         &self.0.text
     }
 
-    /// Seconds that the rotors' lag is longer by.
+    /// Extra lag of the rotors, s.
     pub fn lag_s(&self) -> f64 {
         self.0.lag_s
     }
 
-    /// The quantities that it reads.
+    /// The quantities that the law reads.
     pub fn needed(&self) -> Needed {
         self.0.needed
     }
 }
 
-/// Laws that act on a vehicle.
+/// Laws that act on a vehicle, with their default bounds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Laws {
     laws: Arc<[Law]>,
     needed: Needed,
-    /// Bounds of a force (N) and a moment (N m) where a law states none.
+    /// Default bounds of a force (N) and a moment (N m).
     bounds: [f64; 2],
     full_voltage: f64,
 }
 
 impl Laws {
-    /// `weight` in N, the rotors' arm in m, and the voltage of a full pack; `None` without a law.
+    /// Takes the weight in N, the rotors' largest arm in m and the full pack's voltage in V.
+    /// Returns `None` without a law.
     pub fn new(laws: &[Law], weight: f64, arm: f64, full_voltage: f64) -> Option<Self> {
         let needed = laws.iter().fold(Needed::default(), |all, law| all.and(law.needed()));
         let force = WEIGHTS_MAX * weight;
@@ -324,12 +325,12 @@ impl Laws {
         })
     }
 
-    /// Whether a quantity is read.
+    /// Whether a law reads `quantity`.
     pub fn reads(&self, quantity: Quantity) -> bool {
         self.needed.has(quantity)
     }
 
-    /// Adds what the laws do to the force and moment.
+    /// Adds the laws' forces and moments to `wrench`, in body axes.
     pub fn add<T: Scalar>(
         &self,
         state: &State<T>,

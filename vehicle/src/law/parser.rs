@@ -1,5 +1,5 @@
-//! Reads a formula and checks its units. It reads text and numbers and nothing else, and its work is
-//! bounded by the text's length.
+//! Parses a formula and checks its units. It has no input except the text and the constants, and
+//! its work is bounded by the text's length.
 
 use std::collections::BTreeMap;
 
@@ -7,27 +7,27 @@ use super::program::{Binary, OPERATIONS_MAX, Operation, Program, STACK_MAX, Unar
 use super::quantity::Quantity;
 use super::unit::Unit;
 
-/// Longest formula, bytes.
+/// Length limit of a formula, bytes.
 pub const LENGTH_MAX: usize = 1024;
-/// Deepest nesting.
+/// Limit on the nesting of parentheses and function calls.
 const DEPTH_MAX: usize = 24;
-/// Largest power.
+/// Largest magnitude of an exponent.
 const POWER_MAX: f64 = 8.0;
 
-/// A named number.
+/// A number with its unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Constant {
-    /// Its value, in SI.
+    /// The value in SI units.
     pub value: f64,
-    /// Its unit.
+    /// The unit of the value.
     pub unit: Unit,
 }
 
 impl Constant {
-    /// Reads a number with its unit, as `0.012 kg/s`.
+    /// Parses a number with its unit, such as `0.012 kg/s`.
     ///
     /// # Errors
-    /// A sentence about what is wrong.
+    /// A sentence that says what is wrong.
     pub fn parse(text: &str) -> Result<Self, String> {
         let text = text.trim();
         let (number, unit) = text.split_once(char::is_whitespace).unwrap_or((text, ""));
@@ -42,10 +42,10 @@ impl Constant {
     }
 }
 
-/// Reads a formula of the given unit.
+/// Parses a formula and checks that it has the given unit.
 ///
 /// # Errors
-/// A sentence that says what is wrong, and where.
+/// A sentence that says what is wrong and where.
 pub fn parse(
     text: &str,
     constants: &BTreeMap<String, Constant>,
@@ -86,7 +86,7 @@ impl<'a> Parser<'a> {
         self.at += rest.len() - rest.trim_start().len();
     }
 
-    /// The next byte that is no blank.
+    /// The next byte that is not whitespace.
     fn next(&mut self) -> Option<u8> {
         self.skip_blank();
         self.rest().bytes().next()
@@ -214,7 +214,7 @@ impl<'a> Parser<'a> {
         Ok(unit)
     }
 
-    /// A power: a number, or a constant without a unit.
+    /// Parses an exponent: a number or a dimensionless constant.
     fn exponent(&mut self) -> Result<f64, String> {
         self.skip_blank();
         if let Some(name) = self.name() {
@@ -285,7 +285,7 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// A number, with a unit in brackets where it has one.
+    /// Parses a number, optionally followed by a unit in brackets.
     fn literal(&mut self) -> Result<Unit, String> {
         let value = self.number()?;
         let mut unit = Unit::NONE;

@@ -1,32 +1,33 @@
-//! A formula as a flat postfix program: evaluated without allocation, for any scalar, so that dual
-//! numbers give its exact derivatives.
+//! A formula as a flat postfix program. Evaluation does not allocate and works for any scalar; dual
+//! numbers give exact derivatives.
 
 use super::quantity::{Needed, QUANTITIES, Quantity};
 use crate::scalar::Scalar;
 
-/// Most operations of a formula.
+/// Largest number of operations in a formula.
 pub const OPERATIONS_MAX: usize = 96;
-/// Most numbers that wait for their operation.
+/// Size of the evaluation stack.
 pub const STACK_MAX: usize = 16;
-/// A divisor and the base of a power are kept this far from 0, where they have no derivative.
+/// Smallest magnitude of a divisor, and of the argument of a root or a real power, which have no
+/// finite derivative at 0.
 const LEAST: f64 = 1e-9;
-/// Exponents of e are kept within this.
+/// Bound on the magnitude of an exponent of e.
 const EXPONENT_MAX: f64 = 50.0;
 
-/// One step of a program, on a stack of numbers.
+/// One instruction of the stack machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Operation {
-    /// Puts a constant.
+    /// Pushes a constant.
     Constant(f64),
-    /// Puts a quantity.
+    /// Pushes a quantity, clamped to the law's range.
     Quantity(Quantity),
-    /// The two last make one.
+    /// Replaces the top two numbers with one.
     Binary(Binary),
-    /// The last becomes another.
+    /// Replaces the top number.
     Unary(Unary),
 }
 
-/// Of two numbers.
+/// An operation on two numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum Binary {
@@ -38,7 +39,7 @@ pub enum Binary {
     Greatest,
 }
 
-/// Of one number.
+/// An operation on one number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs)]
 pub enum Unary {
@@ -48,13 +49,13 @@ pub enum Unary {
     Exponential,
     Sine,
     Cosine,
-    /// A whole power.
+    /// An integer power.
     Whole(i8),
-    /// Any other power, of the number's part above 0.
+    /// A real power; the base is clamped to positive values.
     Power(f64),
 }
 
-/// A formula that was checked.
+/// A checked formula.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Program {
     operations: Vec<Operation>,
@@ -62,8 +63,8 @@ pub struct Program {
 }
 
 impl Program {
-    /// From operations that leave one number and need no more than `STACK_MAX`; `None` where they
-    /// do not.
+    /// Checks that the operations leave one number, fit the stack of `STACK_MAX` and are at most
+    /// [`OPERATIONS_MAX`]. Returns `None` otherwise.
     pub fn new(operations: Vec<Operation>) -> Option<Self> {
         let (mut depth, mut needed) = (0_usize, Needed::default());
         for operation in &operations {
@@ -84,12 +85,13 @@ impl Program {
         fits.then_some(Self { operations, needed })
     }
 
-    /// The quantities that it reads.
+    /// The quantities that the formula reads.
     pub fn needed(&self) -> Needed {
         self.needed
     }
 
-    /// Its value, each quantity within its limits; 0 where there is none.
+    /// Evaluates the formula with each quantity clamped to its limits. Returns 0 if the result is
+    /// not finite.
     pub fn value<T: Scalar>(
         &self,
         quantities: &[T; QUANTITIES],
@@ -97,7 +99,7 @@ impl Program {
     ) -> T {
         let mut stack = [T::default(); STACK_MAX];
         let mut top = 0;
-        // `new` saw that neither end of the stack is passed.
+        // `new` has checked that the stack neither underflows nor overflows.
         for operation in &self.operations {
             match *operation {
                 Operation::Constant(value) => {

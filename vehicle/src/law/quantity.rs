@@ -1,4 +1,4 @@
-//! The quantities that a formula may name.
+//! The quantities that a formula may use.
 
 use super::unit::Unit;
 use crate::frame::{Frd, Ned};
@@ -6,12 +6,12 @@ use crate::physics::Environment;
 use crate::rigid_body::State;
 use crate::scalar::Scalar;
 
-/// Speeds are smooth about 0 within this, m/s, so that their derivatives exist there.
+/// Speeds are smoothed within this distance of 0, m/s, where their derivatives would not exist.
 const SMOOTH_M_S: f64 = 1e-6;
 
 macro_rules! quantities {
     ($($variant:ident $name:literal $unit:ident $about:literal),+ $(,)?) => {
-        /// A quantity that a formula may name.
+        /// A quantity that a formula may use.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[allow(missing_docs)] // each says what it is by `about`
         pub enum Quantity {
@@ -19,20 +19,20 @@ macro_rules! quantities {
         }
 
         impl Quantity {
-            /// All of them.
+            /// Every quantity, in the order of its index.
             pub const ALL: [Quantity; QUANTITIES] = [$(Quantity::$variant),+];
 
-            /// Its name in formulas.
+            /// The quantity's name in formulas.
             pub fn name(self) -> &'static str {
                 match self { $(Self::$variant => $name),+ }
             }
 
-            /// Its unit.
+            /// The quantity's unit.
             pub fn unit(self) -> Unit {
                 match self { $(Self::$variant => Unit::$unit),+ }
             }
 
-            /// What it is.
+            /// Description for people.
             pub fn about(self) -> &'static str {
                 match self { $(Self::$variant => $about),+ }
             }
@@ -40,7 +40,7 @@ macro_rules! quantities {
     };
 }
 
-/// How many there are.
+/// Number of quantities.
 pub const QUANTITIES: usize = 25;
 
 quantities! {
@@ -71,12 +71,12 @@ quantities! {
     Time "time" TIME "time since the start",
 }
 
-/// What the rotors do, as a formula sees it.
+/// The rotors' loads, as inputs of formulas.
 #[derive(Clone, Copy, Debug)]
 pub struct Rotors<T> {
     /// Total thrust before aerodynamic factors, N.
     pub thrust: T,
-    /// Mean rotor speed over hover's.
+    /// Mean rotor speed over the one at hover.
     pub speed_ratio: T,
     /// Moments about front, right and down, N m.
     pub moment: [T; 3],
@@ -87,22 +87,22 @@ pub struct Rotors<T> {
 pub struct Needed(u32);
 
 impl Needed {
-    /// With one more.
+    /// Adds a quantity to the set.
     pub fn with(self, quantity: Quantity) -> Self {
         Self(self.0 | 1 << quantity as u32)
     }
 
-    /// Those of both.
+    /// The union of two sets.
     pub fn and(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 
-    /// The quantities in it.
+    /// The quantities in the set, in the order of [`Quantity::ALL`].
     pub fn iter(self) -> impl Iterator<Item = Quantity> {
         Quantity::ALL.into_iter().filter(move |quantity| self.has(*quantity))
     }
 
-    /// Whether a quantity is in it.
+    /// Whether the set contains `quantity`.
     pub fn has(self, quantity: Quantity) -> bool {
         self.0 & (1 << quantity as u32) != 0
     }
@@ -112,7 +112,7 @@ impl Needed {
     }
 }
 
-/// Values of the quantities that are needed; 0 of the others.
+/// Values of the quantities in SI units. Costly ones that are not `needed` may be 0.
 pub fn values<T: Scalar>(
     needed: Needed,
     state: &State<T>,
@@ -161,7 +161,7 @@ pub fn values<T: Scalar>(
     if needed.has(Q::Heading) {
         let axis: Ned<T> = state.attitude.to_world(Frd::new(one, zero, zero));
         let [x, y, _] = axis.to_array();
-        // Nose straight up there is none.
+        // With the nose straight up, the heading is undefined.
         let is_flat = (x * x + y * y).is_above(1e-18);
         set(Q::Heading, if is_flat { y.atan2(x) } else { zero });
     }

@@ -184,7 +184,7 @@ proptest! {
             for k in 0..6 {
                 let slope = (up[k] - down[k]) / (2.0 * h);
                 let found = exact[k].gradient()[i];
-                // A kink within the step is no error.
+                // A kink within the step is not an error.
                 let kink = (moved(10.0 * h)[k] - up[k]) / (9.0 * h);
                 let is_smooth = (kink - slope).abs() < 1e-4 * (1.0 + slope.abs());
                 prop_assert!(!is_smooth || (found - slope).abs() < 1e-4 * (1.0 + slope.abs()), "{found} {slope}");

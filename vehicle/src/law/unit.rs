@@ -1,15 +1,15 @@
-//! Units of formulas: whole powers of kg, m, s and V. An angle has none.
+//! Units of formulas: integer powers of kg, m, s and V. Angles are dimensionless.
 
 use std::fmt;
 
-/// A unit.
+/// A unit as powers of kg, m, s and V.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Unit([i8; 4]);
 
 /// Base units, in the order of the powers.
 const BASE: [&str; 4] = ["kg", "m", "s", "V"];
 
-/// Names of units and their powers of the base units.
+/// Unit names and their powers of the base units.
 const NAMED: [(&str, [i8; 4]); 8] = [
     ("kg", [1, 0, 0, 0]),
     ("m", [0, 1, 0, 0]),
@@ -22,7 +22,7 @@ const NAMED: [(&str, [i8; 4]); 8] = [
 ];
 
 impl Unit {
-    /// No unit.
+    /// Dimensionless.
     pub const NONE: Self = Self([0; 4]);
     /// N.
     pub const FORCE: Self = Self([1, 1, -2, 0]);
@@ -30,7 +30,7 @@ impl Unit {
     pub const MOMENT: Self = Self([1, 2, -2, 0]);
     /// m/s.
     pub const SPEED: Self = Self([0, 1, -1, 0]);
-    /// 1/s; an angle has no unit.
+    /// 1/s, also for rad/s.
     pub const RATE: Self = Self([0, 0, -1, 0]);
     /// m.
     pub const LENGTH: Self = Self([0, 1, 0, 0]);
@@ -39,7 +39,7 @@ impl Unit {
     /// V.
     pub const VOLTAGE: Self = Self([0, 0, 0, 1]);
 
-    /// Reads a unit such as `kg/s`, `N m` or `s^2/m^2`. A `/` turns over the one unit behind it.
+    /// Parses a unit such as `kg/s`, `N m` or `s^2/m^2`. A `/` inverts only the next unit.
     pub fn parse(text: &str) -> Option<Self> {
         let mut unit = Self::NONE;
         let mut sign = 1;
@@ -64,7 +64,7 @@ impl Unit {
         (sign == 1).then_some(unit)
     }
 
-    /// The unit of a product; `None` where a power is beyond any use.
+    /// The unit of a product; `None` if a power overflows.
     pub fn times(self, other: Self) -> Option<Self> {
         let mut powers = self.0;
         for (mine, theirs) in powers.iter_mut().zip(other.0) {
@@ -73,12 +73,12 @@ impl Unit {
         Some(Self(powers))
     }
 
-    /// The unit of a quotient.
+    /// The unit of a quotient; `None` if a power overflows.
     pub fn over(self, other: Self) -> Option<Self> {
         self.times(other.to_power(-1)?)
     }
 
-    /// The unit of a whole power.
+    /// The unit of an integer power; `None` if a power overflows.
     pub fn to_power(self, power: i8) -> Option<Self> {
         let mut powers = self.0;
         for mine in &mut powers {
@@ -87,12 +87,12 @@ impl Unit {
         Some(Self(powers))
     }
 
-    /// The unit of a square root, where it has whole powers.
+    /// The unit of a square root; `None` if a power is odd.
     pub fn root(self) -> Option<Self> {
         self.0.iter().all(|power| power % 2 == 0).then(|| Self(self.0.map(|power| power / 2)))
     }
 
-    /// Whether it is none.
+    /// Whether it is dimensionless.
     pub fn is_none(self) -> bool {
         self == Self::NONE
     }

@@ -1,12 +1,11 @@
-//! The attitude loop of PX4 and ArduCopter: a proportional loop on the attitude around a PID loop on
-//! the body rate.
+//! The attitude loop of PX4 and ArduCopter: a proportional attitude loop around a PID rate loop.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::AttitudePd;
 
-/// An on-board cascade in physical units; each triple is roll, pitch, yaw in body axes:
+/// An on-board cascade in physical units. Each triple is roll, pitch, yaw in body axes:
 ///
 /// ```text
 /// omega_sp = clip(angle_p * e, rate_max) + omega_ff         e: attitude error, rad
@@ -14,37 +13,37 @@ use super::AttitudePd;
 /// d integral/dt = rate_i (omega_sp - omega), |integral| <= integral_max
 /// ```
 ///
-/// `omega` is the gyro behind a low-pass of `gyro_cutoff_hz`, its derivative behind one of
-/// `derivative_cutoff_hz`. An autopilot's gains act on normalised torques; times the moment of a
-/// torque of 1 at the mixer they have these units.
+/// `omega` is the gyro behind a low-pass at `gyro_cutoff_hz`; its derivative passes another at
+/// `derivative_cutoff_hz`. An autopilot's gains act on normalised torques: multiply them by the
+/// moment of a unit torque at the mixer to get these units.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AttitudeCascade {
-    /// Attitude error to body rate, 1/s.
+    /// Gain from attitude error to body rate setpoint, 1/s.
     pub angle_p_per_s: [f64; 3],
-    /// Largest body rate that the attitude loop asks for, rad/s.
+    /// Largest body rate that the attitude loop commands, rad/s.
     pub rate_max_rad_s: [f64; 3],
-    /// Rate error to moment, N m s/rad.
+    /// Gain from rate error to moment, N m s/rad.
     #[serde(rename = "rate_p_Nms")]
     pub rate_p_nms: [f64; 3],
-    /// Integral of the rate error to moment, N m/rad.
+    /// Gain from the integral of the rate error to moment, N m/rad.
     #[serde(rename = "rate_i_Nm")]
     pub rate_i_nm: [f64; 3],
-    /// Angular acceleration to moment, N m s^2/rad.
+    /// Gain from angular acceleration to moment, N m s^2/rad.
     #[serde(rename = "rate_d_Nms2")]
     pub rate_d_nms2: [f64; 3],
-    /// Rate setpoint to moment, N m s/rad.
+    /// Gain from rate setpoint to moment, N m s/rad.
     #[serde(rename = "rate_ff_Nms", default)]
     pub rate_ff_nms: [f64; 3],
-    /// Bound of the integral, N m.
+    /// Bound on the integral's moment, N m.
     #[serde(rename = "integral_max_Nm")]
     pub integral_max_nm: [f64; 3],
     /// Cutoff of the gyro's low-pass, Hz.
     pub gyro_cutoff_hz: f64,
     /// Cutoff of the derivative's low-pass, Hz.
     pub derivative_cutoff_hz: f64,
-    /// Time constant with which the setpoint's attitude is followed before the loop sees it, s
-    /// (ArduCopter's ATC_INPUT_TC); missing where the setpoint acts at once.
+    /// Time constant of the input shaping on the attitude setpoint, s (ArduCopter's ATC_INPUT_TC);
+    /// missing where the setpoint acts at once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub input_time_constant_s: Option<f64>,
     /// Rate of the loop, Hz.
@@ -52,13 +51,13 @@ pub struct AttitudeCascade {
 }
 
 impl AttitudeCascade {
-    /// The PD law `M = kp (zeta_des - zeta) + kd (omega_des - omega)` that answers setpoints as the
-    /// cascade does near hover and within its bounds, without integral, derivative and filters:
-    /// `kp = angle_p (rate_p + rate_ff)`, `kd = rate_p`.
+    /// The PD law `M = kp (zeta_des - zeta) + kd (omega_des - omega)` with the cascade's response
+    /// near hover and within its bounds, without integral, derivative and filters: `kp = angle_p
+    /// (rate_p + rate_ff)`, `kd = rate_p`.
     ///
-    /// Where the setpoint is shaped, the loop follows the shaped one with its rate fed forward, so
-    /// that what is left of its lag `kd / kp` is the shaping's time constant:
-    /// `kp = (rate_p + rate_ff) / input_time_constant`.
+    /// With input shaping, the loop follows the shaped setpoint with its rate fed forward. The
+    /// remaining lag `kd / kp` is then the shaping's time constant: `kp = (rate_p + rate_ff) /
+    /// input_time_constant`.
     pub fn as_pd(&self) -> AttitudePd {
         let (p, ff) = (self.rate_p_nms, self.rate_ff_nms);
         let shaped = self.input_time_constant_s.filter(|tc| *tc > 0.0);

@@ -1,64 +1,64 @@
-//! Whether a vehicle file's numbers make sense together: what schema and signs do not show.
+//! Plausibility checks on a vehicle file: numbers that are valid alone and may not fit each other.
 //!
-//! The ranges are wide. Vehicles from 30 g to 25 kg lie inside; a number in the wrong unit, or of
-//! another vehicle, mostly does not.
+//! The ranges are wide. They include vehicles from 30 g to 25 kg; a number in the wrong unit, or
+//! from another vehicle, mostly falls outside.
 
 use serde::Serialize;
 
 use super::VehicleParams;
 
-/// Full thrust over weight of vehicles that fly well.
+/// Range of full thrust over weight of vehicles that fly well.
 const THRUST_TO_WEIGHT: [f64; 2] = [1.3, 12.0];
 /// Full thrust over weight below which a vehicle cannot leave the ground.
 const LIFTS: f64 = 1.0;
-/// Share by which `hover_thrust` may differ from weight over full thrust.
+/// Accepted relative deviation of `hover_thrust` from weight over full thrust.
 const HOVER_SHARE: f64 = 0.25;
-/// Radius of gyration about front and right, over the distance of the rotors from the centre.
+/// Radius of gyration about front and right, over the mean distance of the rotors from the centre.
 const GYRATION_TILT: [f64; 2] = [0.18, 0.95];
-/// The same about down.
+/// Radius of gyration about down, over the same distance.
 const GYRATION_YAW: [f64; 2] = [0.25, 1.3];
-/// Natural frequency of the on-board loop, rad/s.
+/// Range of the on-board loop's natural frequency, rad/s.
 const LOOP_RAD_S: [f64; 2] = [1.0, 50.0];
-/// Its damping ratio.
+/// Range of the on-board loop's damping ratio.
 const LOOP_DAMPING: [f64; 2] = [0.3, 4.0];
-/// Rate gain over inertia times lag and delay, above which the rate loop swings.
+/// Rate gain over inertia, times lag and delay, above which the rate loop oscillates.
 const RATE_LOOP_LAG: f64 = 3.0;
-/// Axes as they are named.
+/// The axes' names in messages.
 const AXES: [&str; 3] = ["roll", "pitch", "yaw"];
 
 /// How bad a [`Remark`] is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Doubt {
-    /// Few vehicles are like that.
+    /// Few vehicles have such numbers.
     Unlikely,
-    /// Such a vehicle cannot fly.
+    /// A vehicle with such numbers cannot fly.
     CannotFly,
 }
 
 /// Two or more numbers of a vehicle file that do not fit each other.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Remark {
-    /// How bad.
+    /// Severity of the mismatch.
     pub doubt: Doubt,
-    /// The field to look at first.
+    /// The field to check first.
     pub field: &'static str,
-    /// What was computed from the file.
+    /// The value computed from the file.
     pub found: f64,
-    /// Least and most that is expected of it.
+    /// Smallest and largest expected value.
     pub expected: [f64; 2],
-    /// Unit of both; empty for ratios.
+    /// Unit of `found` and `expected`; empty for ratios.
     pub unit: &'static str,
-    /// All of it as a sentence.
+    /// The remark as a sentence.
     pub what: String,
 }
 
 impl VehicleParams {
-    /// Numbers of this vehicle that do not fit each other, worst first. The file itself is taken
-    /// to be valid, as [`VehicleParams::load`] leaves it.
+    /// Numbers of this vehicle that do not fit each other, worst first. Assumes a valid file, as
+    /// [`VehicleParams::load`] returns it.
     pub fn remarks(&self) -> Vec<Remark> {
         let mut remarks: Vec<Remark> = self.thrust_to_weight().into_iter().collect();
-        // Where mass or thrust is far off, what is compared with them says nothing more.
+        // If mass or thrust is far off, a comparison with hover_thrust says nothing more.
         let is_light = remarks.iter().all(|remark| remark.doubt != Doubt::CannotFly);
         remarks.extend(self.hover_remark().filter(|_| is_light));
         remarks.extend(self.inertia_remarks());
@@ -218,7 +218,7 @@ impl VehicleParams {
     }
 }
 
-/// A number for a person: three digits.
+/// Formats a number with three significant digits.
 fn brief(value: f64) -> String {
     let size = value.abs();
     if size != 0.0 && !(1e-3..1e5).contains(&size) {

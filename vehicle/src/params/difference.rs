@@ -1,21 +1,21 @@
-//! Where two vehicles differ.
+//! The first difference between two vehicles.
 
 use serde::Serialize;
 use serde_json::Value;
 
 use super::VehicleParams;
 
-/// Where two vehicles differ.
+/// The first difference between two vehicles.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field}{place} is {other} there and {this} in the vehicle at hand")]
 pub struct Difference {
-    /// The field, by its name in vehicle files.
+    /// The field's name in vehicle files.
     pub field: &'static str,
-    /// Where in it, as `[2].spin` of a list of rotors; empty where it is one value.
+    /// Place within the field, such as `[2].spin` in the list of rotors; empty for a single value.
     pub place: String,
-    /// Its value in this vehicle, as its file has it.
+    /// The value in this vehicle, formatted as JSON.
     pub this: String,
-    /// And in the other.
+    /// The value in the other vehicle, formatted as JSON.
     pub other: String,
 }
 
@@ -33,7 +33,7 @@ impl Difference {
         Some(Self { field, place, this: this.to_string(), other: other.to_string() })
     }
 
-    /// Of what files may leave out, where both give it.
+    /// Compares an optional field, if both vehicles have it.
     fn of_both<T: PartialEq + Serialize>(
         field: &'static str,
         this: &Option<T>,
@@ -43,7 +43,7 @@ impl Difference {
     }
 }
 
-/// The first part in which two values of one form differ, and where it is.
+/// The first place where two values of the same structure differ, and the two values there.
 fn first_difference<'a>(this: &'a Value, other: &'a Value) -> (String, &'a Value, &'a Value) {
     let parts: Vec<(String, &Value, &Value)> = match (this, other) {
         (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
@@ -66,12 +66,11 @@ fn first_difference<'a>(this: &'a Value, other: &'a Value) -> (String, &'a Value
 }
 
 impl VehicleParams {
-    /// The first of the numbers by which vehicles are told apart that differs from `other`'s: the
-    /// body, the rotors, the on-board law, the pack, and gravity. What only one of the files gives
-    /// does not count: a file that gains a line is of the same vehicle. Nor does what is only
-    /// believed of one and the same vehicle: names and notes, lag and delay, the hover thrust, the
-    /// air's density, what the motor outputs mean, and the modelled effects, which a diagnosis adds
-    /// to.
+    /// The first difference from `other` in the numbers that identify a vehicle: the body, the
+    /// rotors, the on-board law, the pack and gravity. A field that only one file has does not
+    /// count: a file that gains a line describes the same vehicle. Estimates of the same vehicle do
+    /// not count either: names and notes, lag and delay, hover thrust, air density, the meaning of
+    /// the motor outputs, and the modelled effects, which a diagnosis extends.
     pub fn difference(&self, other: &Self) -> Option<Difference> {
         let (a, b) = (self, other);
         [

@@ -20,7 +20,7 @@ pub enum VehicleError {
     Syntax {
         /// The file.
         path: PathBuf,
-        /// What the parser found and where.
+        /// The parser's message with the position.
         message: String,
     },
     /// A key is missing.
@@ -31,11 +31,11 @@ pub enum VehicleError {
     Missing {
         /// The file.
         path: PathBuf,
-        /// The table as the file writes it; none at the top level.
+        /// The table as written in the file; `None` at the top level.
         table: Option<String>,
         /// The key.
         key: &'static str,
-        /// What its value would be.
+        /// What the value means, with its unit.
         expected: &'static str,
     },
     /// A value is impossible.
@@ -43,16 +43,16 @@ pub enum VehicleError {
     Value {
         /// The vehicle's name.
         vehicle: String,
-        /// Path of the field.
+        /// Path of the field in the file.
         field: String,
-        /// What would be right.
+        /// The accepted values.
         expected: &'static str,
-        /// What is there.
+        /// The value found.
         found: String,
     },
 }
 
-/// The names that are shipped, for a path that looks like one.
+/// Lists the shipped vehicles if `path` looks like such a name.
 fn shipped_names(path: &Path) -> String {
     if path.extension().is_some() || path.components().count() > 1 {
         return String::new();
@@ -65,8 +65,8 @@ impl VehicleError {
         Self::Syntax { path: PathBuf::from("(text)"), message }
     }
 
-    /// What the parser says, or which key is missing: of that it knows no better place than the
-    /// beginning of what lacks it.
+    /// The parser's message, or the missing key: the parser reports a missing key only at the start
+    /// of the table that lacks it.
     pub(super) fn schema(
         message: String,
         file: impl FnOnce() -> Option<serde_json::Value>,
@@ -80,7 +80,7 @@ impl VehicleError {
         }
     }
 
-    /// The same error, naming the file.
+    /// Adds the file's path to the error.
     pub(super) fn in_file(self, path: &Path) -> Self {
         match self {
             Self::Syntax { message, .. } => Self::Syntax { path: path.to_owned(), message },

@@ -2,10 +2,10 @@
 
 use serde_json::Value;
 
-/// A key, and what its value is.
+/// A key and a description of its value.
 type Key = (&'static str, &'static str);
 
-/// At the top level.
+/// Required keys at the top level.
 const TOP: &[Key] = &[
     ("name", "the vehicle's name"),
     ("mass", "the mass in kg"),
@@ -19,14 +19,14 @@ const TOP: &[Key] = &[
     ("rotor_radius_m", "the radius of a rotor in m"),
     ("battery", "a table [battery] with cells, full_V and nominal_V"),
 ];
-/// In each of the rotors.
+/// Required keys of each rotor.
 const ROTOR: &[Key] = &[
     ("position_m", "the rotor's place from the centre of mass in m, as [front, right, down]"),
     ("spin", "1 where the rotor's drag turns the body to the right, else -1"),
     ("thrust_max_N", "the thrust at full output in N"),
     ("drag_torque_per_thrust_m", "the drag torque over the thrust in m"),
 ];
-/// In tables that are there once; all of them but the battery may be missing as a whole.
+/// Required keys of the single tables. Every table except the battery may be absent altogether.
 const TABLES: [(&str, &[Key]); 4] = [
     (
         "attitude_pd",
@@ -70,13 +70,13 @@ const TABLES: [(&str, &[Key]); 4] = [
     ),
 ];
 
-/// A key that is missing.
+/// A required key that a file lacks.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct MissingKey {
-    /// The table as the file writes it; none at the top level.
+    /// The table as written in the file; `None` at the top level.
     pub table: Option<String>,
     pub key: &'static str,
-    /// What its value would be.
+    /// Description of its value.
     pub expected: &'static str,
 }
 
@@ -122,7 +122,7 @@ mod tests {
         serde_json::to_value(vehicle).unwrap()
     }
 
-    /// The file without one key of the table that `pointer` leads to, as TOML and as JSON.
+    /// Parses the file without one key of the table at `pointer`, as TOML and as JSON.
     fn without(pointer: &str, key: &str) -> [Result<VehicleParams, VehicleError>; 2] {
         let mut file = whole();
         file.pointer_mut(pointer).unwrap().as_object_mut().unwrap().remove(key).unwrap();

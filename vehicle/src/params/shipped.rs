@@ -1,21 +1,21 @@
-//! The vehicle files that the program brings along.
+//! The vehicle files that are built into the program.
 
 use std::path::Path;
 
 use crate::bounded;
 
-/// A vehicle file by its name.
+/// A vehicle file that is built into the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shipped {
-    /// Name, which is also the vehicle's.
+    /// Name of the file and of the vehicle.
     pub name: &'static str,
-    /// What it is.
+    /// One-line description for people.
     pub about: &'static str,
-    /// Text of the file, TOML.
+    /// Content of the file, TOML.
     pub text: &'static str,
 }
 
-/// All of them.
+/// Every shipped vehicle, sorted by name.
 pub const SHIPPED: [Shipped; 2] = [
     Shipped {
         name: "crazyflie",
@@ -29,13 +29,13 @@ pub const SHIPPED: [Shipped; 2] = [
     },
 ];
 
-/// The shipped vehicle that `path` names: by its bare name, where no such file is there.
+/// The shipped vehicle that `path` names. A file at that path takes precedence.
 pub fn shipped(path: &Path) -> Option<&'static Shipped> {
     let found = SHIPPED.iter().find(|shipped| path == Path::new(shipped.name))?;
     (!path.exists()).then_some(found)
 }
 
-/// Text of a vehicle file: that at `path`, or the shipped one of that name.
+/// Content of the vehicle file at `path`, or of the shipped vehicle of that name.
 ///
 /// # Errors
 /// The file cannot be read.

@@ -1,4 +1,4 @@
-//! How laws enter the physics: a list of them, one list by reference, or none at all.
+//! How laws enter the physics: by value, by reference, or not at all.
 
 use super::{Environment, Loads};
 use crate::effects::Wrench;
@@ -6,9 +6,9 @@ use crate::law::Laws;
 use crate::rigid_body::State;
 use crate::scalar::Scalar;
 
-/// Laws that act on the body beside the catalogue's effects.
+/// Laws that act on the body in addition to the catalogue's effects.
 pub trait BodyLaws {
-    /// Adds their forces and moments.
+    /// Adds the laws' forces and moments to `wrench`.
     fn add<T: Scalar>(
         &self,
         state: &State<T>,
@@ -46,7 +46,8 @@ impl<L: BodyLaws> BodyLaws for Option<L> {
     }
 }
 
-/// No law, known when compiled: physics without laws are plain numbers, and the compiler vectorises a loop over them.
+/// No laws, known at compile time. Physics without laws are plain numbers, and the compiler
+/// vectorises loops over them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Lawless;
 

@@ -1,10 +1,10 @@
-//! What acts on a vehicle during a step: its surroundings, and what its rotors do.
+//! What acts on a vehicle during a step: its environment and its rotors' loads.
 
 use crate::frame::Ned;
 use crate::law::Rotors;
 use crate::scalar::Scalar;
 
-/// What surrounds the vehicle, constant over an integration step.
+/// The vehicle's surroundings, constant over an integration step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Environment {
     /// Velocity of the air in world axes, m/s.
@@ -13,22 +13,22 @@ pub struct Environment {
     pub voltage_factor: f64,
     /// Down coordinate of the floor, m.
     pub floor: f64,
-    /// The pack's terminal voltage, V, as laws read it.
+    /// The pack's terminal voltage, V; an input of laws.
     pub voltage: f64,
-    /// Time since the start, s, as laws read it.
+    /// Time since the start, s; an input of laws.
     pub time: f64,
 }
 
-/// What the rotors do to the body, before aerodynamic factors.
+/// The rotors' action on the body, before aerodynamic factors.
 #[derive(Clone, Copy, Debug)]
 pub struct Loads<T> {
     /// T: total thrust, N.
     pub(super) thrust: T,
     /// Moments of the thrusts about front and right, and of the drag torques about down, N m.
     pub(super) moment: [T; 3],
-    /// nr: mean rotor speed over hover's; 0 where no effect asks for it.
+    /// nr: mean rotor speed over the one at hover; 0 if no effect needs it.
     pub(super) rotor_speed_ratio: T,
-    /// h: angular momentum of the rotors along down, N m s; 0 where no effect asks for it.
+    /// h: angular momentum of the rotors along down, N m s; 0 if no effect needs it.
     pub(super) spin_momentum: T,
     /// dh/dt in N m.
     pub(super) spin_momentum_rate: T,

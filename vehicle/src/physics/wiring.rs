@@ -1,14 +1,14 @@
-//! The catalogue's effects in the physics: made from its list, so that an effect that is in the
-//! catalogue acts.
+//! Wires the catalogue's effects into the physics. A macro generates the code from the catalogue's
+//! list, so every effect in the list acts.
 
 use super::Constants;
 use crate::effects::*;
 use crate::scalar::Scalar;
 
-/// Parts the catalogue by where its effects act.
+/// Sorts the catalogue by where its effects act.
 macro_rules! wired {
     (@ [$($thrust:ident $t:ident)*] [$($body:ident $b:ident)*] [$($constant:ident)*]) => {
-        /// The effects that see the flow of air past the vehicle.
+        /// The effects that depend on the airflow past the vehicle.
         #[derive(Clone, Copy, Debug, Default)]
         pub(super) struct FlowEffects {
             $(pub $t: Option<$thrust>,)*
@@ -16,7 +16,7 @@ macro_rules! wired {
         }
 
         impl FlowEffects {
-            /// Those of a set.
+            /// Picks the effects of a set.
             pub fn of(effects: &EffectSet) -> Self {
                 Self { $($t: effects.get(),)* $($b: effects.get(),)* }
             }
@@ -25,14 +25,14 @@ macro_rules! wired {
                 true $(&& self.$t.is_none())* $(&& self.$b.is_none())*
             }
 
-            /// Whether one of them reads the rotors' speed.
+            /// Whether an active effect reads the rotors' speed.
             pub fn read_rotor_speed(&self) -> bool {
                 false
                     $(|| self.$t.is_some() && <$thrust as ThrustEffect>::READS_ROTOR_SPEED)*
                     $(|| self.$b.is_some() && <$body as BodyEffect>::READS_ROTOR_SPEED)*
             }
 
-            /// Each of them, neutral where it does not act.
+            /// All effects, with inactive ones set to neutral values.
             #[inline(always)]
             pub fn dense(&self) -> Self {
                 Self {
@@ -61,7 +61,7 @@ macro_rules! wired {
         }
 
         impl Constants {
-            /// Makes the constants the true ones.
+            /// Applies the effects to the nominal constants.
             pub(super) fn apply_all(&mut self, effects: &EffectSet) {
                 $(if let Some(effect) = effects.get::<$constant>() {
                     effect.apply(self);

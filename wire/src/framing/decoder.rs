@@ -1,4 +1,4 @@
-//! Frames out of bytes.
+//! Finds frames in bytes.
 
 use std::cell::Cell;
 use std::collections::VecDeque;
@@ -14,25 +14,25 @@ use crate::dialect::MavMessage;
 /// Longest MAVLink frame: a signed MAVLink 2 frame with a 32-bit system id.
 const FRAME_LEN_MAX: usize = 283;
 
-/// What a [`Decoder`] has seen since it was made.
+/// Counters of a [`Decoder`] since its creation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DecoderStats {
-    /// Bytes pushed in.
+    /// Bytes received.
     pub bytes: u64,
-    /// Frames whose checksum was right.
+    /// Frames with a valid checksum.
     pub frames: u64,
-    /// Candidates of a known message id whose checksum was wrong, or whose end was missing.
+    /// Candidates with a known message id and a wrong checksum or a missing end.
     pub crc_errors: u64,
-    /// Candidates of a message id that the dialect does not have; they cannot be checked.
+    /// Candidates with a message id that the dialect lacks; they cannot be checked.
     pub unknown: u64,
-    /// Bytes that belong to no frame, or to one that is not complete yet.
+    /// Bytes outside frames, or in a frame that is still incomplete.
     pub unframed_bytes: u64,
 }
 
-/// Finds frames of MAVLink 1 and 2 in a stream of bytes that may hold anything.
+/// Finds frames of MAVLink 1 and 2 in an arbitrary stream of bytes.
 ///
-/// Garbage is skipped: every false start is retried from its second byte, so it cannot hide a
-/// frame that follows it. Memory is bounded; no input makes it fail.
+/// It skips garbage and retries every false start from its second byte, so a false start cannot
+/// hide a frame that follows it. Memory is bounded, and no input makes it fail.
 pub struct Decoder {
     reader: MavlinkReader<ByteQueue>,
     dialect: CountingDialect,
@@ -41,7 +41,7 @@ pub struct Decoder {
     pushed: u64,
     /// `unframed()` when the last datagram ended.
     settled: u64,
-    /// The newest bytes of a datagram, as many as a frame can have.
+    /// The newest bytes of a datagram, up to the longest frame.
     tail: Vec<u8>,
 }
 
@@ -58,7 +58,7 @@ impl Default for Decoder {
 }
 
 impl Decoder {
-    /// A decoder with nothing in it.
+    /// Creates an empty decoder.
     pub fn new() -> Self {
         Self {
             reader: MavlinkReader::new(ByteQueue::default()),
@@ -71,7 +71,7 @@ impl Decoder {
         }
     }
 
-    /// Takes bytes of a stream (TCP, serial), where a frame may span two calls.
+    /// Adds bytes of a stream (TCP, serial), where a frame may span two calls.
     pub fn push(&mut self, bytes: &[u8]) {
         self.pushed += bytes.len() as u64;
         self.tail.extend_from_slice(&bytes[bytes.len().saturating_sub(FRAME_LEN_MAX)..]);
@@ -79,7 +79,7 @@ impl Decoder {
         self.reader.get_mut().bytes.extend(bytes);
     }
 
-    /// The next frame, or `None` until more bytes are pushed.
+    /// Returns the next frame, or `None` until more bytes arrive.
     pub fn next_frame(&mut self) -> Option<Frame> {
         let frame = self.read()?;
         self.count(&frame);
@@ -87,7 +87,7 @@ impl Decoder {
     }
 
     fn read(&mut self) -> Option<Frame> {
-        // The only error a byte queue can give is "empty for now".
+        // The only error of a byte queue is "empty for now".
         let raw = self.reader.read_any_raw_message_with_dialect(&self.dialect).ok()?;
         Some(Frame { raw })
     }
@@ -98,11 +98,11 @@ impl Decoder {
         self.dialect.known.set(self.dialect.known.get() - 1);
     }
 
-    /// Takes a whole datagram (UDP) and gives its frames. None spans two datagrams, so that a
-    /// truncated one cannot swallow the next datagram's start.
+    /// Takes a whole datagram (UDP) and passes its frames to `on_frame`. A frame never spans two
+    /// datagrams, so a truncated one cannot swallow the start of the next datagram.
     pub fn datagram(&mut self, bytes: &[u8], mut on_frame: impl FnMut(Frame)) {
         let mut rest = bytes;
-        // What most datagrams are: frames and nothing else. They need no queue to be found in.
+        // Most datagrams hold frames and nothing else, and need no search through the queue.
         while let Some(frame) = Frame::at_front(rest) {
             let len = frame.bytes().len();
             rest = &rest[len..];
@@ -121,16 +121,16 @@ impl Decoder {
         self.end_datagram(on_frame);
     }
 
-    /// Searches what is left once more, then drops it.
+    /// Searches the remaining bytes once more, then drops them.
     pub(super) fn end_datagram(&mut self, mut on_frame: impl FnMut(Frame)) {
         if self.unframed() == self.settled {
             self.tail.clear();
             return;
         }
         let tail = std::mem::take(&mut self.tail);
-        // Zeros hold no frame marker: they only bring a pending candidate to its end. A candidate
-        // that ends well with them, such as one cut in its signature, which nothing checks, is no
-        // frame: it was not in the datagram.
+        // Zeros hold no frame marker: they only complete a pending candidate. A candidate that is
+        // valid only with them, such as one cut in its signature, which the decoder does not check,
+        // was not in the datagram and is not a frame.
         self.reader.get_mut().bytes.extend([0; FRAME_LEN_MAX]);
         while let Some(frame) = self.read() {
             let bytes = frame.bytes();
@@ -160,7 +160,7 @@ impl Decoder {
     }
 }
 
-/// Bytes pushed and not yet taken; "would block" when there are none.
+/// Bytes that are not yet consumed; an empty queue returns "would block".
 #[derive(Default)]
 struct ByteQueue {
     bytes: VecDeque<u8>,
@@ -175,8 +175,8 @@ impl Read for ByteQueue {
     }
 }
 
-/// The dialect, counting the candidates that the reader asks it about: a candidate that is asked
-/// about and does not come out as a frame had a wrong checksum.
+/// The dialect, with counters of the candidates that the reader looks up. A known candidate that
+/// does not become a frame has a wrong checksum.
 #[derive(Default)]
 struct CountingDialect {
     known: Cell<u64>,

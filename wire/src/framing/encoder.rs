@@ -1,4 +1,4 @@
-//! Messages as frames.
+//! Encodes messages as frames.
 
 use mavlink::consts::v2;
 use mavlink::{MAV_STX_V2, MAVLinkV1MessageRaw, MavHeader, MavlinkVersion, Message, MessageData};
@@ -7,10 +7,10 @@ use super::frame::checksum;
 use crate::dialect::MavMessage;
 use crate::signing::Signer;
 
-/// Longest payload.
+/// Length limit of a payload in bytes.
 const PAYLOAD_LEN_MAX: usize = 255;
 
-/// Writes messages as frames of one sender, counting its sequence.
+/// Encodes messages as frames of one sender and counts its sequence numbers.
 #[derive(Clone, Debug)]
 pub struct Encoder {
     header: MavHeader,
@@ -19,7 +19,7 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// A sender of MAVLink 2 frames.
+    /// Creates an encoder of unsigned MAVLink 2 frames.
     pub fn new(system: u8, component: u8) -> Self {
         Self {
             header: MavHeader { system_id: system.into(), component_id: component, sequence: 0 },
@@ -28,19 +28,19 @@ impl Encoder {
         }
     }
 
-    /// Numbers the next frame so.
+    /// Sets the sequence number of the next frame.
     pub fn set_sequence(&mut self, sequence: u8) {
         self.header.sequence = sequence;
     }
 
-    /// Speaks another protocol version from the next frame on. What is signed stays MAVLink 2.
+    /// Switches the protocol version from the next frame on. With a signer, it stays MAVLink 2.
     pub fn set_version(&mut self, version: MavlinkVersion) {
         if self.signer.is_none() {
             self.version = version;
         }
     }
 
-    /// Signs every frame from the next on, or none any more.
+    /// Signs every frame from the next on; `None` stops signing.
     pub fn set_signer(&mut self, signer: Option<Signer>) {
         if signer.is_some() {
             self.version = MavlinkVersion::V2;
@@ -48,13 +48,13 @@ impl Encoder {
         self.signer = signer;
     }
 
-    /// Who signs the frames.
+    /// The signer of the frames, if any.
     pub fn signer(&mut self) -> Option<&mut Signer> {
         self.signer.as_mut()
     }
 
-    /// Appends `message` to `out` as one frame. Returns whether it could: MAVLink 1 has no room
-    /// for message ids above 255.
+    /// Appends `message` to `out` as one frame. Returns false if MAVLink 1 cannot carry it, because
+    /// its id is above 255.
     pub fn encode(&mut self, message: &MavMessage, out: &mut Vec<u8>) -> bool {
         match self.version {
             MavlinkVersion::V2 => {
@@ -75,7 +75,7 @@ impl Encoder {
     }
 
     /// As [`encode`](Self::encode), for a payload that the dialect's types cannot express, such as
-    /// the acknowledgement of a command that it does not name.
+    /// the acknowledgement of a command that the dialect lacks.
     pub fn encode_data<D: MessageData>(&mut self, data: &D, out: &mut Vec<u8>) -> bool {
         match self.version {
             MavlinkVersion::V2 => {
@@ -94,7 +94,7 @@ impl Encoder {
         true
     }
 
-    /// Appends a MAVLink 2 frame whose payload `serialize` writes; it returns its length.
+    /// Appends a MAVLink 2 frame. `serialize` writes the payload and returns its length.
     fn write(
         &mut self,
         id: u32,

@@ -1,4 +1,4 @@
-//! One frame: where it begins and ends, and whether its checksum is right.
+//! One frame: its extent, fields and checksum.
 
 use mavlink::consts::v2;
 use mavlink::error::ParserError;
@@ -10,19 +10,19 @@ use mavlink::{
 use crate::dialect::MavMessage;
 use crate::signing::Stamp;
 
-/// One frame whose checksum is right.
+/// One frame with a valid checksum.
 pub struct Frame {
     pub(super) raw: MAVLinkMessageRaw,
 }
 
 impl Frame {
-    /// The frame that `bytes` are, such as an entry of a log. `None` unless they are one whole
-    /// frame of a message that the dialect has, its checksum right.
+    /// Parses `bytes` as one frame, such as an entry of a log. Returns `None` unless they are
+    /// exactly one frame with a known message id and a valid checksum.
     pub fn parse(bytes: &[u8]) -> Option<Self> {
         Self::at_front(bytes).filter(|frame| frame.bytes().len() == bytes.len())
     }
 
-    /// The frame at the front of `bytes`, if a whole and sound one is there.
+    /// The frame at the front of `bytes`, if it is complete and valid.
     pub(super) fn at_front(bytes: &[u8]) -> Option<Self> {
         let (version, len) = extent(bytes).ok()?;
         let (raw, check) = raw(version, bytes.get(..len)?);
@@ -54,20 +54,20 @@ impl Frame {
         self.raw.version()
     }
 
-    /// Whether its sender signs its messages (MAVLink 2). A
-    /// [`Verifier`](crate::signing::Verifier) checks the signature.
+    /// Whether the frame carries a signature (MAVLink 2). A [`Verifier`](crate::signing::Verifier)
+    /// checks it.
     pub fn is_signed(&self) -> bool {
         self.bytes().get(2).is_some_and(|flags| {
             self.version() == MavlinkVersion::V2 && flags & v2::IFLAG_SIGNED != 0
         })
     }
 
-    /// The number of the sender's link and the stamp, where it is signed. Neither is checked.
+    /// The link id and stamp of a signed frame, both unverified.
     pub fn signed_at(&self) -> Option<(u8, Stamp)> {
         self.signature().map(|signature| (signature.link, signature.stamp))
     }
 
-    /// The signature that its sender gave it, which is not checked yet.
+    /// The frame's signature, unverified.
     pub(crate) fn signature(&self) -> Option<Signature<'_>> {
         if !self.is_signed() {
             return None;
@@ -77,7 +77,7 @@ impl Frame {
         Some(Signature { link: *link, stamp: Stamp::from_bytes(*stamp), signed: rest, hash: *hash })
     }
 
-    /// The whole frame as it was on the wire, signature included.
+    /// The whole frame as received, signature included.
     pub fn bytes(&self) -> &[u8] {
         match &self.raw {
             MAVLinkMessageRaw::V1(raw) => raw.raw_bytes(),
@@ -85,7 +85,7 @@ impl Frame {
         }
     }
 
-    /// Payload bytes, trailing zeros of MAVLink 2 cut off as on the wire.
+    /// Payload bytes as received; MAVLink 2 truncates trailing zeros.
     pub fn payload(&self) -> &[u8] {
         self.raw.payload()
     }
@@ -94,24 +94,24 @@ impl Frame {
     ///
     /// # Errors
     /// [`ParserError`] if the payload does not fit the message, such as an enum value that the
-    /// dialect does not have. The frame itself was intact.
+    /// dialect lacks. The frame itself is intact.
     pub fn message(&self) -> Result<MavMessage, ParserError> {
         MavMessage::parse(self.version(), self.id(), self.payload())
     }
 }
 
-/// The end of a signed frame.
+/// The signature at the end of a frame.
 pub(crate) struct Signature<'a> {
-    /// The sender's number of the link.
+    /// Link id, chosen by the sender.
     pub(crate) link: u8,
     pub(crate) stamp: Stamp,
-    /// What the hash is of.
+    /// The bytes that the hash covers.
     pub(crate) signed: &'a [u8],
     pub(crate) hash: [u8; 6],
 }
 
-/// The checksum of a frame's bytes after its marker: CRC-16/MCRF4XX, closed by the message's own
-/// byte. It needs no table: one would be fetched anew for every frame that comes after a pause.
+/// The checksum of a frame's bytes after its marker: CRC-16/MCRF4XX, followed by the message's
+/// extra byte. It uses no table, which would be out of the cache for every frame after a pause.
 pub(super) fn checksum(bytes: &[u8], extra_crc: u8) -> u16 {
     bytes.iter().chain([&extra_crc]).fold(0xFFFF, |crc: u16, byte| {
         let low = byte ^ crc as u8;
@@ -120,16 +120,16 @@ pub(super) fn checksum(bytes: &[u8], extra_crc: u8) -> u16 {
     })
 }
 
-/// What the first bytes of a slice are.
+/// The result of a search at the front of a slice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Front {
-    /// A frame of this length, its checksum right.
+    /// A frame of this length with a valid checksum.
     Frame(usize),
-    /// What would be a frame of this length, of a message id that the dialect does not have.
+    /// A possible frame of this length with a message id that the dialect lacks.
     Unknown(usize),
-    /// The start of a frame, perhaps: more bytes are needed to tell.
+    /// Possibly the start of a frame; more bytes are needed.
     Incomplete,
-    /// No frame.
+    /// Not a frame.
     Other,
 }
 
@@ -149,7 +149,7 @@ pub(crate) fn front(bytes: &[u8]) -> Front {
     }
 }
 
-/// Version and length of what would be a frame at the front of `bytes`, or why there is none.
+/// Version and length of a possible frame at the front of `bytes`, or why there is none.
 fn extent(bytes: &[u8]) -> Result<(MavlinkVersion, usize), Front> {
     const V1_OVERHEAD: usize = 8;
     const V2_OVERHEAD: usize = 12;
@@ -166,23 +166,23 @@ fn extent(bytes: &[u8]) -> Result<(MavlinkVersion, usize), Front> {
     }
 }
 
-/// What a frame's checksum says.
+/// The result of a checksum check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Check {
     Passed,
     Failed,
-    /// The dialect does not have the message, so that it cannot be checked.
+    /// The dialect lacks the message, so the checksum cannot be checked.
     Unknown,
 }
 
-/// The bytes of what would be a frame, and whether its checksum is right.
+/// Copies a possible frame and checks its checksum.
 fn raw(version: MavlinkVersion, bytes: &[u8]) -> (MAVLinkMessageRaw, Check) {
     let check = |id: u32, stated: u16, end: usize| match known_extra_crc(id) {
         Some(extra_crc) if stated == checksum(&bytes[1..end], extra_crc) => Check::Passed,
         Some(_) => Check::Failed,
         None => Check::Unknown,
     };
-    // The checksum is over everything between the marker and itself.
+    // The checksum covers everything between the marker and itself.
     match version {
         MavlinkVersion::V1 => {
             let mut raw = MAVLinkV1MessageRaw::new();
@@ -200,10 +200,10 @@ fn raw(version: MavlinkVersion, bytes: &[u8]) -> (MAVLinkMessageRaw, Check) {
     }
 }
 
-/// The checksum seed of a message id that the dialect has.
+/// The checksum's extra byte for a message id; `None` if the dialect lacks the message.
 pub(super) fn known_extra_crc(id: u32) -> Option<u8> {
     let extra_crc = MavMessage::extra_crc(id);
-    // Zero is what an unknown id gives, and what a few known ids have.
+    // An unknown id yields zero, and so do a few known ids.
     let known = extra_crc != 0 || MavMessage::default_message_from_id(id).is_some();
     known.then_some(extra_crc)
 }

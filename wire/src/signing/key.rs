@@ -1,4 +1,4 @@
-//! The secret that both ends of a link share, and where it may come from.
+//! The secret key that both ends of a link share, and how to load it.
 
 use std::fmt;
 use std::fs::File;
@@ -7,16 +7,16 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-/// Bytes of a key.
+/// Length of a key in bytes.
 pub const KEY_LEN: usize = 32;
-/// Longest key file.
+/// Bytes of a key file that are read at most.
 const FILE_LEN_MAX: u64 = 4096;
 
-/// A secret of 32 bytes. It is shown nowhere: not by `Debug`, and in no error.
+/// A secret of 32 bytes. `Debug` and errors never show it.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Key([u8; KEY_LEN]);
 
-/// Why there is no key.
+/// Why a key cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
     /// The file cannot be read.
@@ -27,7 +27,7 @@ pub enum KeyError {
         /// Why.
         source: io::Error,
     },
-    /// Others than its owner may read or write the file.
+    /// Users other than the owner may access the file, or it is executable.
     #[error(
         "the signing key {path} has mode {mode:04o}, expected 0600: others may read or change it; \
          run chmod 600 {path}, and make a new key if others had access"
@@ -38,7 +38,7 @@ pub enum KeyError {
         /// Its permission bits.
         mode: u32,
     },
-    /// The text is no key.
+    /// The text is not a key.
     #[error(
         "{place} holds no signing key: expected 64 hexadecimal digits (32 bytes), found {found}; \
          make one with: downwash signing key FILE"
@@ -46,10 +46,10 @@ pub enum KeyError {
     Text {
         /// The file or variable.
         place: String,
-        /// What was found, without what it says.
+        /// What was found, without the content.
         found: String,
     },
-    /// All bytes are zero: what switches signing off on a vehicle.
+    /// All bytes are zero, the value that disables signing on a vehicle.
     #[error("{place} holds only zeros, which is no key; make one with: downwash signing key FILE")]
     Zero {
         /// The file or variable.
@@ -58,19 +58,19 @@ pub enum KeyError {
 }
 
 impl Key {
-    /// A key of these bytes.
+    /// Creates a key from its bytes.
     pub const fn new(bytes: [u8; KEY_LEN]) -> Self {
         Self(bytes)
     }
 
-    /// Reads a key from a file of its owner alone.
+    /// Reads a key from a file that only its owner can access.
     ///
     /// # Errors
-    /// [`KeyError`]: no such file, a mode that lets others in, no key in it.
+    /// [`KeyError`]: the file cannot be read, its mode is too open, or it holds no key.
     pub fn load(path: &Path) -> Result<Self, KeyError> {
         let read = |source| KeyError::Read { path: path.to_owned(), source };
         let file = File::open(path).map_err(read)?;
-        // Of the file that is open, which no one can exchange any more.
+        // Checks the open file, which nobody can replace any more.
         #[cfg(unix)]
         {
             use std::os::unix::fs::PermissionsExt;
@@ -84,11 +84,11 @@ impl Key {
         Self::parse(&String::from_utf8_lossy(&text), &path.display().to_string())
     }
 
-    /// Reads a key as text: 64 hexadecimal digits, white space around them. `place` is where it
-    /// stands, for messages.
+    /// Parses a key: 64 hexadecimal digits, with white space around them ignored. `place` names the
+    /// source in errors.
     ///
     /// # Errors
-    /// [`KeyError::Text`], [`KeyError::Zero`].
+    /// [`KeyError::Text`] or [`KeyError::Zero`].
     pub fn parse(text: &str, place: &str) -> Result<Self, KeyError> {
         let refused = |found| KeyError::Text { place: place.to_owned(), found };
         let digits: Vec<u32> = text
@@ -110,17 +110,18 @@ impl Key {
         Ok(Self(bytes))
     }
 
-    /// The secret itself.
+    /// The secret bytes.
     pub fn bytes(&self) -> &[u8; KEY_LEN] {
         &self.0
     }
 
-    /// As [`parse`](Self::parse) reads it. A secret: for a key file alone.
+    /// The key in the form that [`parse`](Self::parse) reads. It is secret: write it to a key file
+    /// only.
     pub fn to_hex(&self) -> String {
         hex(&self.0)
     }
 
-    /// Eight digits that tell keys apart and give nothing of them away.
+    /// Eight hexadecimal digits that distinguish keys without revealing them.
     pub fn fingerprint(&self) -> String {
         let digest = Sha256::new().chain_update(b"downwash key ").chain_update(self.0).finalize();
         hex(digest.as_slice().get(..4).unwrap_or_default())

@@ -1,4 +1,4 @@
-//! The end that a sender's frames get.
+//! Appends signatures to a sender's frames.
 
 use super::{Key, SIGNATURE_LEN, Stamp, hash};
 
@@ -8,33 +8,34 @@ pub struct Signer {
     key: Key,
     link: u8,
     now: Stamp,
-    /// The latest that was used, or that was heard and believed.
+    /// The latest stamp that was used, or received in an accepted frame.
     newest: Stamp,
 }
 
 impl Signer {
-    /// A signer whose frames are stamped later than `after`.
+    /// Creates a signer whose stamps are later than `after`.
     pub fn new(key: Key, link: u8, after: Stamp) -> Self {
         Self { key, link, now: after, newest: after }
     }
 
-    /// Advances the time, which never goes back.
+    /// Advances the time; an earlier `now` has no effect.
     pub fn turn(&mut self, now: Stamp) {
         self.now = self.now.max(now);
     }
 
-    /// A stamp was heard and believed: whoever heard it takes nothing older from a new stream.
+    /// Records the stamp of an accepted frame. A receiver of that frame refuses much older stamps
+    /// from a new stream.
     pub fn heard(&mut self, stamp: Stamp) {
         self.newest = self.newest.max(stamp);
     }
 
-    /// The latest stamp that was used or heard.
+    /// The latest stamp that was used or received.
     pub fn newest(&self) -> Stamp {
         self.newest
     }
 
-    /// Appends the signature of the frame that `out` holds from `start` on, whose flags and checksum
-    /// say that it is signed.
+    /// Appends the signature of the frame that starts at `start` in `out`. Its flags and checksum
+    /// must already mark it as signed.
     pub(crate) fn sign(&mut self, out: &mut Vec<u8>, start: usize) {
         self.newest = self.newest.plus(1).max(self.now);
         out.reserve(SIGNATURE_LEN);

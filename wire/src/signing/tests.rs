@@ -68,13 +68,13 @@ fn whoever_lacks_the_key_is_refused_by_name() {
     assert_eq!(verifier.check(&frame(&said(&mut old))), Err(Refused::OldProtocol));
     let other = said(&mut sender(8, 3, NOW));
     assert_eq!(verifier.check(&frame(&other)), Err(Refused::Signature));
-    // A stranger's stamps, ids and links leave no trace.
+    // Stamps, ids and links of a sender without the key leave no trace.
     assert!(verifier.streams().is_empty());
     let mut radio = Vec::new();
     let status = MavMessage::RADIO_STATUS(Default::default());
     Encoder::new(51, 68).encode(&status, &mut radio);
     assert_eq!(verifier.check(&frame(&radio)), Ok(None));
-    // A signature that is there must be right even so.
+    // A signature must be right even where none is required.
     let mut forged = Encoder::new(51, 68);
     forged.set_signer(Some(Signer::new(key(8), 0, NOW)));
     let mut bytes = Vec::new();
@@ -94,7 +94,7 @@ fn what_was_overtaken_is_believed_once_and_not_after_a_second() {
             frame(&said(&mut sender))
         })
         .collect();
-    // All but one in ten come, in time; the others half a second late.
+    // Nine frames in ten arrive in time; the others arrive half a second late.
     for (number, frame) in frames.iter().enumerate() {
         if number % 10 != 5 {
             assert!(verifier.check(frame).is_ok(), "{number}");
@@ -105,7 +105,7 @@ fn what_was_overtaken_is_believed_once_and_not_after_a_second() {
             assert_eq!(verifier.check(late), Err(Refused::Replayed));
         }
     }
-    // None is believed twice, however old or new it is.
+    // No frame is accepted twice, however old or new.
     for (number, frame) in frames.iter().enumerate() {
         let is_new = number % 10 == 5 && number >= 750;
         assert_eq!(verifier.check(frame).is_ok(), is_new, "{number}");
@@ -125,7 +125,7 @@ fn a_new_stream_begins_at_most_a_minute_behind_and_a_day_ahead() {
     assert!(verifier().check(&at(now + DAY)).is_ok());
     assert_eq!(verifier().check(&at(now + DAY + 1)), Err(Refused::Ahead));
     assert_eq!(verifier().check(&at(now + 5 * YEAR)), Err(Refused::Ahead));
-    // A stream that is known may be late, and a jump that is refused does not lock it out.
+    // A known stream may be late, and a refused jump does not lock it out.
     let mut verifier = verifier();
     let mut late = sender(7, 9, Stamp::from_ticks(now - minute));
     assert!(verifier.check(&frame(&said(&mut late))).is_ok());
@@ -146,7 +146,7 @@ fn streams_are_apart_and_bounded() {
         }
     }
     assert_eq!((believed, verifier.streams().len()), (64, 64));
-    // Those that were silent for longer than a minute make room, and cannot be replayed.
+    // Streams that were silent for more than a minute make room, and cannot be replayed.
     let old = frame(&said(&mut sender(7, 0, Stamp::from_ticks(NOW.ticks() + 5))));
     verifier.turn(Stamp::from_ticks(NOW.ticks() + 61 * Stamp::PER_S));
     let late = Stamp::from_ticks(NOW.ticks() + 61 * Stamp::PER_S);
@@ -239,7 +239,7 @@ proptest! {
         prop_assume!(at < bytes.len());
         let mut changed = bytes.clone();
         changed[at] ^= bits;
-        // Its checksum as whoever changed it would make it.
+        // Recomputes the checksum, as an attacker would.
         let end = bytes.len() - SIGNATURE_LEN - 2;
         if at < end {
             let crc = mavlink::calculate_crc(&changed[1..end], 39).to_le_bytes();

@@ -1,4 +1,4 @@
-//! Whether a frame is believed.
+//! Verifies the signatures and stamps of frames.
 
 use std::collections::VecDeque;
 
@@ -7,66 +7,65 @@ use mavlink::MavlinkVersion;
 use super::{HASH_LEN, Key, Stamp, hash};
 use crate::framing::{Frame, Signature};
 
-/// Most streams at once. Only a sender that knows the key begins one.
+/// Largest number of streams. Only a sender that knows the key can begin one.
 const STREAMS_MAX: usize = 64;
-/// A stream that is not known yet may begin this far behind what is known of the time: a minute, as
-/// MAVLink has it.
+/// Largest lag of a new stream's first stamp behind the newest known time: a minute, as in MAVLink.
 const BEHIND_MAX: u64 = 60 * Stamp::PER_S;
 
-/// Frames overtake one another: one that was never heard is believed this far behind the newest of its
-/// stream. A word that the pilot took over, told once, is not to be lost for that.
+/// Frames may overtake one another: a new frame is accepted up to this far behind the newest of its
+/// stream. Otherwise a message that the pilot has taken over, sent once, could be lost.
 const OVERTAKEN_MAX: u64 = Stamp::PER_S;
-/// Number of stamps that a stream remembers; a frame older than all of them is refused.
+/// Number of stamps kept for each stream; a frame older than all of them is refused.
 const SEEN_MAX: usize = 512;
 
-/// Who counts stamps: each link of each component by itself.
+/// Identifies a stream of stamps: each link of each component has its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct StreamId {
     /// System id.
     pub system: u32,
     /// Component id.
     pub component: u8,
-    /// The sender's number of the link.
+    /// Link id, chosen by the sender.
     pub link: u8,
 }
 
 /// The newest stamp of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StreamStamp {
-    /// Which.
+    /// The stream.
     pub id: StreamId,
-    /// Nothing that is not later is believed.
+    /// Newest accepted stamp.
     pub newest: Stamp,
 }
 
-/// Why a frame is not believed.
+/// Why a frame is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, thiserror::Error)]
 pub enum Refused {
-    /// A MAVLink 1 frame: it has no room for a signature.
+    /// A MAVLink 1 frame, which has no room for a signature.
     #[error("MAVLink 1, which cannot be signed")]
     OldProtocol,
-    /// There is no signature.
+    /// The frame has no signature.
     #[error("no signature")]
     Unsigned,
-    /// The signature is of another key, or of other bytes.
+    /// The signature belongs to a different key or to different bytes.
     #[error("wrong signature: another key, or changed on the way")]
     Signature,
-    /// The stream had this stamp before, or one that is later by too much.
+    /// The stream already had this stamp, or one that is too much later.
     #[error("stamp heard before, or too old for its stream: a replay or a copy")]
     Replayed,
-    /// A stream that begins more than a minute behind.
+    /// The stream is new and its stamp is more than a minute behind.
     #[error("a new stream whose stamp is more than a minute old")]
     Old,
-    /// The stamp is further ahead than clocks differ.
+    /// The stamp is further ahead of the clock than the settings allow.
     #[error("stamp too far ahead of this computer's clock")]
     Ahead,
-    /// More streams than the table holds.
+    /// The table of streams is full.
     #[error("too many streams")]
     Streams,
 }
 
 impl Refused {
-    /// All of them, in the order of their counters.
+    /// Every reason, in the order of the counters.
     pub const ALL: [Self; 7] = [
         Self::OldProtocol,
         Self::Unsigned,
@@ -77,7 +76,7 @@ impl Refused {
         Self::Streams,
     ];
 
-    /// A word for it, as counters are named.
+    /// The reason's name in counters.
     pub const fn word(self) -> &'static str {
         match self {
             Self::OldProtocol => "mavlink1",
@@ -91,25 +90,25 @@ impl Refused {
     }
 }
 
-/// What is believed.
+/// What a verifier accepts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VerifierSettings {
-    /// The key.
+    /// The shared key.
     pub key: Key,
-    /// Ids of the messages that are believed without a signature.
+    /// Ids of messages that are accepted without a signature.
     pub unsigned: Vec<u32>,
-    /// Stamps further ahead of the clock than this are not believed, units of [`Stamp`].
+    /// Largest lead of an accepted stamp over the clock, in units of [`Stamp`].
     pub ahead_max: u64,
-    /// What was heard before.
+    /// Newest stamps from earlier sessions.
     pub streams: Vec<StreamStamp>,
 }
 
-/// The stamps of a stream that may still be overtaken by others.
+/// The recent stamps of a stream, which older ones may still follow.
 #[derive(Clone, Debug)]
 struct Window {
-    /// Neither this nor anything before is believed.
+    /// This stamp and everything before it is refused.
     floor: Stamp,
-    /// In order, all of them later than that.
+    /// Accepted stamps after `floor`, in order.
     seen: VecDeque<Stamp>,
 }
 
@@ -118,7 +117,7 @@ impl Window {
         Self { floor, seen: VecDeque::with_capacity(SEEN_MAX) }
     }
 
-    /// Takes a stamp, unless it was taken before or may have been.
+    /// Accepts a stamp, unless it was, or may have been, accepted before.
     fn take(&mut self, stamp: Stamp) -> bool {
         let Err(place) = self.seen.binary_search(&stamp) else { return false };
         if stamp <= self.floor {
@@ -132,21 +131,22 @@ impl Window {
     }
 }
 
-/// Judges the frames of any number of senders with one key.
+/// Verifies the frames of any number of senders with one key.
 #[derive(Clone, Debug)]
 pub struct Verifier {
     settings: VerifierSettings,
     now: Stamp,
     newest: Stamp,
     streams: Vec<StreamStamp>,
-    /// Of each stream.
+    /// One window for each stream.
     windows: Vec<Window>,
     refused: [u64; Refused::ALL.len()],
     believed: u64,
 }
 
 impl Verifier {
-    /// A verifier that takes nothing older than `settings.streams` say.
+    /// Creates a verifier. In the streams of `settings.streams` it accepts only stamps later than
+    /// theirs.
     pub fn new(settings: VerifierSettings, now: Stamp) -> Self {
         let mut streams = Vec::with_capacity(STREAMS_MAX);
         streams.extend(settings.streams.iter().copied().take(STREAMS_MAX));
@@ -162,10 +162,11 @@ impl Verifier {
         self.newest = self.newest.max(now);
     }
 
-    /// Judges a frame, and counts it. Gives its stamp, if it has one.
+    /// Verifies and counts a frame. Returns its stamp, or `None` if it is accepted without a
+    /// signature.
     ///
     /// # Errors
-    /// [`Refused`]; nothing is remembered of it but the count.
+    /// [`Refused`]. A refused frame changes nothing except its counter.
     pub fn check(&mut self, frame: &Frame) -> Result<Option<Stamp>, Refused> {
         let judged = self.judge(frame);
         match judged {
@@ -188,7 +189,7 @@ impl Verifier {
                 MavlinkVersion::V2 => Err(Refused::Unsigned),
             };
         };
-        // First: no stamp and no stream of a frame counts before its hash is right.
+        // The hash comes first: a frame's stamp and stream mean nothing before it is right.
         if !is_equal(&signature.hash, &hash(&self.settings.key, signature.signed)) {
             return Err(Refused::Signature);
         }
@@ -213,7 +214,8 @@ impl Verifier {
         Ok(Some(stamp))
     }
 
-    /// A stream that is not known yet. Those whose frames would be too old to begin anew make room.
+    /// Adds a new stream. If the table is full, it drops streams so old that their frames could not
+    /// begin a new one.
     fn begin(&mut self, stream: StreamStamp) -> Result<(), Refused> {
         if self.streams.len() >= STREAMS_MAX {
             let newest = self.newest;
@@ -235,18 +237,18 @@ impl Verifier {
         &self.streams
     }
 
-    /// Frames that were believed.
+    /// Number of accepted frames.
     pub fn believed(&self) -> u64 {
         self.believed
     }
 
-    /// Frames that were not, by why.
+    /// Numbers of refused frames by reason.
     pub fn refused(&self) -> impl Iterator<Item = (Refused, u64)> + '_ {
         Refused::ALL.into_iter().zip(self.refused.iter().copied())
     }
 }
 
-/// Takes as long for any two: how much of a guess is right does not show.
+/// Compares in constant time, which does not reveal how much of a guess is right.
 fn is_equal(a: &[u8; HASH_LEN], b: &[u8; HASH_LEN]) -> bool {
     a.iter().zip(b).fold(0, |differ, (a, b)| differ | (a ^ b)) == 0
 }

@@ -1,4 +1,4 @@
-//! Streams: TCP connections out and in, and serial ports.
+//! Streams: outgoing and incoming TCP connections, and serial ports.
 
 use std::io;
 use std::net::SocketAddr;
@@ -12,7 +12,7 @@ use tokio_serial::{SerialPortBuilderExt, SerialStream};
 use super::{Incoming, PEERS_MAX, Peer, TransportStats, resolve};
 use crate::endpoint::Address;
 
-/// A byte stream that is read and written without waiting.
+/// A byte stream with non-blocking reads and writes.
 #[derive(Debug)]
 pub(super) enum Stream {
     Tcp(TcpStream),
@@ -20,14 +20,14 @@ pub(super) enum Stream {
 }
 
 impl Stream {
-    /// A connection that sends every frame at once.
+    /// Wraps a connection with Nagle's algorithm off, so every frame leaves at once.
     pub(super) fn tcp(stream: TcpStream) -> Self {
-        // Fails only on a connection that is already gone, which the next read tells.
+        // Fails only on a connection that is already gone, which the next read reports.
         let _ = stream.set_nodelay(true);
         Self::Tcp(stream)
     }
 
-    /// A serial port that no other program can open meanwhile.
+    /// Opens a serial port exclusively.
     pub(super) fn open_serial(path: &str, baud: u32) -> io::Result<Self> {
         let port = tokio_serial::new(path, baud).exclusive(true).open_native_async();
         port.map(Self::Serial).map_err(|error| serial_error(path, error))
@@ -74,7 +74,7 @@ impl Stream {
 fn serial_error(path: &str, error: tokio_serial::Error) -> io::Error {
     use tokio_serial::ErrorKind as Kind;
     let kind = match error.kind() {
-        // The library says "no device" for a port held by another program.
+        // The library reports "no device" for a port that another program holds.
         Kind::NoDevice if std::fs::metadata(path).is_ok() => io::ErrorKind::ResourceBusy,
         Kind::NoDevice => io::ErrorKind::NotFound,
         Kind::InvalidInput => io::ErrorKind::InvalidInput,
@@ -84,7 +84,7 @@ fn serial_error(path: &str, error: tokio_serial::Error) -> io::Error {
     io::Error::new(kind, error.description)
 }
 
-/// A stream and the rest of the last frame that it took in part.
+/// A stream and the unsent rest of the last frame.
 #[derive(Debug)]
 pub(super) struct StreamPeer {
     pub(super) peer: Peer,
@@ -97,7 +97,7 @@ impl StreamPeer {
         Self { peer, stream, rest: Vec::new() }
     }
 
-    /// The number of bytes read, never 0.
+    /// Returns the number of bytes read, never 0. First sends the rest of the last frame.
     pub(super) fn poll_recv(
         &mut self,
         cx: &mut Context<'_>,
@@ -150,9 +150,9 @@ fn closed() -> io::Error {
 pub(super) struct Listener {
     socket: TcpListener,
     connections: Vec<StreamPeer>,
-    /// Connections that the runtime has not looked at yet: they count as full.
+    /// Connections that the runtime has not polled yet; a write to them would block.
     opening: Vec<TcpStream>,
-    /// Where the next search for bytes starts, so that no connection starves another.
+    /// Where the next search for bytes starts, so no connection starves another.
     turn: usize,
     next_id: u32,
 }

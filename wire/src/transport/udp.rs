@@ -1,4 +1,4 @@
-//! UDP: a listener with a table of the senders it heard, and a socket with one remote.
+//! UDP: a listener with a table of senders, and a socket with one remote.
 
 use std::collections::VecDeque;
 use std::io;
@@ -12,8 +12,8 @@ use tokio::io::ReadBuf;
 use super::{Incoming, PEERS_MAX, Peer, TransportStats, resolve};
 use crate::endpoint::Address;
 
-/// A socket that never blocks, under two descriptors: one that the runtime watches, and one for
-/// calls that need not pass through it.
+/// A non-blocking socket under two descriptors: one that the runtime watches, and one for calls
+/// that bypass it.
 #[derive(Debug)]
 struct Socket {
     watched: tokio::net::UdpSocket,
@@ -27,7 +27,8 @@ impl Socket {
         Ok(Self { watched, direct })
     }
 
-    /// Waits in the calling thread until there is something to receive. Returns whether there is.
+    /// Blocks the calling thread until a datagram arrives or `timeout` passes. Returns whether one
+    /// arrived.
     fn wait(&self, timeout: Duration) -> io::Result<bool> {
         let timeout = Timespec::try_from(timeout).ok();
         match poll(&mut [PollFd::new(&self.direct, PollFlags::IN)], timeout.as_ref()) {
@@ -38,16 +39,16 @@ impl Socket {
     }
 }
 
-/// `udpin`: answers every sender at its source address.
+/// `udpin`: replies to every sender at its source address.
 #[derive(Debug)]
 pub(super) struct UdpListener {
     socket: Socket,
     senders: Vec<Sender>,
-    /// Counts datagrams, to tell which sender was silent longest.
+    /// Counts datagrams, to find the sender that has been silent longest.
     heard: u64,
     next_id: u32,
     evicted: VecDeque<Peer>,
-    /// The peer whose place no newer one takes.
+    /// The peer that is never evicted.
     kept: Option<Peer>,
 }
 
@@ -152,14 +153,14 @@ impl UdpListener {
     }
 }
 
-/// `udpout`: one remote. The socket is connected, so the system drops what others send.
+/// `udpout`: one remote. The socket is connected, so the system drops datagrams from others.
 #[derive(Debug)]
 pub(super) struct UdpRemote {
     socket: Socket,
 }
 
 impl UdpRemote {
-    /// The one peer.
+    /// The only peer.
     pub(super) const PEER: Peer = Peer(0);
 
     pub(super) async fn connect(address: &Address) -> io::Result<Self> {
@@ -238,13 +239,13 @@ impl UdpRemote {
     }
 }
 
-/// Errors of a receive that leave the socket as it was: one of a datagram sent before, or a
+/// Errors of a receive call that leave the socket intact: the error of an earlier send, or a
 /// datagram that the system announced and then dropped for its checksum.
 fn is_nothing(error: &io::Error) -> bool {
     is_transient(error) || error.kind() == io::ErrorKind::WouldBlock
 }
 
-/// Errors that tell of one datagram and not of the socket: the remote does not listen (yet).
+/// Errors that concern one datagram and not the socket: the remote does not listen (yet).
 fn is_transient(error: &io::Error) -> bool {
     use io::ErrorKind as Kind;
     matches!(

@@ -1,9 +1,9 @@
-//! Axes that tables use, and their conversion to NED and FRD.
+//! Axes of tables, and their conversion to NED and FRD.
 
 use serde::Deserialize;
 use vehicle::frame::{Attitude, Frd, Ned};
 
-/// What world axes may be called, with the axis of NED and the sign.
+/// Names of world axes, with the axis of NED and the sign.
 const WORLD: [(&str, (usize, f64)); 6] = [
     ("north", (0, 1.0)),
     ("south", (0, -1.0)),
@@ -12,7 +12,7 @@ const WORLD: [(&str, (usize, f64)); 6] = [
     ("down", (2, 1.0)),
     ("up", (2, -1.0)),
 ];
-/// What body axes may be called, with the axis of FRD and the sign.
+/// Names of body axes, with the axis of FRD and the sign.
 const BODY: [(&str, (usize, f64)); 6] = [
     ("front", (0, 1.0)),
     ("back", (0, -1.0)),
@@ -22,7 +22,7 @@ const BODY: [(&str, (usize, f64)); 6] = [
     ("up", (2, -1.0)),
 ];
 
-/// Where the first, second and third axis of a table point: an axis of ours, and its sign.
+/// Directions of a table's first, second and third axis: an axis of NED or FRD, and its sign.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Axes([(usize, f64); 3]);
 
@@ -35,14 +35,14 @@ impl Axes {
         out
     }
 
-    /// +1 where the axes are right-handed, else -1.
+    /// +1 if the axes are right-handed, else -1.
     fn hand(self) -> f64 {
         let [(a, x), (b, y), (c, z)] = self.0;
         let is_even = (b + 3 - a) % 3 == 1 && (c + 3 - b) % 3 == 1;
         x * y * z * if is_even { 1.0 } else { -1.0 }
     }
 
-    /// The rotation from these axes to ours; of left-handed ones, from their opposites.
+    /// The rotation from these axes to NED or FRD; for left-handed axes, from their opposites.
     fn turn(self) -> Attitude {
         let hand = self.hand();
         let mut matrix = [0.0; 9];
@@ -97,7 +97,8 @@ enum AxesText {
     List([String; 3]),
 }
 
-/// Axes of the world: a name, or where the three axes point, as `["north", "up", "east"]`.
+/// Axes of the world: a name, or the directions of the three axes, such as `["north", "up",
+/// "east"]`.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(try_from = "AxesText")]
 pub struct WorldFrame(Axes);
@@ -116,21 +117,23 @@ impl WorldFrame {
     pub const NED: Self = Self(Axes([(0, 1.0), (1, 1.0), (2, 1.0)]));
     /// East, north, up.
     pub const ENU: Self = Self(Axes([(1, 1.0), (0, 1.0), (2, -1.0)]));
-    /// North (or any horizontal x), west (left of x), up: most motion capture.
+    /// North (or any horizontal x), west (left of x), up: the usual axes of motion capture.
     pub const NWU: Self = Self(Axes([(0, 1.0), (1, -1.0), (2, -1.0)]));
 
-    /// A vector in these axes.
+    /// Converts a vector from these axes.
     pub fn to_ned(self, vector: [f64; 3]) -> Ned {
         self.0.vector(vector).into()
     }
 
-    /// An angular velocity in these axes; in left-handed ones, turns are left-handed too.
+    /// Converts an angular velocity from these axes; in left-handed axes, rotations are left-handed
+    /// too.
     pub fn turning_to_ned(self, vector: [f64; 3]) -> Ned {
         self.to_ned(vector.map(|c| c * self.0.hand()))
     }
 }
 
-/// Axes of the body: a name, or where the three axes point, as `["front", "up", "right"]`.
+/// Axes of the body: a name, or the directions of the three axes, such as `["front", "up",
+/// "right"]`.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(try_from = "AxesText")]
 pub struct BodyFrame(Axes);
@@ -150,18 +153,19 @@ impl BodyFrame {
     /// Front, left, up.
     pub const FLU: Self = Self(Axes([(0, 1.0), (1, -1.0), (2, -1.0)]));
 
-    /// A vector in these axes.
+    /// Converts a vector from these axes.
     pub fn to_frd(self, vector: [f64; 3]) -> Frd {
         self.0.vector(vector).into()
     }
 
-    /// An angular velocity in these axes; in left-handed ones, turns are left-handed too.
+    /// Converts an angular velocity from these axes; in left-handed axes, rotations are left-handed
+    /// too.
     pub fn turning_to_frd(self, vector: [f64; 3]) -> Frd {
         self.to_frd(vector.map(|c| c * self.0.hand()))
     }
 }
 
-/// Turns rotations from body to world in a table's axes into those from FRD to NED.
+/// Converts rotations from body to world in a table's axes to rotations from FRD to NED.
 #[derive(Clone, Copy, Debug)]
 pub struct AttitudeTurn {
     world: Attitude,
@@ -170,26 +174,26 @@ pub struct AttitudeTurn {
 }
 
 impl AttitudeTurn {
-    /// Between these axes; `None` where one is the mirror image of the other: no rotation leads
-    /// from one to the other.
+    /// Creates the conversion for these axes. Returns `None` if one frame is left-handed and the
+    /// other is not: no rotation relates them.
     pub fn new(world: WorldFrame, body: BodyFrame) -> Option<Self> {
         let is_one_hand = world.0.hand() == body.0.hand();
         is_one_hand.then(|| Self { world: world.0.turn(), body: body.0.turn().inverse() })
     }
 
-    /// The rotation from FRD to NED.
+    /// Converts a rotation from body to world to one from FRD to NED.
     pub fn apply(self, rotation: Attitude) -> Attitude {
         self.world.compose(rotation).compose(self.body).normalized()
     }
 }
 
-/// The quaternion scaled to unit length, if it is within 1 % of it.
+/// Normalises a quaternion whose norm is within 1 % of 1; else `None`.
 pub(super) fn unit(q: Attitude) -> Option<Attitude> {
     let norm = q.w.hypot(q.x).hypot(q.y).hypot(q.z);
     ((norm - 1.0).abs() < 0.01).then(|| q.normalized())
 }
 
-/// The rotation of a matrix, row by row (Shepperd's method: the largest component first).
+/// The rotation of a matrix in row-major order (Shepperd's method: the largest component first).
 pub(super) fn from_matrix(m: [f64; 9]) -> Option<Attitude> {
     let [xx, xy, xz, yx, yy, yz, zx, zy, zz] = m;
     let squares = [1.0 + xx + yy + zz, 1.0 + xx - yy - zz, 1.0 - xx + yy - zz, 1.0 - xx - yy + zz];
@@ -202,7 +206,7 @@ pub(super) fn from_matrix(m: [f64; 9]) -> Option<Attitude> {
     };
     let [w, x, y, z] = q.map(|c| c / (2.0 * squares[largest].max(0.0).sqrt()));
     let rotation = unit(Attitude { w, x, y, z })?;
-    // A mirrored or skewed matrix comes back as another one.
+    // A mirrored or skewed matrix does not survive the round trip.
     let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
         .map(|axis| rotation.to_world(Frd::from(axis)).to_array());
     let is_rotation = (0..3)

@@ -1,4 +1,4 @@
-//! Binds a mapping to the columns of a table: finds them by name, and asks for what is not said.
+//! Binds a mapping to the columns of a table: finds columns and reports missing keys.
 
 use super::axes::{AttitudeTurn, BodyFrame, WorldFrame};
 use super::row::{
@@ -10,27 +10,27 @@ use super::{
     VoltageUnit,
 };
 
-/// Standard gravity, m/s^2: what `g` is as a unit.
+/// Standard gravity, m/s^2: the value of the unit `g`.
 const STANDARD_GRAVITY: f64 = 9.806_65;
 
-/// Columns that an error names.
+/// Number of columns listed in an error.
 const OFFERED: usize = 60;
-/// So many lines above the names point a column out.
+/// Number of lines above the names that help to identify a column.
 const NEAR: usize = 4;
 
-/// What a mapping needs and does not say.
+/// Error message for a missing key.
 fn unsaid(field: &str, expected: &str) -> String {
     format!("{field} is not said: write {field} = {expected}")
 }
 
-/// What stands above the rows of a table.
+/// The heading of a table.
 #[derive(Clone, Copy, Debug)]
 pub struct Heading<'a> {
     /// The lines above the names.
     pub above: &'a [Vec<String>],
-    /// The names of the columns, `None` where no line names them.
+    /// The names of the columns; `None` if no line names them.
     pub names: Option<&'a [String]>,
-    /// Columns of a row.
+    /// Number of columns of a row.
     pub width: usize,
 }
 
@@ -39,12 +39,12 @@ impl Heading<'_> {
         self.names.and_then(|names| names.get(column)).map_or("", String::as_str)
     }
 
-    /// Whether a line above has this word in this column.
+    /// Whether a line above the names has this word in this column.
     fn has_above(&self, column: usize, word: &str) -> bool {
         self.above.iter().any(|line| line.get(column).is_some_and(|cell| cell == word))
     }
 
-    /// Columns that are called so.
+    /// Columns that match the identification.
     fn called(&self, column: &Column) -> Vec<usize> {
         let is_called = |at: &usize| match column {
             Column::Name(name) => self.names.is_some() && self.name(*at) == name,
@@ -56,7 +56,7 @@ impl Heading<'_> {
         (0..self.width).filter(is_called).collect()
     }
 
-    /// A column as one would point it out: its number and all that stands above it.
+    /// Describes a column by its number and the cells above it.
     fn pointed_out(&self, column: usize) -> String {
         let near = &self.above[self.above.len().saturating_sub(NEAR)..];
         let mut words: Vec<&str> =
@@ -67,7 +67,7 @@ impl Heading<'_> {
         format!("{} ({})", column + 1, words.join(", "))
     }
 
-    /// The cell that follows one of this content above the table.
+    /// The cell that follows `cell` above the table.
     pub fn after(&self, cell: &str) -> Option<&str> {
         self.above.iter().find_map(|line| {
             let at = line.iter().position(|known| known == cell)?;
@@ -75,7 +75,7 @@ impl Heading<'_> {
         })
     }
 
-    /// What the table has in place of a column that it lacks.
+    /// Describes the columns of the table, for an error about a missing one.
     fn offers(&self) -> String {
         match self.names {
             Some(names) => {
@@ -89,11 +89,11 @@ impl Heading<'_> {
     }
 }
 
-/// Finds columns, and notes which are used.
+/// Finds columns and records which are used.
 struct Binder<'a> {
     heading: Heading<'a>,
     used: Vec<bool>,
-    /// What was taken where the mapping gives a number.
+    /// Notes on columns that the mapping identifies by number.
     notes: Vec<String>,
     world: Option<WorldFrame>,
     body: Option<BodyFrame>,
@@ -424,7 +424,7 @@ impl RowReader {
             }
         }
         Ok(Self {
-            // What is not said is not needed: whatever needs it has asked for it above.
+            // A missing frame is not needed: everything that needs it has checked it above.
             world: mapping.world_frame.unwrap_or(WorldFrame::NED),
             body: mapping.body_frame.unwrap_or(BodyFrame::FRD),
             time,

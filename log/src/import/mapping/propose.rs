@@ -1,21 +1,21 @@
-//! A mapping file to start from, by the names of a table's columns and its first rows.
+//! Proposes a mapping file from the names of a table's columns and its first rows.
 
 use super::super::table::{Numbers, Sheet};
 use super::Cell;
 
-/// Separators between the words of a name; all are one.
+/// Separator between the words of a normalised name.
 const UNDERSCORE: char = '_';
 const XYZ: [&[&str]; 3] = [&["x", "y", "z"], &["0", "1", "2"], &["1", "2", "3"]];
 const NED: &[&str] = &["n", "e", "d"];
 
-/// A column's name in lower case, its words joined, and its unit where the name says one.
+/// A column's name in lower case with joined words, and its unit if the name has one.
 #[derive(Debug)]
 struct Named {
     words: String,
     unit: Option<&'static str>,
 }
 
-/// Endings of names that say a unit, and the unit as a mapping file writes it.
+/// Suffixes of names that denote a unit, and the unit as a mapping file writes it.
 const UNITS: [(&str, &str); 34] = [
     ("m_s2", "m/s2"),
     ("m_s_2", "m/s2"),
@@ -56,7 +56,7 @@ const UNITS: [(&str, &str); 34] = [
 impl Named {
     fn new(name: &str) -> Self {
         let mut words = String::new();
-        // What is in brackets is a unit, and a word for what follows.
+        // Brackets hold a unit, which also counts as a word.
         for c in name.chars() {
             if c.is_alphanumeric() {
                 words.extend(c.to_lowercase());
@@ -77,7 +77,7 @@ impl Named {
         }
     }
 
-    /// Whether the name is this, or ends with it as words of its own.
+    /// Whether the name equals `words` or ends with them as whole words.
     fn is(&self, words: &str) -> bool {
         self.words.strip_suffix(words).is_some_and(|before| {
             before.is_empty() || before.ends_with(UNDERSCORE) && words.len() > 1
@@ -85,7 +85,7 @@ impl Named {
     }
 }
 
-/// Columns that belong together.
+/// A group of columns.
 struct Group {
     at: Vec<usize>,
     unit: Option<&'static str>,
@@ -98,8 +98,8 @@ struct Proposal<'a> {
     text: String,
 }
 
-/// The text of a mapping file for a table. What is not said by its names is marked `CHECK`, and
-/// what is nowhere to be found is left out as a comment.
+/// The text of a mapping file for a table. It marks guesses that the names do not confirm with
+/// `CHECK`, and comments out what it cannot find.
 pub(in crate::import) fn propose(sheet: &Sheet) -> String {
     let names: Vec<Named> = sheet.names.iter().map(|name| Named::new(name)).collect();
     let used = vec![false; names.len()];
@@ -114,7 +114,7 @@ impl Proposal<'_> {
         self.text.push('\n');
     }
 
-    /// The columns with the first of these names that are all there and not taken.
+    /// The columns with the first of these names that all exist and are not yet used.
     fn find(&mut self, stems: &[&str], axes: &[&[&str]]) -> Option<Group> {
         for axes in axes {
             for stem in stems {
@@ -144,7 +144,7 @@ impl Proposal<'_> {
         Group { at, unit }
     }
 
-    /// A column as the mapping names it: by number where its name is there twice.
+    /// A column as the mapping identifies it: by number if its name is not unique.
     fn column(&self, at: usize) -> String {
         let name = &self.sheet.names[at];
         let count = self.sheet.names.iter().filter(|known| *known == name).count();
@@ -160,7 +160,8 @@ impl Proposal<'_> {
         format!("[{}]", columns.join(", "))
     }
 
-    /// A line `unit = ...`: what the names say if it is one of these, else the first, to be checked.
+    /// A line `unit = ...`: the unit in the names if it is one of `units`, else the first, marked
+    /// for checking.
     fn unit(&mut self, said: Option<&'static str>, units: &[&str]) {
         match said.filter(|said| units.contains(said)) {
             Some(unit) => self.line(&format!("unit = {unit:?}")),
@@ -331,7 +332,7 @@ impl Proposal<'_> {
             let columns = self.columns(group);
             self.line(&format!("\n[specific_force]\ncolumns = {columns}"));
             self.unit(group.unit, &["m/s2", "g"]);
-            // An acceleration is turned by an attitude.
+            // An acceleration needs an attitude.
             let has_attitude = quaternion.is_some() || euler.is_some();
             let meaning = if has_attitude { self.force_meaning(group) } else { "specific_force" };
             self.line(&format!("meaning = {meaning:?}  # CHECK: \"specific_force\" (1 g upwards at rest) or \"acceleration\" (nothing at rest)"));
@@ -387,7 +388,7 @@ impl Proposal<'_> {
         self.sheet.rows.iter().filter_map(read).collect()
     }
 
-    /// The unit in which the rows are from 1 Hz to some kHz, and the step.
+    /// The unit for which the rate of the rows is 1 Hz to a few kHz, and the step.
     fn time_unit(&self, at: usize) -> (&'static str, f64) {
         let times = self.numbers(at);
         let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -407,12 +408,12 @@ impl Proposal<'_> {
         sizes.fold(0.0, f64::max)
     }
 
-    /// Angles beyond a turn are no radians.
+    /// Angles beyond a full turn are not radians.
     fn angle_unit(&self, group: &Group) -> Option<&'static str> {
         (self.largest(group) > std::f64::consts::TAU).then_some("deg")
     }
 
-    /// At rest an accelerometer shows gravity, an acceleration nothing.
+    /// At rest an accelerometer measures gravity, while an acceleration is zero.
     fn force_meaning(&self, group: &Group) -> &'static str {
         let columns: Vec<Vec<f64>> = group.at.iter().map(|at| self.numbers(*at)).collect();
         let count = columns.iter().map(Vec::len).min().unwrap_or(0);

@@ -1,4 +1,4 @@
-//! Rows of a table into samples, once the mapping is bound to its columns.
+//! Converts rows of a table to samples, with a mapping bound to its columns.
 
 use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
@@ -13,7 +13,7 @@ const NO_ATTITUDE: &str = "row without an attitude, which a vector in it must be
 /// A cell of a row.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Cell {
-    /// Nothing is in it, or a word for that.
+    /// The cell is empty, or has a word for that.
     #[default]
     Empty,
     /// A finite number.
@@ -22,8 +22,8 @@ pub enum Cell {
     Other,
 }
 
-/// A row of the table, in SI, NED and FRD. `None` is what the table does not have, or what the
-/// row's empty cells leave out.
+/// A row of the table in SI, NED and FRD. A value is `None` if the table lacks it or its cells are
+/// empty.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Row {
     pub time: f64,
@@ -40,16 +40,16 @@ pub struct Row {
     pub setpoint_thrust: Option<f64>,
 }
 
-/// What the outputs of a mapped table are.
+/// Unit of the outputs of a mapped table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outputs {
-    /// Fractions of the full thrust.
+    /// Fraction of the full thrust.
     Fraction,
-    /// N.
+    /// Thrust in N.
     Newton,
 }
 
-/// Columns of a vector and the factor to SI.
+/// Columns of a vector, with the factor to SI units.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Columns<const N: usize> {
     pub(super) at: [usize; N],
@@ -57,7 +57,7 @@ pub(super) struct Columns<const N: usize> {
 }
 
 impl<const N: usize> Columns<N> {
-    /// The numbers, or `None` where all cells are empty. The error says what else there is.
+    /// The numbers; `None` if all cells are empty. Any other cell is an error.
     fn read(&self, cells: &[Cell]) -> Result<Option<[f64; N]>, &'static str> {
         let cells = self.at.map(|at| cells.get(at).copied().unwrap_or_default());
         if cells.iter().all(|cell| *cell == Cell::Empty) {
@@ -71,7 +71,7 @@ impl<const N: usize> Columns<N> {
         Ok(Some(values))
     }
 
-    /// The numbers, where other cells are no fault of the row.
+    /// The numbers; `None` also for invalid cells, which do not invalidate the row.
     fn any(&self, cells: &[Cell]) -> Option<[f64; N]> {
         self.read(cells).ok().flatten()
     }
@@ -84,7 +84,7 @@ pub(super) enum Rotation {
     Matrix(Columns<9>),
 }
 
-/// How an attitude is read.
+/// Reads an attitude from a row.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AttitudeReader {
     pub(super) rotation: Rotation,
@@ -134,12 +134,12 @@ pub(super) enum TimeReader {
 }
 
 impl RowReader {
-    /// What the outputs are.
+    /// Unit of the outputs.
     pub fn outputs(&self) -> Outputs {
         self.outputs
     }
 
-    /// Which columns were taken where the mapping gives their numbers.
+    /// Notes on the columns that the mapping identifies by number.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
@@ -149,7 +149,7 @@ impl RowReader {
         self.used.get(column).copied().unwrap_or(false)
     }
 
-    /// The row with number `index` from its cells. The error says why it is left out.
+    /// Converts row number `index` from its cells. The error says why the row is dropped.
     pub fn read(&self, index: u64, cells: &[Cell]) -> Result<Row, &'static str> {
         let time = match self.time {
             TimeReader::Column(column) => column.read(cells)?.ok_or(NO_NUMBER)?[0],

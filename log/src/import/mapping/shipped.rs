@@ -1,4 +1,4 @@
-//! Mapping files that come with the program.
+//! Mapping files that are built into the program.
 
 use std::borrow::Cow;
 use std::io::ErrorKind;
@@ -8,16 +8,16 @@ use vehicle::bounded;
 
 use super::ImportError;
 
-/// Name and text of each mapping file that is shipped.
+/// Name and text of each shipped mapping file.
 pub const SHIPPED: [(&str, &str); 2] = [
     ("motion-capture", include_str!("../../../mappings/motion-capture.toml")),
     ("motive", include_str!("../../../mappings/motive.toml")),
 ];
 
-/// The text of a mapping file, or of a shipped one where there is no such file.
+/// The text of a mapping file, or of the shipped one of that name if there is no such file.
 ///
 /// # Errors
-/// A file that cannot be read and a name that no shipped mapping has.
+/// The file cannot be read and no shipped mapping has that name.
 pub(super) fn text(path: &Path) -> Result<Cow<'static, str>, ImportError> {
     let shipped = SHIPPED.iter().find(|(name, _)| Path::new(name) == path);
     match (bounded::read_to_string(path, bounded::WRITTEN_MAX), shipped) {

@@ -1,17 +1,17 @@
-//! Formats of ULog: what the bytes of a topic's rows are, said by the file itself.
+//! Formats of ULog: the layout of a topic's rows, as defined in the file.
 
 use std::collections::BTreeMap;
 
-/// Formats may hold others; nothing real is deeper.
+/// Largest nesting depth of formats; real files are not deeper.
 const DEPTH_MAX: usize = 8;
-/// No row is longer: its message has two bytes for its length.
+/// Length limit of a row: a message has two bytes for its length.
 const ROW_MAX: usize = u16::MAX as usize;
-/// Fields of a flattened row at most.
+/// Largest number of fields in a flattened row.
 const FIELDS_MAX: usize = 4096;
-/// Formats of one file at most.
+/// Largest number of formats in a file.
 const FORMATS_MAX: usize = 4096;
 
-/// A number of a row.
+/// Type of a number in a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     I8,
@@ -52,7 +52,7 @@ impl Kind {
         }
     }
 
-    /// The number at the start of `bytes`.
+    /// Decodes the number at the start of `bytes`.
     pub fn read(self, bytes: &[u8]) -> Option<f64> {
         macro_rules! number {
             ($kind:ty) => {
@@ -74,7 +74,7 @@ impl Kind {
     }
 }
 
-/// Where a field lies in a row.
+/// Position and type of a field in a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Place {
     pub offset: usize,
@@ -82,17 +82,17 @@ pub(super) struct Place {
 }
 
 impl Place {
-    /// The field's number; `None` where the row ends before it.
+    /// The field's number; `None` if the row ends before it.
     pub fn read(self, row: &[u8]) -> Option<f64> {
         self.kind.read(row.get(self.offset..)?)
     }
 }
 
-/// All fields of a row, nested ones and elements of arrays under names as `esc[0].esc_rpm`.
+/// All fields of a row. Nested fields and array elements have names such as `esc[0].esc_rpm`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Layout {
     fields: BTreeMap<String, Place>,
-    /// Bytes of a row with and without the padding at its end, which is not written.
+    /// Length of a row with and without the padding at its end, which is not written.
     full: usize,
     least: usize,
 }
@@ -102,7 +102,7 @@ impl Layout {
         self.fields.get(field).copied()
     }
 
-    /// Whether a row can have this many bytes.
+    /// Whether a row can have this length in bytes.
     pub fn takes(&self, length: usize) -> bool {
         (self.least..=self.full).contains(&length)
     }
@@ -112,7 +112,7 @@ impl Layout {
 struct Field {
     type_name: String,
     name: String,
-    /// Elements, `None` for a field that is no array.
+    /// Number of elements; `None` if the field is not an array.
     count: Option<usize>,
 }
 
@@ -123,7 +123,7 @@ pub(super) struct Formats {
 }
 
 impl Formats {
-    /// Takes in a definition, as `name:type field;type[4] field;`. Returns whether it is one.
+    /// Adds a definition such as `name:type field;type[4] field;`. Returns whether it is valid.
     pub fn define(&mut self, text: &str) -> bool {
         let Some((name, fields)) = text.split_once(':') else { return false };
         let fields: Option<Vec<Field>> =
@@ -134,7 +134,7 @@ impl Formats {
             return false;
         }
         match self.formats.get(name) {
-            // Said twice is as good as once; two that differ cannot both be true.
+            // A repeated definition is fine; a different one for the same name is not.
             Some(known) => *known == fields,
             None => {
                 self.formats.insert(name.to_owned(), fields);
@@ -143,7 +143,7 @@ impl Formats {
         }
     }
 
-    /// The layout of a format; `None` for one that is not, or not wholly, defined.
+    /// The layout of a format; `None` if it is not completely defined.
     pub fn layout(&self, name: &str) -> Option<Layout> {
         let mut layout = Layout::default();
         self.append(&mut layout, name, "", 0)?;
@@ -184,7 +184,7 @@ impl Formats {
     }
 }
 
-/// `type name` or `type[count] name`.
+/// Parses `type name` or `type[count] name`.
 fn field(text: &str) -> Option<Field> {
     let (kind, name) = text.trim().split_once(' ')?;
     let (type_name, count) = match kind.split_once('[') {
@@ -198,7 +198,7 @@ fn field(text: &str) -> Option<Field> {
     is_sound.then(|| Field { type_name: type_name.to_owned(), name: name.to_owned(), count })
 }
 
-/// Whether a text can be a name of a type, a topic, a field or a parameter.
+/// Whether a text can name a type, a topic, a field or a parameter.
 pub(super) fn is_name(text: &str) -> bool {
     let is_plain = |c: u8| c.is_ascii_alphanumeric() || matches!(c, b'_' | b'-' | b'/' | b'.');
     !text.is_empty() && text.bytes().all(is_plain)
@@ -223,7 +223,7 @@ mod tests {
         let layout = formats.layout("esc_status").expect("a layout");
         let place = layout.place("esc[1].esc_rpm").expect("a field");
         assert_eq!(place, Place { offset: 8 + 16 + 8, kind: Kind::F32 });
-        // The padding at the end is not written; that of the elements is.
+        // The padding at the end is not written; the padding of elements is.
         assert!(layout.takes(41) && layout.takes(48) && !layout.takes(40) && !layout.takes(49));
         assert_eq!(layout.place("_padding0"), None);
     }

@@ -1,5 +1,5 @@
-//! Topics of PX4 as the streams of a flight. All are NED and FRD, SI and radians already; what
-//! must be chosen is which of several topics a stream is from, and what the motor outputs mean.
+//! Maps PX4's topics to the streams of a flight. They are already in NED and FRD, SI units and
+//! radians. This module chooses the topic for each stream and interprets the motor outputs.
 
 mod outputs;
 
@@ -15,16 +15,16 @@ use crate::import::kind::{self, StatedKind, VehicleKind};
 use crate::import::onboard::{Row, Sample, Topics, Wanted};
 use crate::import::tally::Tally;
 
-/// Of two topics of one quantity the second is taken only where it is this much more frequent.
+/// The second of two topics of a quantity is used only if its rate is higher by this factor.
 const CLEARLY_MORE: f64 = 1.05;
-/// A damaged log may state any number of changes.
+/// Largest number of notes; a damaged log may have any number of changes.
 const NOTES_MAX: usize = 60;
-/// Where the topic has no stamp of its accelerometer, this says so.
+/// Value that marks a missing accelerometer time stamp.
 const NO_STAMP: f64 = i32::MAX as f64;
 
 macro_rules! wanted {
     ($($topic:literal: [$($field:literal),* $(,)?]),* $(,)?) => {
-        /// What is read of a log.
+        /// Topics and fields that are read.
         pub(super) const WANTED: &[Wanted] =
             &[$(Wanted { topic: $topic, fields: &["timestamp", $($field),*] }),*];
     };
@@ -59,18 +59,18 @@ wanted! {
         "system_type"],
 }
 
-/// When a row was stamped, s.
+/// Time stamp of a row, s.
 fn stamp(row: &Row<'_>) -> f64 {
     row.get("timestamp") * 1e-6
 }
 
-/// When a row's sample was taken, s; older logs have only its stamp.
+/// Sample time of a row, s; older logs have only the time stamp.
 fn sampled(row: &Row<'_>) -> f64 {
     let sampled = row.get("timestamp_sample");
     if sampled > 0.0 { sampled * 1e-6 } else { stamp(row) }
 }
 
-/// The middle of the interval of `field` before `time`, which the sample is a mean of.
+/// The middle of the averaging interval `field` before `time`.
 fn middle(row: &Row<'_>, time: f64, field: &str) -> f64 {
     let interval = row.get(field);
     // In us; before PX4 1.7 in s.
@@ -137,12 +137,12 @@ impl Contents {
         facts
     }
 
-    /// What most rows of `vehicle_status` say.
+    /// The most frequent value in `vehicle_status`.
     fn status(&self, field: &str) -> Option<f64> {
         self.topics.instances("vehicle_status").next()?.1.most_frequent(field)
     }
 
-    /// What states the kind of the vehicle.
+    /// Statements of the vehicle's kind.
     fn kinds(&self) -> Vec<StatedKind> {
         let status = |field: &str, kind: fn(f64) -> Option<VehicleKind>| {
             let value = self.status(field)?;
@@ -156,7 +156,7 @@ impl Contents {
             4 => Some(VehicleKind::Airship),
             _ => None,
         };
-        // Before PX4 1.10 there was only this.
+        // Before PX4 1.10 this was the only field.
         let is_rotary = |value: f64| {
             Some(if value == 0.0 { VehicleKind::Other } else { VehicleKind::Multirotor })
         };
@@ -173,7 +173,7 @@ impl Contents {
         stated.into_iter().flatten().chain(kind::of_parameters(&self.parameters)).collect()
     }
 
-    /// When the vehicle was armed, and in which modes it was.
+    /// Notes the times of arming and mode changes.
     fn note_modes(&self, facts: &mut VehicleFacts) {
         const ARMED: f64 = 2.0;
         let Some((_, topic)) = self.topics.instances("vehicle_status").next() else { return };
@@ -255,7 +255,8 @@ fn fill_attitude(
     }
 }
 
-/// Body rate and specific force, of the more frequent of the filtered and the raw topics.
+/// Fills body rate and specific force from the filtered or the raw topics, whichever has the higher
+/// rate.
 fn fill_sensors(topics: &Topics, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
     const XYZ: [&str; 3] = ["xyz[0]", "xyz[1]", "xyz[2]"];
     let filtered = |name: &'static str, tally: &mut Tally| -> Stream<Frd> {
@@ -313,7 +314,7 @@ fn fill_position(
     tally: &mut Tally,
 ) {
     let Some(topic) = topics.primary("vehicle_local_position", 0, tally) else { return };
-    // A flag that is not logged does not forbid.
+    // A flag that is not logged counts as valid.
     let is_valid = |row: &Row<'_>, flags: [&str; 2]| flags.iter().all(|flag| row.get(flag) != 0.0);
     flight.position = topics.stream(topic, tally, |row| {
         if !is_valid(&row, ["xy_valid", "z_valid"]) {
@@ -343,7 +344,7 @@ fn fill_position(
     }
 }
 
-/// What the autopilot's attitude loop was to follow: the ground's own in OFFBOARD.
+/// Fills the setpoint of the autopilot's attitude loop, which is the ground's in OFFBOARD.
 fn fill_setpoint(
     topics: &Topics,
     flight: &mut Flight,

@@ -1,9 +1,9 @@
-//! Messages of a ULog file, in their order, past any damage.
+//! Reads the messages of a ULog file in order and skips damage.
 //!
-//! A message is its length, its type and its bytes; nothing else tells where one begins. So each
-//! is held against what the file has defined: rows must have a topic that was announced, and its
-//! length. Where one does not fit, the reader goes on at the next place from which two messages in
-//! a row do.
+//! A message consists of its length, type and bytes; nothing else marks its start. The reader
+//! checks each message against the file's definitions: a row must have a known topic and the right
+//! length. After a mismatch, it continues at the next position where two consecutive messages are
+//! valid.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{self, Read};
@@ -11,26 +11,26 @@ use std::io::{self, Read};
 use super::super::read_ahead::read_ahead;
 use super::format::{Formats, Layout, is_name};
 
-/// The first bytes of a file; the version follows.
+/// Magic bytes; the version follows.
 pub(in crate::import) const MAGIC: [u8; 7] = [b'U', b'L', b'o', b'g', 0x01, 0x12, 0x35];
-/// Magic, version, stamp.
+/// Length of magic, version and time stamp.
 const FILE_HEAD: usize = 16;
-/// Length and type of a message.
+/// Length of a message's header: size and type.
 const HEAD: usize = 3;
-/// Longest message.
+/// Length limit of a message.
 const MESSAGE_MAX: usize = HEAD + u16::MAX as usize;
-/// How far is searched at once for where messages go on.
+/// Bytes searched at once for the next valid message.
 const SEARCH: usize = 1 << 16;
-/// Content of a message whose only purpose is to be found after damage.
+/// Content of a sync message, which serves to resume after damage.
 const SYNC: [u8; 8] = [0x2F, 0x73, 0x13, 0x20, 0x25, 0x0C, 0xBB, 0x12];
-/// What a reader need not know to read the rest: data appended after a crash.
+/// Incompatible flag for data appended after a crash.
 const APPENDED: u8 = 1;
 
-/// Why a file is not read at all.
+/// Why a file cannot be read at all.
 #[derive(Debug)]
 pub(in crate::import) enum UlogError {
     Io(io::Error),
-    /// Not a ULog, or one that this reader must not read; in words.
+    /// The file is not a ULog, or has flags that forbid reading it; the text says which.
     Foreign(String),
 }
 
@@ -40,10 +40,10 @@ impl From<io::Error> for UlogError {
     }
 }
 
-/// What a message says.
+/// A decoded message.
 #[derive(Debug)]
 pub(super) enum Record<'a> {
-    /// `key` as `char[10] sys_name`, and the bytes of its value.
+    /// `key`, such as `char[10] sys_name`, and the bytes of its value.
     Info {
         key: &'a str,
         value: &'a [u8],
@@ -52,69 +52,69 @@ pub(super) enum Record<'a> {
         name: &'a str,
         value: f64,
     },
-    /// A row of the topic announced under this number.
+    /// A row of the topic with this number.
     Row {
         number: u16,
         topic: &'a Subscription,
         bytes: &'a [u8],
     },
-    /// The logger could not write for so many ms.
+    /// The logger dropped data for this time in ms.
     Dropout {
         ms: u16,
     },
-    /// Text for a person: level `0` (worst) to `7`, stamp in us.
+    /// Text for people: level `0` (worst) to `7`, time stamp in us.
     Text {
         level: u8,
         time_us: u64,
         text: &'a str,
     },
-    /// Definitions and what is not needed.
+    /// A definition, or a message that is not needed.
     Other,
 }
 
-/// A topic that rows are logged of.
+/// A topic with logged rows.
 #[derive(Clone, Debug)]
 pub(super) struct Subscription {
     pub name: String,
     pub instance: u8,
-    /// `None` where the file lacks its format.
+    /// `None` if the file lacks its format.
     pub layout: Option<Layout>,
 }
 
-/// What was passed over.
+/// Skipped data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Damage {
-    /// Bytes between messages.
+    /// Number of bytes between messages.
     pub bytes: u64,
-    /// Whole messages that are not what they should be.
+    /// Number of whole messages that are invalid.
     pub messages: u64,
-    /// Bytes of a message that the file ends within.
+    /// Number of bytes of a message cut off by the end of the file.
     pub cut: u64,
-    /// Where the first of all these begins.
+    /// Offset of the first skipped data.
     pub first: Option<u64>,
 }
 
-/// How a place in the file looks.
+/// Result of checking a position in the file.
 enum Look {
-    /// A message of this length with its head.
+    /// A valid message of this length, header included.
     Sound(usize),
-    /// The head of a message of this length that cannot be true.
+    /// The header of a message of this length that is invalid.
     Odd(usize),
-    /// Less than a message before the end of the file.
+    /// The file ends before a whole message.
     Short,
 }
 
-/// Reads messages.
+/// Reads the messages of a ULog file.
 pub(super) struct Reader<R> {
     source: R,
     buffer: Vec<u8>,
-    /// The first byte that was not given yet, in the buffer and in the file.
+    /// Position of the next byte, in the buffer and in the file.
     start: usize,
     offset: u64,
     ended: bool,
-    /// Whether what comes next must be two messages in a row.
+    /// Whether the next position needs two consecutive valid messages.
     is_lost: bool,
-    /// Where appended data begin.
+    /// Offsets of appended data.
     appended: VecDeque<u64>,
     formats: Formats,
     subscriptions: BTreeMap<u16, Subscription>,
@@ -122,10 +122,10 @@ pub(super) struct Reader<R> {
 }
 
 impl<R: Read> Reader<R> {
-    /// Begins with the file's head.
+    /// Reads the file header.
     ///
     /// # Errors
-    /// Those of `source`, and a file of another kind.
+    /// Errors of `source`, or the file is not a ULog.
     pub fn new(source: R) -> Result<Self, UlogError> {
         let mut reader = Self {
             source,
@@ -150,10 +150,10 @@ impl<R: Read> Reader<R> {
         Ok(reader)
     }
 
-    /// The next message, `None` at the end.
+    /// Returns the next message, or `None` at the end.
     ///
     /// # Errors
-    /// Those of the source, and flags of the file that forbid to go on.
+    /// Errors of the source, or flags in the file that forbid reading it.
     pub fn next(&mut self) -> Result<Option<Record<'_>>, UlogError> {
         let length = loop {
             self.fill(2 * MESSAGE_MAX)?;
@@ -168,7 +168,8 @@ impl<R: Read> Reader<R> {
             let room = self.room();
             match self.look(0, room) {
                 Look::Sound(length) if !self.is_lost || self.goes_on(length, room) => break length,
-                // A damaged length may lead to a message far behind: what lies between is not lost.
+                // A damaged length may point to a message far ahead; the data in between is not
+                // lost.
                 Look::Odd(length)
                     if !self.is_lost
                         && self.goes_on(length, room)
@@ -216,7 +217,7 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// Learns what a message defines.
+    /// Stores a message's definitions.
     fn take_in(&mut self, kind: u8, from: usize, to: usize) -> Result<(), UlogError> {
         let body = &self.buffer[from..to];
         match kind {
@@ -269,13 +270,13 @@ impl<R: Read> Reader<R> {
         &self.buffer[self.start..]
     }
 
-    /// Bytes that may be read before appended data begin.
+    /// Number of buffered bytes before appended data.
     fn room(&self) -> usize {
         let before = self.appended.front().map_or(u64::MAX, |offset| offset - self.offset);
         usize::try_from(before).unwrap_or(usize::MAX).min(self.rest().len())
     }
 
-    /// Reads until `wanted` bytes are there, or the end.
+    /// Fills the buffer to `wanted` bytes or the end of the file.
     fn fill(&mut self, wanted: usize) -> io::Result<()> {
         if self.rest().len() >= wanted || self.ended {
             return Ok(());
@@ -292,7 +293,7 @@ impl<R: Read> Reader<R> {
         self.offset += count as u64;
     }
 
-    /// How the place `at` bytes from here looks, if no message reaches beyond `room`.
+    /// Checks the position `at` bytes ahead; no message may extend beyond `room`.
     fn look(&self, at: usize, room: usize) -> Look {
         let rest = &self.rest()[..room];
         let Some(([low, high, kind], body)) =
@@ -308,13 +309,12 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// Whether a message, or the end, follows `at` bytes from here.
+    /// Whether a valid message or the end is `at` bytes ahead.
     fn goes_on(&self, at: usize, room: usize) -> bool {
         at == room || matches!(self.look(at, room), Look::Sound(_))
     }
 
-    /// The next place, less than `within` bytes from here, from which two messages in a row are
-    /// sound.
+    /// The next position, less than `within` bytes ahead, with two consecutive valid messages.
     fn next_sound(&self, within: usize, room: usize) -> Option<usize> {
         (1..room.min(within)).find(|at| match self.look(*at, room) {
             Look::Sound(length) => self.goes_on(at + length, room),
@@ -322,7 +322,7 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// Whether a message can be what it says it is.
+    /// Whether a message's content is plausible for its type.
     fn is_sound(&self, kind: u8, body: &[u8]) -> bool {
         match kind {
             b'D' => body.split_first_chunk().is_some_and(|(topic, row)| {
@@ -348,13 +348,13 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// Goes to the next place from which two messages in a row are sound, or a good way on.
+    /// Advances to the next position with two consecutive valid messages, or by the search range.
     fn search(&mut self) -> io::Result<()> {
         self.fill(SEARCH + 2 * MESSAGE_MAX)?;
         let room = self.room();
         let found = self.next_sound(SEARCH, room);
         let passed = found.unwrap_or(room.min(SEARCH));
-        // A sound sequence that ends within a message was cut there.
+        // A valid sequence that ends within a message was cut off there.
         let is_cut = found.is_none() && passed == room && !self.is_lost;
         let count = if is_cut { &mut self.damage.cut } else { &mut self.damage.bytes };
         *count += passed as u64;
@@ -365,7 +365,7 @@ impl<R: Read> Reader<R> {
     }
 }
 
-/// Key and value of a message that has both.
+/// Splits a message into key and value.
 fn keyed(body: &[u8]) -> Option<(&str, &[u8])> {
     let (length, rest) = body.split_first()?;
     let (key, value) = rest.split_at_checked(usize::from(*length))?;

@@ -1,15 +1,15 @@
-//! Which of a vehicle's starts is the flight.
+//! Chooses the boot of a vehicle that is the flight.
 
 use super::VehicleLog;
 use crate::import::LogFault;
 use crate::import::epoch::Epoch;
 
-/// A state is not held for longer without being said again, s.
+/// Longest time that a state holds without a new report, s.
 const STATE_LASTS: f64 = 10.0;
 
 impl VehicleLog {
-    /// How long the vehicle was in the air in each epoch, s of the ground's clock: by its own word,
-    /// or where it says nothing of it, how long it was armed.
+    /// Flight time of the vehicle in each epoch, s on the ground's clock: as reported by the
+    /// vehicle, or else the time armed.
     pub(super) fn flown(&self) -> Vec<f64> {
         let states = if self.landed.is_empty() { &self.armed } else { &self.landed };
         let mut flown = vec![0.0; self.epochs.len()];
@@ -26,8 +26,8 @@ impl VehicleLog {
         flown
     }
 
-    /// The epoch that is the flight: the one that was asked for, counted from 1 in their order, else
-    /// the one that flew longest.
+    /// The epoch that is the flight: the requested one, counted from 1, or else the one that flew
+    /// longest.
     pub(super) fn chosen(
         &self,
         boot: Option<usize>,
@@ -39,7 +39,7 @@ impl VehicleLog {
             return at.map(Some).ok_or(LogFault::NoBoot { boot, boots });
         }
         let weight = |epoch: &Epoch, flown: f64| {
-            // In steps of the states' rate.
+            // Whole seconds, since states arrive at a low rate.
             (epoch.attitudes() > 0, flown as u64, epoch.attitudes(), epoch.messages())
         };
         let epochs = self.epochs.iter().zip(flown).enumerate().rev();

@@ -1,4 +1,4 @@
-//! What a vehicle's messages say about it.
+//! Facts about a vehicle from its messages.
 
 use message::parameters::Parameters;
 
@@ -7,7 +7,7 @@ use crate::import::facts::VehicleFacts;
 use crate::import::kind::{self, StatedKind};
 
 impl VehicleLog {
-    /// What the messages say about the vehicle.
+    /// Collects the facts; takes the texts out of the log.
     pub(super) fn facts(&mut self) -> VehicleFacts {
         let most = self.types.iter().max_by_key(|(_, count)| **count).map(|(t, _)| f64::from(*t));
         let of_type = most.and_then(|number| {

@@ -28,7 +28,7 @@ use vehicle::frame::{Attitude, Euler, Frd};
 #[derive(Debug)]
 pub(super) struct Arducopter;
 
-/// The modes and their numbers.
+/// The modes with their numbers and names.
 const MODES: [(Mode, u32, &str); 7] = [
     (Mode::Stabilized, 0, "STABILIZE"),
     (Mode::Altitude, 2, "ALT_HOLD"),
@@ -39,20 +39,20 @@ const MODES: [(Mode, u32, &str); 7] = [
     (Mode::Hold, 17, "BRAKE"),
 ];
 
-/// Bits of the type mask that leave a field out.
+/// Bits of the type mask that ignore a field.
 const RATES: u8 = 0x07;
 const THROTTLE: u8 = 0x40;
 const ATTITUDE: u8 = 0x80;
 
-/// How far the square of a quaternion's norm may be from 1.
+/// Largest deviation of a quaternion's squared norm from 1.
 const NORM_TOLERANCE: f64 = 1e-3;
-/// Bit of GUID_OPTIONS by which the thrust field is a thrust.
+/// Bit of GUID_OPTIONS that makes the thrust field a thrust instead of a climb rate.
 const THRUST_AS_THRUST: i32 = 8;
-/// The motors stand still for this long after arming, s.
+/// Time after arming before the motors spin, s.
 const ARMING_DELAY_S: f64 = 2.0;
-/// `LAND_CHECK_LARGE_ANGLE_CD`: 15 degrees.
+/// `LAND_CHECK_LARGE_ANGLE_CD`, 15 degrees in rad.
 const LANDED_LEAN_MAX: f64 = 0.262;
-/// Version that the vehicle reports: 4.7.0, a development build.
+/// Reported version: 4.7.0, a development build.
 const VERSION: u32 = u32::from_be_bytes([4, 7, 0, 0]);
 
 fn entry(mode: Mode) -> Option<&'static (Mode, u32, &'static str)> {
@@ -154,7 +154,7 @@ impl Personality for Arducopter {
         Ok(Onboard { attitude_loop: Box::new(attitude_loop), rate_hz: nominal.rate_hz, parameters })
     }
 
-    /// Between the pulses of MOT_SPIN_MIN and MOT_SPIN_MAX.
+    /// The range from the pulse of MOT_SPIN_MIN to that of MOT_SPIN_MAX.
     fn output_scale(&self, _message: &str, parameters: &Parameters) -> OutputScale {
         let (low, high) = (parameters.get(Key::MotPwmMin), parameters.get(Key::MotPwmMax));
         let pulse = |key: Key| low + parameters.get(key) * (high - low);
@@ -207,13 +207,13 @@ impl Personality for Arducopter {
         ((armed_s - ARMING_DELAY_S) / spool_s).clamp(0.0, 1.0)
     }
 
-    /// Its position controller stands still where Guided takes attitudes.
+    /// The position controller does not run while Guided tracks attitudes.
     fn controls_position(&self, mode: Mode) -> bool {
         !matches!(mode, Mode::Offboard | Mode::Altitude | Mode::Stabilized)
     }
 
     fn vision_lost_after_s(&self) -> f64 {
-        // Measured: its own EKF failsafe acted 8 s after the last fix, in Guided too.
+        // Measured: ArduCopter's EKF failsafe acts 8 s after the last fix, in Guided too.
         8.0
     }
 
@@ -230,7 +230,7 @@ impl Personality for Arducopter {
         LANDED_LEAN_MAX
     }
 
-    /// The throttle stick lies at its low end.
+    /// Without a radio, the throttle stick counts as at its low end.
     fn sticks_without_radio(&self) -> Option<Sticks> {
         Some(Sticks { up: -1.0, ..Sticks::default() })
     }
@@ -292,7 +292,7 @@ fn cos_tilt(attitude: Euler) -> f64 {
     attitude.roll.cos() * attitude.pitch.cos()
 }
 
-/// What a SET_ATTITUDE_TARGET asks for in GUIDED: attitude or rates or both, the rates about all
+/// Decodes a SET_ATTITUDE_TARGET in GUIDED: attitude or rates or both, with the rates about all
 /// three axes or none, and thrust. Anything else stops the vehicle.
 fn setpoint(message: &SET_ATTITUDE_TARGET_DATA) -> Option<AttitudeSetpoint> {
     let mask = message.type_mask.bits();
@@ -328,7 +328,7 @@ fn fail_over(commander: &mut Commander, mode: Mode, text: &str) {
     commander.notify(MavSeverity::MAV_SEVERITY_CRITICAL, text);
 }
 
-/// FS_GCS_ENABLE, FS_GCS_TIMEOUT after the last heartbeat of MAV_GCS_SYSID.
+/// Applies FS_GCS_ENABLE once MAV_GCS_SYSID has sent no heartbeat for FS_GCS_TIMEOUT.
 fn watch_ground_station(commander: &mut Commander, now: &Situation, parameters: &Parameters) {
     let timeout = parameters.timeout_us(Key::ComDlLossT).unwrap_or(u64::MAX);
     let action = choice(parameters, Key::FsGcsEnable);
@@ -349,7 +349,7 @@ fn watch_ground_station(commander: &mut Commander, now: &Situation, parameters: 
     }
 }
 
-/// FS_THR_ENABLE, where sticks were heard before.
+/// Applies FS_THR_ENABLE after a loss of the sticks, if they were received before.
 fn watch_radio(commander: &mut Commander, now: &Situation, parameters: &Parameters) {
     let action = choice(parameters, Key::NavRclAct);
     let lost = action != 0 && now.sticks_known && !now.sticks_live;
@@ -363,7 +363,7 @@ fn watch_radio(commander: &mut Commander, now: &Situation, parameters: &Paramete
     }
 }
 
-/// BATT_LOW_VOLT and BATT_CRT_VOLT, below which the pack must be for ten seconds.
+/// Applies BATT_LOW_VOLT and BATT_CRT_VOLT once the voltage is below them for ten seconds.
 fn watch_battery(commander: &mut Commander, now: &Situation, parameters: &Parameters) {
     const LOW_FOR_US: u64 = 10_000_000;
     let levels = [(Key::BatLowVolt, Key::BatFsLowAct), (Key::BatCriticalVolt, Key::BatFsCrtAct)];
@@ -389,7 +389,7 @@ fn watch_battery(commander: &mut Commander, now: &Situation, parameters: &Parame
     }
 }
 
-/// A landing ends LAND and RTL; elsewhere the motors stop DISARM_DELAY after arming or landing.
+/// Disarms after a landing in LAND or RTL; in other modes DISARM_DELAY after arming or landing.
 fn watch_ground(commander: &mut Commander, now: &Situation, parameters: &Parameters) {
     let Some(landed_us) = commander.landed_for_us(now) else { return };
     let since_us =

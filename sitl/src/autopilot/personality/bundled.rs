@@ -1,5 +1,5 @@
-//! The vehicle that comes with the daemon: PX4's face, and an attitude loop that is a PD on
-//! attitude and rates together, or the cascade of the vehicle file where that has no PD.
+//! The bundled vehicle: PX4's protocol with a PD law on attitude and rates, or with the cascade of
+//! a vehicle file that has no PD law.
 
 use wire::dialect::{AUTOPILOT_VERSION_DATA, SET_ATTITUDE_TARGET_DATA};
 
@@ -29,15 +29,15 @@ impl OnboardLoop for AttitudeLoop {
     }
 }
 
-/// Defaults are PX4's where PX4 has the parameter, except for the loss action (Land, since it
-/// needs nothing but the vehicle) and COM_RC_OVERRIDE (sticks also end OFFBOARD: the pilot wins).
+/// The defaults are PX4's where PX4 has the parameter. Exceptions are the loss action (Land, which
+/// needs only the vehicle) and COM_RC_OVERRIDE (sticks also end OFFBOARD: the pilot wins).
 fn table(vehicle: &VehicleParams, pd: &AttitudePd) -> Vec<Spec> {
     let thrust_max: f64 = vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
     let told = |name, value: f64| fact(name, Value::Float(value as f32));
     vec![
         // Cells in series.
         fact("BAT1_N_CELLS", Value::Int(vehicle.battery.cells.into())),
-        // Largest tilt at arming, rad. Own.
+        // Largest tilt at arming, rad. Not in PX4.
         float(Key::ComArmLevel, "COM_ARM_LEVEL", 0.3, 0.05, 1.5),
         // Disarm this long after landing, s; 0 or less: never.
         float(Key::ComDisarmLand, "COM_DISARM_LAND", 2.0, -1.0, 60.0),
@@ -45,8 +45,8 @@ fn table(vehicle: &VehicleParams, pd: &AttitudePd) -> Vec<Spec> {
         float(Key::ComDisarmPrflt, "COM_DISARM_PRFLT", 10.0, -1.0, 120.0),
         // Low battery: 0 warning only, 2 land, 3 return when critical, land when lower still.
         int(Key::ComLowBatAct, "COM_LOW_BAT_ACT", 0, 0, 3),
-        // What follows the loss of the offboard stream: 0 position, 1 altitude, 2 stabilized (these
-        // need sticks, else NAV_RCL_ACT), 3 return, 4 land, 5 hold, 6 terminate, 7 disarm.
+        // Action on loss of the offboard stream: 0 position, 1 altitude, 2 stabilized (these need
+        // sticks, else NAV_RCL_ACT), 3 return, 4 land, 5 hold, 6 terminate, 7 disarm.
         int(Key::ComOblRcAct, "COM_OBL_RC_ACT", 4, 0, 7),
         // The offboard stream is lost when the last setpoint is older than this, s.
         float(Key::ComOfLossT, "COM_OF_LOSS_T", 1.0, 0.0, 60.0),
@@ -57,7 +57,7 @@ fn table(vehicle: &VehicleParams, pd: &AttitudePd) -> Vec<Spec> {
         // Moved sticks take over to Position: bit 0 from automatic modes, bit 1 from OFFBOARD.
         int(Key::ComRcOverride, "COM_RC_OVERRIDE", 3, 0, 3),
         // Gains of the attitude loop, N m s/rad and N m/rad, its rate in Hz, and the sum of the
-        // rotors' maximum thrust in N: what the vehicle file says. Own.
+        // rotors' maximum thrust in N, from the vehicle file. Not in PX4.
         told("DW_KD_PITCH", pd.kd[1]),
         told("DW_KD_ROLL", pd.kd[0]),
         told("DW_KD_YAW", pd.kd[2]),
@@ -67,15 +67,16 @@ fn table(vehicle: &VehicleParams, pd: &AttitudePd) -> Vec<Spec> {
         told("DW_PD_RATE", pd.rate_hz),
         told("DW_THRUST_MAX", thrust_max),
         fact("MAV_COMP_ID", Value::Int(1)),
-        // 0: MAVLink 1 until the peer speaks MAVLink 2.
+        // 0: MAVLink 1 until the peer sends MAVLink 2.
         fact("MAV_PROTO_VER", Value::Int(0)),
         fact("MAV_SYS_ID", Value::Int(1)),
         fact("MAV_TYPE", Value::Int(2)),
-        // Take-off height above the point of arming, m.
+        // Take-off height above the position of arming, m.
         float(Key::MisTakeoffAlt, "MIS_TAKEOFF_ALT", 2.5, 0.2, 80.0),
         // Speed of descent to the ground, m/s.
         float(Key::MpcLandSpeed, "MPC_LAND_SPEED", 0.7, 0.1, 2.0),
-        // Collective output at hover, as the firmware believes. Not applied to offboard setpoints.
+        // The firmware's estimate of the collective output at hover. Not applied to offboard
+        // setpoints.
         float(Key::MpcThrHover, "MPC_THR_HOVER", vehicle.hover_thrust as f32, 0.05, 0.9),
         // Largest tilt in position control, degrees.
         float(Key::MpcTiltMaxAir, "MPC_TILTMAX_AIR", 35.0, 5.0, 60.0),
@@ -87,8 +88,7 @@ fn table(vehicle: &VehicleParams, pd: &AttitudePd) -> Vec<Spec> {
         float(Key::MpcZVelMaxUp, "MPC_Z_VEL_MAX_UP", 3.0, 0.2, 8.0),
         // Above 0, arming needs the heartbeat of a ground station.
         int(Key::NavDllAct, "NAV_DLL_ACT", 0, 0, 6),
-        // What follows where sticks are needed and there are none: 1 hold, 2 return, 3 land,
-        // 5 terminate, 6 disarm.
+        // Action if sticks are needed and missing: 1 hold, 2 return, 3 land, 5 terminate, 6 disarm.
         int(Key::NavRclAct, "NAV_RCL_ACT", 2, 1, 6),
         fact("SYS_AUTOSTART", Value::Int(4001)),
     ]
@@ -170,7 +170,7 @@ impl Personality for Bundled {
     }
 
     fn text(&self, text: &str) -> String {
-        // PX4's texts end in a tab where an event says the same.
+        // PX4 appends a tab to texts that also exist as events.
         format!("{text}\t")
     }
 }

@@ -1,5 +1,5 @@
-//! The loop of a vehicle file's `attitude_cascade` where no autopilot's manners come with it: as
-//! the equations of [`AttitudeCascade`] say, without shaping.
+//! The loop of a vehicle file's `attitude_cascade` without an autopilot's peculiarities: the
+//! equations of [`AttitudeCascade`], without input shaping.
 
 use super::rate_loop::{RateInput, RateLoop, clip};
 use super::{LoopInput, OnboardLoop};

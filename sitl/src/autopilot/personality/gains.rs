@@ -1,19 +1,19 @@
-//! A cascade as an autopilot's parameters: in both directions by one table, so that the parameters
-//! are the loop that is flown.
+//! Maps a cascade to an autopilot's parameters and back with one table, so the parameters always
+//! match the active loop.
 
 use super::NoLoop;
 use crate::autopilot::parameters::{Parameters, Spec, gain};
 use vehicle::effects::PdGain;
 use vehicle::{AttitudeCascade, AttitudePd, VehicleParams};
 
-/// The unit of a parameter against the cascade's.
+/// The unit of a parameter relative to the cascade's.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Unit {
-    /// The same.
+    /// The cascade's unit.
     Same,
-    /// Degrees against radians.
+    /// Degrees instead of radians.
     Degrees,
-    /// Normalised torque about this axis against N m.
+    /// Normalised torque about this axis instead of N m.
     Torque(usize),
 }
 
@@ -24,27 +24,27 @@ pub(super) struct Gain {
     pub unit: Unit,
 }
 
-/// What an autopilot's loop has beside the PD that a vehicle file gives, in the proportions of the
-/// autopilot's own defaults.
+/// The parts of an autopilot's loop that a PD law does not give, in the proportions of the
+/// autopilot's defaults.
 pub(super) struct Tuning {
     /// Integral over proportional gain of the rate loop, 1/s.
     pub integral_per_s: [f64; 3],
     /// Derivative over proportional gain of the rate loop, s.
     pub derivative_s: [f64; 3],
-    /// Bound of the integral, normalised torque.
+    /// Bound on the integral, normalised torque.
     pub integral_max: [f64; 3],
-    /// rad/s
+    /// Bound on the body rate, rad/s.
     pub rate_max_rad_s: [f64; 3],
     pub gyro_cutoff_hz: f64,
     pub derivative_cutoff_hz: f64,
-    /// Whether setpoints are shaped before the loop sees them.
+    /// Whether the loop has input shaping.
     pub shapes_setpoints: bool,
     pub rate_hz: f64,
 }
 
 impl Tuning {
-    /// The cascade of a vehicle file, or the one that has the same PD near hover as its loop.
-    /// `moments` are those of a normalised torque of 1, N m.
+    /// The cascade of a vehicle file, or one that matches its PD law near hover. `moments` are the
+    /// moments of a normalised torque of 1, N m.
     pub fn cascade(
         &self,
         vehicle: &VehicleParams,
@@ -58,7 +58,8 @@ impl Tuning {
             std::array::from_fn(|axis| triple(self)[axis] * factor[axis])
         };
         Ok(AttitudeCascade {
-            // A rate gain of 0 leaves no cascade with the same PD; the least there is stands in.
+            // With a rate gain of 0 no cascade has the same PD law; a tiny gain avoids the division
+            // by 0.
             angle_p_per_s: std::array::from_fn(|axis| kp[axis] / kd[axis].max(1e-9)),
             rate_max_rad_s: self.rate_max_rad_s,
             rate_p_nms: kd,
@@ -68,7 +69,8 @@ impl Tuning {
             integral_max_nm: of(|tuning| tuning.integral_max, moments),
             gyro_cutoff_hz: self.gyro_cutoff_hz,
             derivative_cutoff_hz: self.derivative_cutoff_hz,
-            // A shaped setpoint is followed with its time constant, which is then the PD's lag.
+            // The loop follows a shaped setpoint with its time constant, which must equal the PD
+            // law's lag.
             input_time_constant_s: self.shapes_setpoints.then(|| kd[0] / kp[0].max(1e-9)),
             rate_hz: self.rate_hz,
         })
@@ -76,7 +78,7 @@ impl Tuning {
 }
 
 impl Unit {
-    /// The cascade's unit over the parameter's.
+    /// Factor from the parameter's unit to the cascade's.
     fn factor(self, moments: [f64; 3]) -> f64 {
         match self {
             Self::Same => 1.0,
@@ -86,7 +88,7 @@ impl Unit {
     }
 }
 
-/// The parameters that say `cascade`.
+/// The parameters for `cascade`.
 pub(super) fn specs(
     gains: &'static [Gain],
     mut cascade: AttitudeCascade,
@@ -95,7 +97,7 @@ pub(super) fn specs(
     gains.iter().map(move |row| gain(row.name, *(row.at)(&mut cascade) / row.unit.factor(moments)))
 }
 
-/// The cascade that the parameters say; what they do not say is `otherwise`'s.
+/// The cascade from the parameters; missing values come from `otherwise`.
 pub(super) fn cascade(
     gains: &[Gain],
     parameters: &Parameters,
@@ -111,7 +113,7 @@ pub(super) fn cascade(
     cascade
 }
 
-/// The gains that are really there.
+/// Applies the true gain factors to a cascade.
 pub(super) fn scaled(cascade: AttitudeCascade, truth: Option<PdGain>) -> AttitudeCascade {
     let Some(PdGain { kp_scale, kd_scale }) = truth else { return cascade };
     let times = |gains: [f64; 3], scale: [f64; 3]| std::array::from_fn(|i| gains[i] * scale[i]);

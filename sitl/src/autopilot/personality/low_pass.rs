@@ -1,20 +1,20 @@
-//! The filters in front of a rate loop.
+//! The filters of a rate loop.
 
 use std::f64::consts::{SQRT_2, TAU};
 
 use vehicle::frame::Frd;
 
-/// A second-order Butterworth low-pass per axis, which both autopilots have on the gyro.
+/// A second-order Butterworth low-pass for each axis, which both autopilots apply to the gyro.
 #[derive(Clone, Debug)]
 pub(super) struct Butterworth {
-    /// Numerator, half of the middle coefficient; denominator.
+    /// First coefficient of the numerator, and the denominator.
     b: f64,
     a: [f64; 2],
     state: Option<[Frd; 2]>,
 }
 
 impl Butterworth {
-    /// At most at 0.45 of the sample rate, beyond which the bilinear transform has no filter.
+    /// Limits the cutoff to 0.45 of the sample rate, where the bilinear transform is still valid.
     pub fn new(cutoff_hz: f64, rate_hz: f64) -> Self {
         let k = (0.5 * TAU * cutoff_hz.min(0.45 * rate_hz) / rate_hz).tan();
         let norm = 1.0 / (1.0 + SQRT_2 * k + k * k);
@@ -26,7 +26,7 @@ impl Butterworth {
         self.state = None;
     }
 
-    /// Begins in the steady state of its first input.
+    /// Filters a sample; starts in the steady state of the first one.
     pub fn update(&mut self, input: Frd) -> Frd {
         let [a1, a2] = self.a;
         let steady = input * (1.0 / (1.0 + a1 + a2));
@@ -37,7 +37,7 @@ impl Butterworth {
     }
 }
 
-/// The derivative of a signal behind a first-order low-pass, per axis.
+/// The derivative of a signal through a first-order low-pass, for each axis.
 #[derive(Clone, Debug)]
 pub(super) struct Derivative {
     time_constant_s: f64,
@@ -67,7 +67,7 @@ impl Derivative {
 mod tests {
     use super::*;
 
-    /// Gain of the filter at a frequency, from its answer to a sine.
+    /// Gain of the filter at a frequency, from its response to a sine.
     fn gain(cutoff_hz: f64, at_hz: f64) -> f64 {
         let mut filter = Butterworth::new(cutoff_hz, 400.0);
         let answers = (0..4000).map(|tick| {

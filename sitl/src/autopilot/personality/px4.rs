@@ -25,13 +25,13 @@ use vehicle::effects::PdGain;
 #[derive(Debug)]
 pub(super) struct Px4;
 
-/// Bits of the type mask that leave a field out.
+/// Bits of the type mask that ignore a field.
 const ROLL_OR_PITCH_RATE: u8 = 0x03;
 const YAW_RATE: u8 = 0x04;
 const THROTTLE: u8 = 0x40;
 const ATTITUDE: u8 = 0x80;
 
-/// Outputs that ACTUATOR_OUTPUT_STATUS says are active: their number, not a set of bits.
+/// Value of `active` in ACTUATOR_OUTPUT_STATUS: the number of outputs, not a bit mask.
 const OUTPUTS: u32 = 16;
 
 impl Personality for Px4 {
@@ -83,7 +83,7 @@ impl Personality for Px4 {
         setpoint(message).map_or(Reception::Ignore, Reception::Fly)
     }
 
-    /// The last mode that a flight can begin in.
+    /// The last selected mode in which a flight can start.
     fn mode_after_disarming(&self, chosen: Mode, _armed: bool) -> Option<Mode> {
         self.mode_can_arm(chosen).then_some(chosen)
     }
@@ -134,13 +134,13 @@ impl Personality for Px4 {
     }
 
     fn text(&self, text: &str) -> String {
-        // PX4's texts end in a tab where an event says the same.
+        // PX4 appends a tab to texts that also exist as events.
         format!("{text}\t")
     }
 }
 
-/// What a SET_ATTITUDE_TARGET asks for. It counts as a stream if it has an attitude, or rates about
-/// both roll and pitch. Without throttle the thrust is zero.
+/// Decodes a SET_ATTITUDE_TARGET. It counts towards the stream if it has an attitude, or rates
+/// about both roll and pitch. Without throttle, the thrust is zero.
 fn setpoint(message: &SET_ATTITUDE_TARGET_DATA) -> Option<AttitudeSetpoint> {
     let mask = message.type_mask.bits();
     let has_rates = mask & ROLL_OR_PITCH_RATE == 0;
@@ -166,8 +166,8 @@ fn setpoint(message: &SET_ATTITUDE_TARGET_DATA) -> Option<AttitudeSetpoint> {
     })
 }
 
-/// Lost sticks: Hold for COM_FAIL_ACT_T, then NAV_RCL_ACT, unless COM_RCL_EXCEPT leaves the mode
-/// out.
+/// After a loss of the sticks: Hold for COM_FAIL_ACT_T, then NAV_RCL_ACT, unless COM_RCL_EXCEPT
+/// exempts the mode.
 fn watch_radio(commander: &mut Commander, now: &Situation, parameters: &Parameters) {
     if now.sticks_live || !now.sticks_known {
         commander.sticks_lost = false;
@@ -196,7 +196,7 @@ fn watch_radio(commander: &mut Commander, now: &Situation, parameters: &Paramete
     }
 }
 
-/// NAV_DLL_ACT, COM_DL_LOSS_T after the last heartbeat of a ground station.
+/// Applies NAV_DLL_ACT once no ground station has sent a heartbeat for COM_DL_LOSS_T.
 fn watch_ground_station(commander: &mut Commander, now: &Situation, parameters: &Parameters) {
     let timeout = parameters.timeout_us(Key::ComDlLossT).unwrap_or(u64::MAX);
     let lost = now.ground_station_age_us.is_some_and(|age| age >= timeout);

@@ -1,6 +1,5 @@
-//! PX4's rules over modes and motors, which the bundled vehicle has too: any mode may be chosen
-//! while disarmed; after a failsafe the intended mode stays, and OFFBOARD resumes by itself when
-//! its stream does.
+//! PX4's rules for modes and motors, which the bundled vehicle shares. Any mode may be selected
+//! while disarmed. A failsafe keeps the intended mode, and OFFBOARD resumes when its stream does.
 
 use wire::dialect::MavSeverity;
 
@@ -10,7 +9,7 @@ use crate::autopilot::arming::Refusal;
 use crate::autopilot::commander::{Commander, Situation};
 use crate::autopilot::parameters::{Key, Parameters};
 
-/// Charge at which the pilot is warned, and at which the pack is critical.
+/// Charge for the warning to the pilot, and charge at which the pack is critical.
 const BATTERY_WARNINGS: [(f64, MavSeverity, &str); 2] = [
     (0.15, MavSeverity::MAV_SEVERITY_WARNING, "Low battery level"),
     (0.07, MavSeverity::MAV_SEVERITY_CRITICAL, "Critical battery level"),
@@ -46,7 +45,7 @@ pub(super) fn watch_stream(commander: &mut Commander, now: &Situation, parameter
     }
 }
 
-/// What NAV_RCL_ACT says.
+/// Applies NAV_RCL_ACT.
 pub(super) fn lose_sticks(commander: &mut Commander, parameters: &Parameters, why: &str) {
     match choice(parameters, Key::NavRclAct) {
         1 => fail_over(commander, Mode::Hold, why),
@@ -56,7 +55,7 @@ pub(super) fn lose_sticks(commander: &mut Commander, parameters: &Parameters, wh
     }
 }
 
-/// Moved sticks take over.
+/// Moved sticks switch to Position, if COM_RC_OVERRIDE allows it.
 pub(super) fn watch_sticks(commander: &mut Commander, now: &Situation, parameters: &Parameters) {
     let overrides = choice(parameters, Key::ComRcOverride);
     let allowed = match commander.mode() {
@@ -71,7 +70,7 @@ pub(super) fn watch_sticks(commander: &mut Commander, now: &Situation, parameter
     }
 }
 
-/// Warnings about the pack, and COM_LOW_BAT_ACT.
+/// Issues battery warnings and applies COM_LOW_BAT_ACT.
 pub(super) fn watch_battery(commander: &mut Commander, now: &Situation, parameters: &Parameters) {
     let Some((level, severity, text)) = BATTERY_WARNINGS.get(commander.battery_warnings) else {
         return;
@@ -92,7 +91,7 @@ pub(super) fn watch_battery(commander: &mut Commander, now: &Situation, paramete
     }
 }
 
-/// A take-off that has reached its height becomes Hold.
+/// Switches to Hold once a take-off has reached its height.
 pub(super) fn end_take_off(commander: &mut Commander, now: &Situation) {
     if commander.mode() == Mode::Takeoff && now.climbed {
         if commander.intended() == Mode::Takeoff {
@@ -103,7 +102,7 @@ pub(super) fn end_take_off(commander: &mut Commander, now: &Situation) {
     }
 }
 
-/// Motors stop after a landing, and where no take-off follows the arming.
+/// Disarms after a landing, and if no take-off follows arming.
 pub(super) fn watch_ground(commander: &mut Commander, now: &Situation, parameters: &Parameters) {
     let Some(landed_us) = commander.landed_for_us(now) else { return };
     let (key, by, since_us) = if commander.flown {

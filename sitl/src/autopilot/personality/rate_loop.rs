@@ -1,11 +1,11 @@
-//! What the cascades of both autopilots share: the PID on the body rate, and the mixer.
+//! The part that the cascades share: the PID loop on the body rate, and the mixer.
 
 use super::low_pass::{Butterworth, Derivative};
 use vehicle::frame::Frd;
 use vehicle::rotor::Allocation;
 use vehicle::{AttitudeCascade, ROTORS};
 
-/// The rate loop with its filters, its integral and the mixer behind it.
+/// The rate loop with its filters, integral and mixer.
 #[derive(Clone, Debug)]
 pub(super) struct RateLoop {
     pub cascade: AttitudeCascade,
@@ -16,20 +16,20 @@ pub(super) struct RateLoop {
     is_saturated: bool,
 }
 
-/// What the rate loop has at one tick.
+/// The rate loop's inputs at one tick.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RateInput {
     /// Desired body rate, rad/s.
     pub setpoint: Frd,
     /// Gyro, rad/s.
     pub body_rate: Frd,
-    /// Share of the rotors' full thrust.
+    /// Collective thrust as a share of the rotors' full thrust.
     pub thrust: f64,
-    /// Share of the square in the thrust curve that the firmware makes up for.
+    /// Quadratic share of the thrust curve that the firmware compensates.
     pub thrust_curve: f64,
-    /// Whether the integral rests.
+    /// Whether the vehicle has landed; the integral then does not run.
     pub landed: bool,
-    /// s
+    /// Time since the previous tick, s.
     pub dt: f64,
 }
 
@@ -45,7 +45,7 @@ impl RateLoop {
         }
     }
 
-    /// Takes other gains; filters begin afresh where their cutoff changes.
+    /// Replaces the gains; resets the filters if a cutoff changes.
     pub fn configure(&mut self, cascade: AttitudeCascade) {
         if cascade.gyro_cutoff_hz != self.cascade.gyro_cutoff_hz
             || cascade.derivative_cutoff_hz != self.cascade.derivative_cutoff_hz
@@ -79,8 +79,8 @@ impl RateLoop {
         self.mix(input.thrust, moment).map(|share| output_of(share, input.thrust_curve))
     }
 
-    /// Each rotor's share of its full thrust, 0..=1. Where one would exceed 1, the mixer lowers the
-    /// collective and keeps the moments.
+    /// Each rotor's share of its full thrust, 0..=1. If one would exceed 1, the mixer lowers the
+    /// collective and preserves the moments.
     fn mix(&mut self, thrust: f64, moment: Frd) -> [f64; ROTORS] {
         let [roll, pitch, yaw] = moment.to_array();
         let collective = thrust * self.allocation.collective_max();
@@ -92,14 +92,14 @@ impl RateLoop {
     }
 }
 
-/// Each axis within its bound.
+/// Clamps each axis to its bound.
 pub(super) fn clip(vector: Frd, bounds: [f64; 3]) -> Frd {
     let [x, y, z] = vector.to_array();
     let [a, b, c] = bounds;
     Frd::new(x.clamp(-a, a), y.clamp(-b, b), z.clamp(-c, c))
 }
 
-/// The output at which a rotor gives `share` of its thrust, by share = (1 - a) u + a u^2.
+/// The output u at which a rotor has `share` of its thrust, from share = (1 - a) u + a u^2.
 fn output_of(share: f64, a: f64) -> f64 {
     if a <= 0.0 {
         return share;

@@ -1,4 +1,4 @@
-//! Commands: the vehicle carries out COMMAND_LONG and COMMAND_INT, and acknowledges each.
+//! Commands: executes and acknowledges COMMAND_LONG and COMMAND_INT.
 
 use wire::dialect::*;
 
@@ -8,7 +8,7 @@ use crate::autopilot::commands::{Acknowledgement, Command};
 use crate::autopilot::streams::Stream;
 use crate::autopilot::{Mode, identity};
 
-/// MAV_CMD_COMPONENT_ARM_DISARM's parameter 2 that disarms in the air.
+/// Parameter 2 of MAV_CMD_COMPONENT_ARM_DISARM that forces arming or disarming.
 const FORCE: f32 = 21196.0;
 
 impl Protocol {
@@ -34,7 +34,7 @@ impl Protocol {
         }
     }
 
-    /// The answer, unless it was given already.
+    /// Executes a command. Returns the result, unless it is already acknowledged.
     fn execute(&mut self, sender: Sender, id: MavCmd, command: &Command) -> Option<MavResult> {
         let now = self.now_us;
         Some(match id {
@@ -45,14 +45,14 @@ impl Protocol {
                 let mode = self.flight.personality.mode_of_command(main, sub);
                 if let Some(answer) = self.flight.personality.early_answer() {
                     self.acknowledge(sender, command.number, answer);
-                    // What was answered early is answered again only where it was wrong.
+                    // A second acknowledgement follows only if the early one was wrong.
                     let result = self.set_mode(custom, mode);
                     return (result != answer).then_some(result);
                 }
                 self.set_mode(custom, mode)
             }
             MavCmd::MAV_CMD_NAV_TAKEOFF => {
-                // Parameter 7 is the altitude above sea level; below home's it is not meant.
+                // Parameter 7 is the altitude above sea level; a value below home is ignored.
                 let altitude = f64::from(command.param(7));
                 let home = match self.flight.personality.takes_off_to_height() {
                     true => 0.0,
@@ -132,7 +132,7 @@ impl Protocol {
         let stream = Stream::from_id(command.param(1) as u32);
         match stream.filter(|stream| personality.streams().has(*stream)) {
             Some(Stream::AvailableModes) => {
-                // Index 0 asks for all of them.
+                // Index 0 requests all modes.
                 let indices = match command.param(2) as usize {
                     0 => 1..=personality.modes().len(),
                     index => index..=index,

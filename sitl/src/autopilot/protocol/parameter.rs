@@ -1,4 +1,4 @@
-//! Parameters: read, written, listed.
+//! The parameter protocol: read, write and list.
 
 use wire::dialect::*;
 
@@ -22,8 +22,8 @@ impl Protocol {
         }
     }
 
-    /// Sets a parameter. The vehicle broadcasts the new value; a refusal goes to the sender alone,
-    /// with the value in force.
+    /// Sets a parameter and broadcasts the new value. A refusal goes to the sender only, with the
+    /// present value.
     pub(super) fn set_parameter(&mut self, sender: Sender, request: &PARAM_SET_DATA) {
         let name = request.param_id.to_str().unwrap_or_default();
         match self.flight.set_parameter(name, request.param_value, request.param_type) {

@@ -1,4 +1,4 @@
-//! Where on earth the vehicle is, as MAVLink messages.
+//! Messages with the vehicle's geodetic position.
 
 use wire::dialect::*;
 
@@ -10,7 +10,7 @@ use vehicle::frame::Ned;
 /// Radius of the earth for the local tangent plane, m (PX4's).
 const EARTH_RADIUS_M: f64 = 6_371_000.0;
 
-/// Latitude and longitude in 1e-7 degrees and altitude in mm of the place at `offset` from
+/// Latitude and longitude in 1e-7 degrees and altitude in mm of the point at `offset` from
 /// `origin`, on the tangent plane.
 pub(super) fn geodetic(origin: &Home, offset: Ned) -> [i32; 3] {
     let north = (offset.north() / EARTH_RADIUS_M).to_degrees();

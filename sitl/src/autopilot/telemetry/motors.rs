@@ -1,4 +1,4 @@
-//! What the motors do, as MAVLink messages.
+//! MAVLink messages with the motor outputs and the rotor speeds.
 
 use wire::dialect::*;
 
@@ -7,8 +7,8 @@ use crate::autopilot::personality::OutputScale;
 use vehicle::{MotorOutput, ROTORS};
 
 impl Snapshot<'_> {
-    /// The outputs as `message` carries them, each with its slot: as the vehicle file describes
-    /// them where it describes this message, else as the autopilot scales them.
+    /// The outputs as encoded in `message`, each with its slot. The vehicle file's `motor_output`
+    /// defines the encoding if it describes this message, else the autopilot does.
     fn encoded_outputs(&self, message: &str) -> [(usize, f64); ROTORS] {
         let described = self.motor_output.filter(|described| described.message == message);
         let OutputScale { zero, one, disarmed } = match described {
@@ -67,7 +67,7 @@ impl Snapshot<'_> {
     }
 }
 
-/// Slot of a field such as `actuator[2]`, counted from 0, or `servo3_raw`, counted from 1.
+/// Slot of a field, counted from 0: 2 for `actuator[2]` and also for `servo3_raw`.
 fn slot_of(field: &str) -> Option<usize> {
     let digits = &field[field.find(|c: char| c.is_ascii_digit())?..];
     let end = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());

@@ -1,4 +1,4 @@
-//! What a PX4 log says of the motors: which topic their commands are from, and what they mean.
+//! Reads the motor commands and the rotor speeds from a PX4 log, and the unit of the commands.
 
 use super::stamp;
 use crate::import::facts::VehicleFacts;
@@ -9,7 +9,7 @@ use crate::import::ranges;
 use crate::import::tally::Tally;
 use crate::import::ulog::Contents;
 
-/// Outputs beyond this are no fractions.
+/// Largest output that can be a fraction. Larger values are pulses.
 const FRACTION_MAX: f64 = 2.0;
 /// Radians per second in one revolution per minute.
 const RPM: f64 = std::f64::consts::TAU / 60.0;
@@ -32,7 +32,7 @@ const OUTPUT_FIELDS: [&str; OUTPUTS] = [
     "output[15]",
 ];
 
-/// Which outputs of an instance move.
+/// Which outputs of an `actuator_outputs` instance change during the log.
 fn movement(topic: &Topic) -> Movement {
     let count = topic.most_frequent("noutputs").unwrap_or(OUTPUTS as f64);
     let mut movement = Movement::of(count as usize);
@@ -40,7 +40,7 @@ fn movement(topic: &Topic) -> Movement {
     movement
 }
 
-/// PX4's signal to a motor whose thrust, of the full one, is to be `thrust`:
+/// The signal that PX4 sends to a motor for `thrust`, a fraction of full thrust. It solves
 /// `thrust = bend signal^2 + (1 - bend) signal`.
 fn signal(thrust: f64, bend: f64) -> f64 {
     let half = (1.0 - bend) / (2.0 * bend);
@@ -48,7 +48,8 @@ fn signal(thrust: f64, bend: f64) -> f64 {
 }
 
 impl Contents {
-    /// Motor commands, of the topic that says what they mean before the one that does not.
+    /// Fills the motor commands, from `actuator_motors` if the log has it, because its unit is
+    /// known, else from `actuator_outputs`. Also fills the rotor speeds.
     pub(super) fn fill_outputs(
         &self,
         flight: &mut Flight,
@@ -58,7 +59,7 @@ impl Contents {
         if let Some(topic) = self.topics.primary("actuator_motors", 0, tally) {
             flight.outputs = self.topics.stream(topic, tally, |row| {
                 let controls = row.all(["control[0]", "control[1]", "control[2]", "control[3]"]);
-                // A motor that is switched off has none.
+                // NaN is the command of a motor that is switched off.
                 let outputs = controls.map(|u| if u.is_nan() { 0.0 } else { u });
                 Sample::of(stamp(&row), outputs.iter().all(|u| u.is_finite()).then_some(outputs))
             });
@@ -84,7 +85,9 @@ impl Contents {
         self.fill_rotor_speed(flight, tally);
     }
 
-    /// What was sent to the drivers: pulses or fractions, by the parameters of the outputs.
+    /// Fills the motor commands from `actuator_outputs`, the values sent to the drivers. They are
+    /// fractions if most of them are small enough. Otherwise they are scaled by the range from the
+    /// parameters, if it is known.
     fn fill_driver_outputs(
         &self,
         flight: &mut Flight,
@@ -148,7 +151,7 @@ impl Contents {
                 "esc[2].esc_rpm",
                 "esc[3].esc_rpm",
             ]);
-            // The function of each controller tells its motor, where it is logged.
+            // Which motor each controller drives, if the log has it.
             let functions = row.all([
                 "esc[0].actuator_function",
                 "esc[1].actuator_function",

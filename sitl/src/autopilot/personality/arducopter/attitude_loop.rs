@@ -1,5 +1,5 @@
-//! ArduCopter's attitude loop: the setpoint is shaped into a target that can be followed, the
-//! target's rate is fed forward, and a proportional law on the error to the target leads the rate
+//! ArduCopter's attitude loop: input shaping turns the setpoint into a feasible target, the
+//! target's rate is fed forward, and a proportional law on the error to the target drives the rate
 //! loop.
 
 use super::super::rate_loop::{RateInput, RateLoop, clip};
@@ -21,11 +21,11 @@ pub(super) struct ArducopterLoop {
     truth: Option<PdGain>,
     rate_loop: RateLoop,
     thrust_curve: f64,
-    /// What the setpoint asks for, turned on by its rates between messages.
+    /// The commanded attitude, propagated with the commanded rates between messages.
     desired: Option<Attitude>,
-    /// What is followed; missing while the motors stand.
+    /// The shaped target; `None` while the motors are stopped.
     target: Option<Attitude>,
-    /// Rate of the target in its own axes, rad/s.
+    /// Rate of the target in the target's axes, rad/s.
     target_rate: Frd,
 }
 
@@ -51,7 +51,7 @@ impl ArducopterLoop {
         made
     }
 
-    /// The rate that the target is to have.
+    /// The desired rate of the target, rad/s.
     fn desired_rate(&mut self, input: &LoopInput<'_>, target: Attitude) -> Frd {
         let AttitudeSetpoint { attitude, body_rate, .. } = *input.setpoint;
         let Some(commanded) = attitude.map(|euler| euler.attitude()) else {
@@ -59,7 +59,7 @@ impl ArducopterLoop {
             return body_rate;
         };
         let [x, y, z] = body_rate.to_array();
-        // The rates are turned by the commanded attitude before use, as measured.
+        // ArduCopter rotates the rates by the commanded attitude before use, as measured.
         let rate = Frd::from(commanded.to_world(Frd::new(x, y, z)).to_array());
         let desired = match self.desired {
             Some(desired) if input.new_for_s.is_none() && rate != Frd::zero() => {
@@ -76,8 +76,8 @@ impl ArducopterLoop {
     }
 }
 
-/// The rate that takes an angle to zero with a time constant, and no faster than the acceleration
-/// allows to stop again.
+/// The rate that reduces an angle to zero with a time constant, limited such that the acceleration
+/// limit allows it to stop.
 fn approach(error: Frd, time_s: f64) -> Frd {
     let error = error.to_array();
     let [x, y, z] = std::array::from_fn(|axis| {
@@ -94,7 +94,7 @@ fn approach(error: Frd, time_s: f64) -> Frd {
     Frd::new(x, y, z)
 }
 
-/// `attitude` turned by a rotation vector in its own axes.
+/// Rotates `attitude` by a rotation vector in its body axes.
 fn turned(attitude: Attitude, by: Frd) -> Attitude {
     let half = by * 0.5;
     let angle = half.norm();
@@ -103,7 +103,7 @@ fn turned(attitude: Attitude, by: Frd) -> Attitude {
     attitude.compose(Attitude { w: angle.cos(), x, y, z }).normalized()
 }
 
-/// The rotation from one attitude to another as angle times axis, in axes of the first.
+/// The rotation from one attitude to another as angle times axis, in body axes of the first.
 fn rotation_vector(from: Attitude, to: Attitude) -> Frd {
     let d = from.inverse().compose(to).canonical();
     let sine = (d.x * d.x + d.y * d.y + d.z * d.z).sqrt();
@@ -144,7 +144,7 @@ impl OnboardLoop for ArducopterLoop {
         self.thrust_curve = parameters.get(Key::ThrustCurve);
     }
 
-    /// The shaped target.
+    /// Reports the shaped target.
     fn told(&self, setpoint: AttitudeSetpoint) -> AttitudeSetpoint {
         AttitudeSetpoint {
             attitude: self.target.map(Attitude::euler),

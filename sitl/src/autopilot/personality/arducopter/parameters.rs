@@ -1,12 +1,12 @@
-//! ArduCopter's parameters: names and defaults as ArduCopter has them, gains and frame as the
-//! vehicle file says.
+//! ArduCopter's parameters, with ArduCopter's names and defaults, and gains and frame from the
+//! vehicle file.
 
 use super::super::gains::{Gain, Tuning, Unit};
 use crate::autopilot::parameters::{Key, Spec, Value, fact, float, int};
 use vehicle::{ROTORS, RotorParams, VehicleParams};
 
-/// ArduCopter's defaults: ATC_RAT_RLL_I over _P and _D over _P, _IMAX, the filters.
-/// It has no bound of the rates by default; this one is far beyond what a setpoint asks for.
+/// ArduCopter's defaults: ATC_RAT_RLL_I over _P, _D over _P, _IMAX and the filters. By default
+/// ArduCopter does not bound the rates; this bound is far beyond normal setpoints.
 pub(super) const TUNING: Tuning = Tuning {
     integral_per_s: [1.0, 1.0, 0.1],
     derivative_s: [0.0267, 0.0267, 0.0],
@@ -21,11 +21,11 @@ pub(super) const TUNING: Tuning = Tuning {
 /// ATC_ACCEL_R_MAX, ATC_ACCEL_P_MAX and ATC_ACCEL_Y_MAX, 110000 and 27000 cdeg/s^2.
 pub(super) const ACCELERATION_MAX_RAD_S2: [f64; 3] = [19.2, 19.2, 4.71];
 
-/// Share of a normalised torque that the farthest motor of an axis has.
+/// Share of a normalised torque on the farthest motor of an axis.
 const TORQUE_SHARE: f64 = 0.5;
-/// Function of the output of the first motor.
+/// Output function of the first motor.
 const MOTOR_1: i32 = 33;
-/// Voltage of a cell that is low, V.
+/// Voltage of a low cell, V.
 const CELL_LOW_V: f64 = 3.5;
 
 pub(super) const GAINS: &[Gain] = &[
@@ -60,8 +60,8 @@ pub(super) const GAINS: &[Gain] = &[
     Gain { name: "INS_GYRO_FILTER", at: |c| &mut c.gyro_cutoff_hz, unit: Unit::Same },
 ];
 
-/// Numbers that ArduCopter has no parameter for: the largest tilt at arming in rad, the take-off's
-/// height in m and speed in m/s, sticks over MAVLink.
+/// Values without an ArduCopter parameter: largest tilt at arming in rad, take-off height in m and
+/// speed in m/s, sticks over MAVLink.
 pub(super) const BUILT_IN: &[(Key, f64)] = &[
     (Key::ComArmLevel, 0.3),
     (Key::MisTakeoffAlt, 2.5),
@@ -69,8 +69,8 @@ pub(super) const BUILT_IN: &[(Key, f64)] = &[
     (Key::ComRcInMode, 1.0),
 ];
 
-/// Moments in N m of a normalised torque of 1 about roll, pitch and yaw: ArduCopter's mixer gives
-/// the farthest motors of an axis half of it, nearer ones by their distance.
+/// Moments in N m of a normalised torque of 1 about roll, pitch and yaw. ArduCopter's mixer gives
+/// the farthest motors of an axis half of the torque, and nearer ones in proportion to distance.
 pub(super) fn unit_moments(vehicle: &VehicleParams) -> [f64; 3] {
     let about = |arm: fn(&RotorParams) -> f64| {
         let farthest = vehicle.rotors.iter().map(|rotor| arm(rotor).abs()).fold(0.0, f64::max);
@@ -93,8 +93,8 @@ const FRAMES: [(i32, [(f64, i8); ROTORS]); 2] = [
     (1, [(45.0, 1), (-135.0, 1), (-45.0, -1), (135.0, -1)]),
 ];
 
-/// FRAME_TYPE and each rotor's motor number, counted from 0. The frame is the one whose motors are
-/// nearest to the rotors' places.
+/// FRAME_TYPE and each rotor's motor number, counted from 0, for the frame whose motors are nearest
+/// to the rotors.
 fn frame(vehicle: &VehicleParams) -> (i32, [i32; ROTORS]) {
     let apart = |rotor: &RotorParams, degrees: f64| {
         let angle = rotor.position_m[1].atan2(rotor.position_m[0]);
@@ -115,7 +115,7 @@ fn frame(vehicle: &VehicleParams) -> (i32, [i32; ROTORS]) {
     if plus_off < x_off { (plus, plus_numbers) } else { (x, x_numbers) }
 }
 
-/// Everything but the gains.
+/// All parameters except the gains.
 pub(super) fn table(vehicle: &VehicleParams, rate_hz: f64) -> Vec<Spec> {
     let (frame_type, motors) = frame(vehicle);
     let cells = f64::from(vehicle.battery.cells);
@@ -147,7 +147,7 @@ pub(super) fn table(vehicle: &VehicleParams, rate_hz: f64) -> Vec<Spec> {
         int(Key::NavRclAct, "FS_THR_ENABLE", 1, 0, 7),
         // Bit 3: the thrust field is a thrust, not a climb rate.
         int(Key::GuidOptions, "GUID_OPTIONS", 0, 0, 511),
-        // Setpoints are flown for this long, s.
+        // A setpoint is tracked for this long, s.
         float(Key::ComOfLossT, "GUID_TIMEOUT", 3.0, 0.1, 5.0),
         // cm/s
         centi(int(Key::MpcLandSpeed, "LAND_SPEED", 50, 30, 200)),

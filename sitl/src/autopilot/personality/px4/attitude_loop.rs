@@ -1,5 +1,5 @@
-//! PX4's attitude loop: a proportional law on the quaternion that favours tilt over heading, around
-//! the rate loop.
+//! PX4's attitude loop: a proportional law on the quaternion error that gives tilt priority over
+//! heading, around the rate loop.
 
 use super::super::rate_loop::{RateInput, RateLoop, clip};
 use super::super::{LoopInput, OnboardLoop, gains};
@@ -37,12 +37,12 @@ impl Px4Loop {
         made
     }
 
-    /// The rates that turn `attitude` to `desired`.
+    /// The body rates that rotate `attitude` towards `desired`.
     fn rates_to(&self, attitude: Attitude, desired: Attitude, yaw_rate: f64) -> Frd {
         let cascade = &self.rate_loop.cascade;
         let weighted = weigh_yaw(attitude, desired, self.yaw_weight);
         let error = attitude.inverse().compose(weighted).canonical();
-        // The heading's gain makes up for its weight.
+        // The heading's gain compensates its weight.
         let [roll, pitch, yaw] = cascade.angle_p_per_s;
         let gain = [roll, pitch, yaw / self.yaw_weight];
         let rates = (Frd::new(error.x, error.y, error.z) * 2.0).scale_by(gain);
@@ -51,17 +51,17 @@ impl Px4Loop {
     }
 }
 
-/// Share of a cycle between the attitude loop and the rate loop: rates that come in between are
-/// overwritten before they are used. It is what the measured effect of such rates leaves.
+/// Share of a cycle between the attitude loop and the rate loop. Rates that arrive in between are
+/// overwritten before use. The value follows from the measured effect of such rates.
 const OVERWRITTEN: f64 = 0.13;
 
-/// Whether the rates of a setpoint that is new reach the rate loop.
+/// Whether the rates of a new setpoint reach the rate loop.
 fn overrides(input: &LoopInput<'_>) -> bool {
     input.new_for_s.is_some_and(|age| age >= OVERWRITTEN * input.dt)
 }
 
-/// `desired` with the share `weight` of its turn about the thrust's axis: first the thrust is
-/// turned the short way, then the heading.
+/// `desired` with only the share `weight` of its rotation about the thrust axis: the shortest
+/// rotation of the thrust comes first, then the heading.
 fn weigh_yaw(attitude: Attitude, desired: Attitude, weight: f64) -> Attitude {
     let down = Frd::new(0.0, 0.0, 1.0);
     let (from, to) = (attitude.to_world(down), desired.to_world(down));
@@ -81,7 +81,7 @@ impl OnboardLoop for Px4Loop {
     fn outputs(&mut self, input: &LoopInput<'_>) -> [f64; ROTORS] {
         let AttitudeSetpoint { attitude, body_rate, thrust, .. } = *input.setpoint;
         let sent = body_rate.to_array();
-        // A rate that is left out is the measured one.
+        // An ignored rate is replaced by the measured one.
         let measured = input.body_rate.to_array();
         let of_message =
             std::array::from_fn(
@@ -91,8 +91,8 @@ impl OnboardLoop for Px4Loop {
             );
         let has_rates = !sent[0].is_nan();
         let setpoint = match attitude {
-            // Rates that come with an attitude stand in for those of the attitude loop until its
-            // next cycle.
+            // Rates in a message with an attitude replace those of the attitude loop until its next
+            // cycle.
             Some(_) if has_rates && overrides(input) => Frd::from(of_message),
             Some(desired) => {
                 let yaw_rate = if sent[2].is_nan() { 0.0 } else { sent[2] };

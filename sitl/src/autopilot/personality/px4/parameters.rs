@@ -1,21 +1,20 @@
-//! PX4's parameters: names and defaults as PX4 has them, gains and geometry as the vehicle file
-//! says.
+//! PX4's parameters, with PX4's names and defaults, and gains and geometry from the vehicle file.
 
 use super::super::gains::{Gain, Tuning, Unit};
 use crate::autopilot::parameters::{Key, Spec, Value, fact, float, int};
 use vehicle::rotor::Allocation;
 use vehicle::{ROTORS, VehicleParams};
 
-/// Pulses of an output of 0, of 1, and of motors that are disarmed, us.
+/// Pulse widths for an output of 0, for an output of 1, and for disarmed motors, us.
 pub(super) const PULSES_US: [f64; 3] = [1000.0, 2000.0, 900.0];
 
-/// PX4's thrust coefficient where none is given; only its ratios matter.
+/// PX4's default thrust coefficient; only ratios matter.
 const THRUST_COEFFICIENT: f32 = 6.5;
-/// Function of the output of the first motor.
+/// Output function of the first motor.
 const MOTOR_1: i32 = 101;
 
-/// PX4's defaults: MC_ROLLRATE_I over _P and _D over _P, MC_RR_INT_LIM, the rates' bounds and the
-/// filters of the gyro.
+/// PX4's defaults: MC_ROLLRATE_I over _P, _D over _P, MC_RR_INT_LIM, the bounds on the rates and
+/// the gyro filters.
 pub(super) const TUNING: Tuning = Tuning {
     integral_per_s: [1.333, 1.333, 0.5],
     derivative_s: [0.02, 0.02, 0.0],
@@ -27,7 +26,7 @@ pub(super) const TUNING: Tuning = Tuning {
     rate_hz: 250.0,
 };
 
-/// The attitude and rate loops. The rates' common gains MC_*RATE_K are 1.
+/// Gains of the attitude and rate loops. The common rate gains MC_*RATE_K are 1.
 pub(super) const GAINS: &[Gain] = &[
     Gain { name: "IMU_DGYRO_CUTOFF", at: |c| &mut c.derivative_cutoff_hz, unit: Unit::Same },
     Gain { name: "IMU_GYRO_CUTOFF", at: |c| &mut c.gyro_cutoff_hz, unit: Unit::Same },
@@ -55,8 +54,8 @@ pub(super) const GAINS: &[Gain] = &[
 ];
 
 /// Moments in N m of a normalised torque of 1 about roll, pitch and yaw. PX4 scales the mixer's
-/// columns for roll and pitch so that the squares of each sum to half the number of rotors in it,
-/// the larger of both scales for both, and that of yaw by its largest element.
+/// roll and pitch columns such that the squares in each sum to half the number of its rotors, where
+/// the larger of the two scales applies to both. It scales the yaw column by its largest element.
 pub(super) fn unit_moments(vehicle: &VehicleParams, allocation: &Allocation) -> [f64; 3] {
     // Outputs for 1 N m.
     let column = |axis: usize| -> [f64; ROTORS] {
@@ -75,7 +74,7 @@ pub(super) fn unit_moments(vehicle: &VehicleParams, allocation: &Allocation) -> 
     [1.0 / tilt, 1.0 / tilt, 1.0 / yaw]
 }
 
-/// Everything but the gains.
+/// All parameters except the gains.
 pub(super) fn table(vehicle: &VehicleParams) -> Vec<Spec> {
     let told = |name: &str, value: f64| fact(name.to_owned(), Value::Float(value as f32));
     let mut specs = vec![
@@ -93,10 +92,10 @@ pub(super) fn table(vehicle: &VehicleParams) -> Vec<Spec> {
         // Hold before the action on lost sticks, s.
         float(Key::ComFailActT, "COM_FAIL_ACT_T", 5.0, 0.0, 25.0),
         int(Key::ComLowBatAct, "COM_LOW_BAT_ACT", 0, 0, 3),
-        // Position: it needs sticks, so that without them NAV_RCL_ACT follows.
+        // Position needs sticks; without them NAV_RCL_ACT applies.
         int(Key::ComOblRcAct, "COM_OBL_RC_ACT", 0, 0, 7),
         float(Key::ComOfLossT, "COM_OF_LOSS_T", 1.0, 0.0, 60.0),
-        // Modes that lost sticks leave alone: bit 1 hold, bit 2 OFFBOARD.
+        // Modes that ignore a loss of the sticks: bit 1 Hold, bit 2 OFFBOARD.
         int(Key::ComRclExcept, "COM_RCL_EXCEPT", 0, 0, 31),
         int(Key::ComRcInMode, "COM_RC_IN_MODE", 1, 0, 4),
         float(Key::ComRcLossT, "COM_RC_LOSS_T", 0.5, 0.0, 35.0),
@@ -121,7 +120,7 @@ pub(super) fn table(vehicle: &VehicleParams) -> Vec<Spec> {
         int(Key::NavDllAct, "NAV_DLL_ACT", 0, 0, 6),
         int(Key::NavRclAct, "NAV_RCL_ACT", 2, 1, 6),
         fact("SYS_AUTOSTART", Value::Int(10040)),
-        // Share of the square in the thrust curve that the outputs make up for.
+        // Quadratic share of the thrust curve that the outputs compensate.
         float(Key::ThrustCurve, "THR_MDL_FAC", 0.0, 0.0, 1.0),
     ];
     let [low, high, disarmed] = PULSES_US.map(|pulse| Value::Int(pulse as i32));
@@ -142,7 +141,7 @@ pub(super) fn table(vehicle: &VehicleParams) -> Vec<Spec> {
     let mean = |of: fn(&vehicle::RotorParams) -> f64| {
         vehicle.rotors.iter().map(of).sum::<f64>() / ROTORS as f64
     };
-    // The simulation in hardware tells what it simulates.
+    // The simulation in hardware reports its physical parameters.
     specs.extend([
         told("SIH_MASS", vehicle.mass),
         told("SIH_IXX", ixx),
