@@ -7,7 +7,6 @@
 //! controller's feedback put into the setpoints. Sensors report with noise at the exact stamps of
 //! the log. A replica thus goes through the same analysis as the flight, including the noise that
 //! feedback puts into the outputs, aliasing between rates, and interpolation.
-//! the outputs, aliasing between rates and interpolation come along.
 
 use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, Exp1};
