@@ -394,8 +394,7 @@ mod tests {
         far.numbers[0].is_at_bound = true;
         let decision = decide(&evidence(8.0, vec![file.clone(), far]));
         assert!(decision.effects.is_empty() && decision.verdict == Verdict::Unknown);
-        // An effect that makes predictions worse, for the file's numbers to compensate, is none
-        // either.
+        // Neither is an effect that worsens predictions until the file's numbers compensate it.
         let worse = explained(&["battery_sag"], 900.0, [20.0, 1.05]);
         let decision = decide(&evidence(8.0, vec![file, worse]));
         assert!(decision.effects.is_empty(), "{decision:?}");

@@ -61,7 +61,7 @@ pub struct GivenEffect {
     pub deviations: BTreeMap<String, f64>,
 }
 
-/// The gap of an answer, in any unit that is common to all fields.
+/// The gap of an answer, in units of the noise.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct GivenGap {
     /// With the vehicle file as shipped.

@@ -14,7 +14,7 @@ const GAP_MIN: f64 = 0.05;
 /// answer's effects, and with the true ones, by the metric `mean`. `None` where there is no gap.
 ///
 /// # Errors
-/// A vehicle that the physics refuses.
+/// A vehicle that the physics rejects.
 pub fn closure(
     nominal: &VehicleParams,
     truth: &EffectSet,

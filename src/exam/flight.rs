@@ -99,7 +99,7 @@ pub struct Flown {
 /// Reasons that a flight fails.
 #[derive(Debug, thiserror::Error)]
 pub enum FlightError {
-    /// The simulated vehicle rejects its configuration.
+    /// The simulator rejects the vehicle.
     #[error(transparent)]
     Refused(#[from] VehicleRefused),
     /// The ground station rejects the vehicle.

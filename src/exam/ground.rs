@@ -46,7 +46,7 @@ pub struct Rates {
 /// Reasons that the ground station cannot fly a vehicle.
 #[derive(Debug, thiserror::Error)]
 pub enum GroundError {
-    /// The vehicle file lacks the loop, or the physics rejects it.
+    /// The physics rejects the vehicle.
     #[error(transparent)]
     Vehicle(#[from] vehicle::VehicleError),
     /// The design of the controller fails.

@@ -165,7 +165,7 @@ impl<'a> Observed<'a> {
         self.evaluator.is_stopped()
     }
 
-    /// Residuals at `values`. `None` for a vehicle that the physics refuses, and after the caller
+    /// Residuals at `values`. `None` for a vehicle that the physics rejects, and after the caller
     /// has stopped the diagnosis.
     pub fn residuals(&self, values: &[f64]) -> Option<Residuals> {
         self.residuals_in(values, Groups::ALL)

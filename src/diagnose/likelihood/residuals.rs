@@ -8,10 +8,11 @@
 //! | velocity | increment of the velocity minus the acceleration of the forces, world axes |
 //! | specific force | accelerometer minus the forces over mass, body axes |
 //! | rate | increment of the body rate minus the angular acceleration of the moments |
-//! | attitude | turn of the attitude minus the body rate: kinematics, no vehicle model |
+//! | attitude | rotation of the attitude minus the body rate: kinematics, no vehicle model |
 //! | command | collective and moments of the logged outputs minus the on-board law's |
 //!
-//! The block means drop out, and with them the constant biases of accelerometer and gyro.
+//! Specific force and attitude leave out each block's mean, and with it the constant bias of
+//! accelerometer and gyro.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -117,7 +118,7 @@ impl Evaluator {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Reports outputs with the timing of `flights`.
+    /// Adapts the on-board law to the order of reports and ticks in `flights`.
     pub fn observing(mut self, flights: &[PreparedFlight]) -> Self {
         let shipped = self.vehicle.command_delay_s;
         let timing = |law: &OnboardLaw| {

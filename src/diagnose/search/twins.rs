@@ -265,7 +265,7 @@ impl TwinFits {
     /// (indirect inference; Gourieroux, Monfort and Renault 1993).
     ///
     /// # Errors
-    /// [`VehicleError`] for numbers that the physics refuses.
+    /// [`VehicleError`] for numbers that the physics rejects.
     pub fn of_null(
         observed: &Observed<'_>,
         about: &Linearised,

@@ -136,7 +136,7 @@ pub struct Departure {
     pub time: f64,
     /// The true state.
     pub state: State,
-    /// The rotors' states, as filtered outputs 0..1.
+    /// The rotors' states, 0..1.
     pub rotors: [f64; ROTORS],
 }
 

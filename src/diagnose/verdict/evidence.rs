@@ -14,8 +14,8 @@ use crate::diagnose::search::turning::Turning;
 use crate::diagnose::simulate::gap::Errors;
 use crate::diagnose::simulate::metric::{Metric, PARTS_MAX};
 
-/// The effects alone may add this share of what the file's numbers close of a squared gap. True
-/// effects of a file that is off do so, because the errors of the file may cancel them.
+/// Most that effects alone may add to a squared gap, as a share of the reduction by the file's
+/// numbers. True effects may add to it where the file is off, since its errors can cancel them.
 const MADE_UP: f64 = 0.5;
 
 /// Everything that a verdict rests on.
