@@ -36,8 +36,8 @@ use crate::log::import::Flight;
 pub enum FullVerdict {
     /// Effects of the catalogue, and no alternatives to them.
     Named,
-    /// An effect of the catalogue under a law other than the catalogue's: evidence that no other
-    /// effect explains shows the effect, and a part of the gap stays open.
+    /// An effect of the catalogue whose equation is not quite the catalogue's: a part of the gap
+    /// stays open.
     OtherLaw,
     /// One of several effects: these flights do not distinguish them.
     Ambiguous,
@@ -47,7 +47,7 @@ pub enum FullVerdict {
     NotTestable,
     /// The residual depends on how the vehicle flies, and no listed effect explains it.
     UnknownStructured,
-    /// A disturbance that the logs do not show.
+    /// The residual depends on none of the recorded quantities.
     UnobservedDisturbance,
     /// The data are at fault, so there is no conclusion.
     DataFault,
@@ -139,7 +139,7 @@ pub struct Gap {
     pub nuisances_only: Option<f64>,
     /// With the named effects and the file's numbers.
     pub with_nuisances: Option<f64>,
-    /// As shipped plus the corrections of a flexible learner trained on the fitted flights.
+    /// With the best explanation and the corrections of a flexible learner trained on its residuals.
     pub with_learner: Option<f64>,
     /// Errors by horizon and quantity: before, after, floor.
     pub errors: [Errors; 3],

@@ -13,7 +13,7 @@ const GUARD_S: f64 = 1.0;
 pub struct Parts {
     /// For fitting.
     pub fitted: Vec<PreparedFlight>,
-    /// For choosing; empty where the flights for fitting do both.
+    /// For choosing; the flights for fitting where there are too few for both.
     pub choosing: Vec<PreparedFlight>,
 }
 

@@ -93,7 +93,7 @@ pub struct PreparedFlight {
     pub body_rate: Series<3>,
     /// Specific force in body axes, m/s^2.
     pub specific_force: Series<3>,
-    /// Motor outputs, 0..1.
+    /// Motor outputs, 0..1; without any, squared rotor speeds relative to the maximum.
     pub outputs: Series<4>,
     /// Pack voltage, V.
     pub voltage: Series<1>,

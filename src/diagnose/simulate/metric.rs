@@ -13,8 +13,7 @@ pub enum Metric {
     /// as reported, attitude and body rate at 0.1 s. A small moment that nothing counteracts turns
     /// a body far within a second.
     Guided,
-    /// As [`Guided`](Self::Guided) without attitude and body rate, where motor outputs do not
-    /// predict them.
+    /// As `guided` without attitude and body rate, where motor outputs do not predict them.
     Forces,
 }
 
