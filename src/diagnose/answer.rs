@@ -139,7 +139,7 @@ pub struct Gap {
     pub nuisances_only: Option<f64>,
     /// With the named effects and the file's numbers.
     pub with_nuisances: Option<f64>,
-    /// With the best explanation and the corrections of a flexible learner trained on its residuals.
+    /// With the best explanation, and a flexible learner's corrections trained on its residuals.
     pub with_learner: Option<f64>,
     /// Errors by horizon and quantity: before, after, floor.
     pub errors: [Errors; 3],

@@ -21,9 +21,8 @@ pub fn open_questions(
     }
 }
 
-/// The open explanations of an answer: the chosen set, and for each ambiguous effect the set with
-/// that effect in place of the one that it may replace. Their probabilities are in proportion to
-/// the answer's.
+/// The open explanations of an answer: fitted sets of effects that the answer mentions, and each
+/// ambiguous effect that no such set contains. Probabilities are in proportion to the answer's.
 fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -> Vec<Live> {
     if answer.ambiguous_with.is_empty() {
         return Vec::new();
@@ -68,7 +67,7 @@ fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -
     live
 }
 
-/// Effects that need more motion to be testable, each at its typical strength.
+/// Effects that these flights cannot show, each at its typical strength.
 fn untested(catalogue: &Catalogue, answer: &Answer) -> Vec<Live> {
     let is_untested = |id: &EffectId| answer.not_testable.iter().any(|effect| effect.id == *id);
     let ids = EffectId::ALL.into_iter().filter(is_untested);

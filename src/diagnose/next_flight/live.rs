@@ -31,7 +31,7 @@ impl Live {
 pub struct OpenQuestions {
     /// Explanations that these logs do not separate; empty where one is named.
     pub explanations: Vec<Live>,
-    /// Effects that these logs have too little motion to show, each at its typical strength.
+    /// Effects that these logs cannot show, each at its typical strength.
     pub untested: Vec<Live>,
 }
 
