@@ -77,7 +77,7 @@ pub struct Row {
     pub deviations_named: Vec<String>,
     /// Named effects that are false.
     pub false_named: Vec<String>,
-    /// Ids of the true effects.
+    /// Ids of the true effects; in parentheses, a disturbance or law outside the catalogue.
     pub truth: Vec<String>,
     /// Classes of effects that are right to name.
     pub right: Vec<String>,

@@ -112,11 +112,11 @@ pub struct Fitted {
     pub of_type: Normal,
     /// Standard errors of the type's values.
     pub error: Vec<f64>,
-    /// Share of the vehicles that follow the type, among those without an own effect.
+    /// Share of the vehicles that follow the type, among those without effects of their own.
     pub share: f64,
     /// Log evidence of each vehicle, including its share of the integral over the type's values.
     pub blocks: Vec<f64>,
-    /// Probability that each vehicle follows the type, follows the file, and has an own effect.
+    /// Probability that each vehicle follows the type, follows the file, and has its own effect.
     pub states: Vec<[f64; 3]>,
     /// Probability that the type has the newest effect, rather than a group of vehicles.
     pub whole: f64,
@@ -144,7 +144,7 @@ fn log_sum(terms: impl Iterator<Item = f64> + Clone) -> f64 {
     top + terms.map(|term| (term - top).exp()).sum::<f64>().ln()
 }
 
-/// Log evidence of a vehicle that follows the type, follows the file, and has an own effect; and
+/// Log evidence of a vehicle that follows the type, follows the file, and has its own effect; and
 /// the posterior of its numbers under the type.
 struct Weighed {
     states: [f64; 3],
@@ -260,7 +260,7 @@ fn whole(weighed: &[[f64; 3]]) -> f64 {
     1.0 / (1.0 + (any - nearly_all).exp())
 }
 
-/// Log evidence of a vehicle with nothing beyond the base, or with an own effect.
+/// Log evidence of a vehicle with nothing beyond the base, or with an effect of its own.
 pub fn without([file, own]: [f64; 2]) -> f64 {
     log_sum([file, own].into_iter())
 }

@@ -224,7 +224,7 @@ pub(in crate::diagnose) fn as_flown(
     let logged = inferred.logged(setpoints.len());
     let (times, line) = (setpoints.times(), setpoints.values());
     let scatter = scatter(times, line, &logged);
-    // Distance from the middle of two contains own noise and the mean of theirs.
+    // The distance from the middle of two contains its own noise and the mean of theirs.
     let noise = scatter.map(|scatter| scatter / 1.5_f64.sqrt());
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let mut noise_before: [f64; NUMBERS] = normals(&mut rng);

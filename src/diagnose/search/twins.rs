@@ -237,8 +237,8 @@ impl<'a> Analysis<'a> {
         for Twin { screened, values, power, .. } in drawn {
             twins.values.push(values);
             twins.power.push(power);
-            // Only the screening uses own derivatives, and twins of effects do not go through it.
-            // Other uses of these twins leave noisy numbers out.
+            // Only the screening uses a twin's own derivatives, and twins of effects are not
+            // screened. Other uses of these twins leave noisy numbers out.
             let own = if active.is_empty() { screened.own } else { Vec::new() };
             twins.screened.push(Screened { own, ..screened });
         }
