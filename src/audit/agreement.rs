@@ -1,17 +1,17 @@
-//! Two streams that tell the same motion: by how much one is late, turned and out of scale against
-//! the other, axis by axis, how surely, and what the motion does not show.
+//! Compares two streams of the same motion: the delay, rotation and scale of one against the other,
+//! axis by axis, with intervals, and the parts that the motion does not show.
 //!
-//! Under each bump the stream's derivative is seen as
+//! Under each bump the model of the stream's derivative is
 //!
 //! `y(t) = exp(w) R diag(s) (x(t - d - r (t - t0)) - b)`
 //!
-//! with the other sensor's x, a rotation R that is about right, and the unknowns delay d (s), drift
-//! r, small rotation w (rad), scales s and bias b. They are found by least squares, which takes x
-//! for exact. It is not: a slope is then too small by the share of noise in x, and that of x on y
-//! too small by the share of noise in y. The true one lies between (Frisch 1934), and the interval
-//! of a scale holds both. Intervals are of the jackknife over blocks of time (Kunsch 1989), so
-//! that misfits may hang together over any time shorter than a block, as those of estimators do,
-//! and what only one moment of the flight shows is not sure.
+//! x is the other sensor, R a rotation that is about right. The unknowns are the delay d (s), drift
+//! r, small rotation w (rad), scales s and bias b. Least squares find them, with x taken as exact.
+//! Noise in x makes a slope too small by its share, and noise in y does the same to the slope of x
+//! on y. The true slope is between the two (Frisch 1934), and the interval of a scale contains
+//! both. Intervals come from the jackknife over blocks of time (Kunsch 1989). Misfits may therefore
+//! correlate over any time shorter than a block, as an estimator's do, and a value that a single
+//! moment determines has a wide interval.
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
@@ -21,43 +21,44 @@ use super::pair::{Correction, Pair};
 use super::trial::Trial;
 use super::weak::{Bump, Fit, Row, fit, half_width};
 
-/// Least share that must be explained for anything to be concluded.
+/// Least explained share for a conclusion.
 const EXPLAINED_MIN: f64 = 0.5;
-/// Times an interval by which a value must lie beyond a limit to do so for sure.
+/// Intervals by which a value must exceed a limit for certainty.
 const SURE: f64 = 3.0;
-/// Least half width of a delay's interval, s: stamps and sampling are not better known.
+/// Least half width of a delay's interval, s: stamps and sampling are not more accurate.
 const DELAY_FLOOR: f64 = 2e-4;
-/// What noise is answered to by the vehicle's own loop looks like a delay: by up to the loop's own
-/// time, s, if nothing else moved.
+/// The vehicle's loop responds to noise, which looks like a delay: by up to this time of the loop,
+/// s, if nothing else moves.
 const LOOP_S: f64 = 0.05;
-/// What is less sure is not shown: a delay, s; a drift; a rotation, rad; a scale.
+/// Half widths above which a value counts as not shown: a delay, s; a drift; a rotation, rad; a
+/// scale.
 const DELAY_UNSURE: f64 = 0.2;
 const DRIFT_UNSURE: f64 = 0.01;
 const ROTATION_UNSURE: f64 = 1.0;
 const SCALE_UNSURE: f64 = 0.5;
-/// Steps of delay (s), drift, rotation (rad), bias (rad/s, m/s or m/s^2) and scale that matter.
+/// Significant steps of delay (s), drift, rotation (rad), bias (rad/s, m/s or m/s^2) and scale.
 const DELAY_SIZE: f64 = 0.1;
 const DRIFT_SIZE: f64 = 0.01;
 const ROTATION_SIZE: f64 = 1.0;
 const BIAS_SIZE: f64 = 1.0;
 const SCALE_SIZE: f64 = 1.0;
 
-/// Places of the unknowns.
+/// Indices of the unknowns.
 const DELAY: usize = 0;
 const DRIFT: usize = 1;
 const ROTATION: usize = 2;
 const BIAS: usize = 5;
 const SCALE: usize = 8;
-/// One scale of all axes, where they have none of their own.
+/// A single scale for all axes, in place of one for each.
 const COMMON: usize = 11;
 const UNKNOWNS: usize = 12;
 
 /// A value with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Estimate {
-    /// Best value.
+    /// Best estimate.
     pub value: f64,
-    /// Half width of the interval.
+    /// Half width of the 95 % interval.
     pub half_width: f64,
 }
 
@@ -70,52 +71,51 @@ impl Estimate {
         Self { value: factor * self.value, half_width: factor * self.half_width }
     }
 
-    /// Whether zero is outside of `times` the interval.
+    /// Whether zero is further off than `times` the half width.
     pub fn differs_from_zero(&self, times: f64) -> bool {
         self.value.abs() > times * self.half_width
     }
 
-    /// Whether the value lies beyond `limit`, on either side of `from`, for sure.
+    /// Whether the value is certainly further than `limit` from `from`, on either side.
     pub fn is_beyond(&self, limit: f64, from: f64) -> bool {
         (self.value - from).abs() - SURE * self.half_width > limit
     }
 }
 
-/// How one stream fits the derivative that another sensor measures.
+/// The fit of one stream's derivative to another sensor.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Agreement {
-    /// By how much the stream shows the motion later than the other sensor, s, in the middle of
-    /// the log.
+    /// Delay of the stream behind the other sensor, s, in the middle of the log.
     pub delay_s: Estimate,
-    /// By how much of itself the stream's clock runs slower than the other sensor's.
+    /// Relative rate by which the stream's clock is slower than the other sensor's.
     pub drift: Option<Estimate>,
-    /// How the stream's axes are turned in the other sensor's, as a rotation vector in rad: of an
-    /// attitude that is the true one times a trim, the trim; of the velocity, by how much the
-    /// attitude's heading is too large. `None` about an axis that the motion does not show, as
-    /// the only one that it is about.
+    /// Rotation vector of the stream's axes in the other sensor's, rad. For an attitude it is the
+    /// trim, if the attitude is the true one times a trim. For a velocity it is the excess of the
+    /// attitude's heading. `None` about an axis that the motion does not show, such as the only
+    /// axis of a rotation.
     pub rotation_rad: [Option<Estimate>; 3],
-    /// The same with one scale of all axes, which shows more: for rotations that are no trim.
+    /// The rotation from a fit with a single scale for all axes, which shows more: for rotations
+    /// too large to be trims.
     #[serde(skip)]
     pub(super) coarse_rad: [Option<Estimate>; 3],
-    /// What the other sensor measures too much, in its own axes and unit; `None` where the motion
-    /// does not show it.
+    /// Bias of the other sensor in its own axes and unit; `None` where the motion does not show it.
     pub bias: [Option<Estimate>; 3],
-    /// The stream's derivative over what the other sensor measures along each of its axes,
-    /// negative where they run contrary; `None` where the motion does not show it.
+    /// Ratio of the stream's derivative to the other sensor along each of its axes, negative where
+    /// they are opposite; `None` where the motion does not show it.
     pub scale: [Option<Estimate>; 3],
-    /// The same of all axes together.
+    /// The ratio for all axes together.
     pub common_scale: Estimate,
-    /// Share of the stream's motion that this explains.
+    /// Share of the stream's motion that the fit explains.
     pub explained: f64,
-    /// How fast the motion along each of the sensor's axes changes: its derivative over itself,
+    /// Rate of change of the motion along each of the sensor's axes: its derivative over itself,
     /// 1/s.
     pub pace: [f64; 3],
-    /// Time from the first to the last moment that was compared, s.
+    /// Time from the first to the last compared moment, s.
     pub span_s: f64,
 }
 
 impl Agreement {
-    /// The furthest that the stream is off in time within the log, and how surely.
+    /// The largest timing error of the stream within the log, with its interval.
     pub fn worst_delay(&self) -> Estimate {
         let Estimate { value, half_width } = self.delay_s;
         let half = 0.5 * self.span_s;
@@ -124,10 +124,10 @@ impl Agreement {
     }
 }
 
-/// How the streams agree; `None` where their motion does not show it.
+/// The agreement of two streams; `None` where their motion does not show it.
 pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
     let trial = Trial::best(pair)?;
-    // In the sensor's unit, so that numbers are of a size.
+    // In the sensor's unit, for numbers of order 1.
     let unit = trial.unit();
     let seen: Vec<(Bump, Vector3<f64>)> =
         pair.bumps().iter().filter_map(|bump| Some((*bump, pair.seen(*bump)? / unit))).collect();
@@ -159,7 +159,7 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
     let sure = |estimate: Estimate, limit: f64| (estimate.half_width < limit).then_some(estimate);
     let of = |at: usize| Some(Estimate::new(value[at], own.fit.half_width(at)?));
     let drift = of(DRIFT).and_then(|drift| {
-        // What noise looks like a delay may do so at one end and not at the other.
+        // A delay due to noise may be present at one end of the log only.
         let noise = 2.0 * noise / (last - first).max(1.0);
         sure(Estimate { half_width: drift.half_width + noise, ..drift }, DRIFT_UNSURE)
     });
@@ -182,7 +182,7 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
     })
 }
 
-/// A slope that lies between those of either on the other; `followed` is their ratio.
+/// A slope between the two regressions of either on the other, whose ratio is `followed`.
 fn between(least: Estimate, followed: f64) -> Estimate {
     if followed <= 0.0 {
         return Estimate { half_width: f64::INFINITY, ..least };
@@ -194,19 +194,19 @@ fn between(least: Estimate, followed: f64) -> Estimate {
     }
 }
 
-/// A pair with a rotation that is about right.
+/// A pair with an approximate rotation.
 struct Comparison<'a, P> {
     pair: &'a P,
     seen: Vec<(Bump, Vector3<f64>)>,
-    /// Time at which the delay is that of the fit, s.
+    /// Time at which the fit's delay applies, s.
     middle: f64,
     rotation: Rotation3<f64>,
 }
 
-/// Unknowns found.
+/// A fit of the unknowns with its quality.
 struct Compared {
     fit: Fit<UNKNOWNS>,
-    /// Share of what is seen along each of the sensor's axes that is explained.
+    /// Explained share of the motion along each of the sensor's axes.
     followed: [f64; 3],
     /// The motion's derivative over itself along each of the sensor's axes, 1/s.
     pace: [f64; 3],
@@ -235,7 +235,7 @@ impl<P: Pair> Comparison<'_, P> {
             weighed().map(|(row, w)| back * of(row) * *w).sum::<Vector3<f64>>() / weight
         };
         let seen = mean(&|row| row.seen);
-        // Powers about the mean: of what is seen, of what is left, of how what is expected changes.
+        // Powers about the mean: of the motion, of the residual, of the expected changes.
         let power = |of: &dyn Fn(&Row<UNKNOWNS>) -> Vector3<f64>, about: Vector3<f64>| {
             let square = |row: &Row<UNKNOWNS>| (back * of(row) - about).map(|part| part * part);
             weighed().map(|(row, w)| square(row) * *w).sum::<Vector3<f64>>()
@@ -283,13 +283,13 @@ impl<P: Pair> Comparison<'_, P> {
 }
 
 impl Compared {
-    /// The rotation vector from the sensor's axes to the stream's, in the sensor's.
+    /// The rotation vector from the sensor's axes to the stream's, in the sensor's axes.
     fn rotation(&self, about: &Rotation3<f64>) -> [Option<Estimate>; 3] {
         let small = Vector3::from_column_slice(&self.fit.value[ROTATION..ROTATION + 3]);
         let turned = Rotation3::new(small) * about;
-        // By way of the quaternion: a matrix's own axis is lost at half a turn.
+        // Through the quaternion, since a matrix loses its axis at half a turn.
         let vector = UnitQuaternion::from_rotation_matrix(&turned).inverse().scaled_axis();
-        // The fit turns the stream's axes; the answer is in the other sensor's axes.
+        // The fit rotates the stream's axes; the answer is in the other sensor's axes.
         let there = |of: &SMatrix<f64, UNKNOWNS, UNKNOWNS>| {
             about.transpose() * of.fixed_view::<3, 3>(ROTATION, ROTATION) * about
         };

@@ -1,4 +1,5 @@
-//! Units, axes and orders, by how streams fit each other; and delays, rotations and biases.
+//! Checks units, axes and orders by how streams fit each other, and reports delays, rotations and
+//! biases.
 
 use vehicle::frame::{Attitude, Frd, Ned};
 
@@ -12,64 +13,64 @@ use super::weak::median;
 use super::{Audit, Finding, Severity};
 use crate::log::import::Flight;
 
-/// Rates and velocities, typical ones, at which a vehicle shows whether one stream follows the
-/// other, rad/s and m/s.
+/// Typical rates and velocities above which motion shows whether one stream follows the other,
+/// rad/s and m/s.
 const TURNS: f64 = 0.2;
 const MOVES: f64 = 0.3;
-/// A reading that explains this much where the stated one fails is the right one.
+/// A reading that explains this share is the right one, where the stated one fails.
 const READS: f64 = 0.8;
-/// Less than this is no following at all, but other motion.
+/// Below this explained share, the streams do not follow each other at all.
 const FOLLOWS: f64 = 0.3;
-/// What explains more leaves nothing to ask of the frames.
+/// Above this explained share, the frames need no check.
 const FITS: f64 = 0.98;
-/// Attitudes that are further apart than this tell axes of the body from those of the world, rad.
+/// Attitudes further apart than this distinguish body axes from world axes, rad.
 const APART: f64 = 0.1;
-/// Other frames must leave less than this share of what is not explained.
+/// Other frames must leave less than this share of the unexplained part.
 const LEAVES: f64 = 0.5;
-/// Where a shorter log does not show whether it does, that is no fault, s.
+/// A log shorter than this need not show that a stream follows, s.
 const SHORT_S: f64 = 10.0;
-/// Scales beyond these are other units.
+/// Scales outside this range come from another unit.
 const UNIT: std::ops::Range<f64> = 0.5..2.0;
-/// How sure a value must be to be told: this many times its interval.
+/// Intervals by which a value must differ from zero to be reported.
 const SURE: f64 = 3.0;
-/// Specific forces of a vehicle that flies or stands, m/s^2.
+/// Median specific force of a vehicle in flight or at rest, m/s^2.
 const FORCE: std::ops::Range<f64> = 7.0..13.0;
 
-/// What two streams may differ by.
+/// Two streams with the differences that they may have.
 struct Pair {
     stream: &'static str,
     other: &'static str,
     agreement: Option<Agreement>,
-    /// What is worth a word; `None` where the pair is too rough for any but faults.
+    /// Limits for reports; `None` where the pair is only accurate enough to find faults.
     matters: Option<Matters>,
-    /// What no trim, no filter, no calibration and no mounting brings about.
+    /// Limits beyond any trim, filter, calibration or mounting.
     fault: Limits,
 }
 
-/// Least values that are worth a word.
+/// Least values that are reported.
 struct Matters {
     delay_s: f64,
     rotation_rad: f64,
     scale: f64,
     bias: f64,
-    /// Unit of the bias, and what it may be.
+    /// Unit of the bias, and advice on it.
     unit: &'static str,
     advice: &'static str,
 }
 
-/// Largest values that may be.
+/// Largest plausible values.
 struct Limits {
     /// Estimates are late by up to 0.08 s, those of a satellite receiver by 0.25 s.
     delay_s: f64,
-    /// Trims and mountings turn by a few degrees, a compass by 15.
+    /// Trims and mountings are off by a few degrees, a compass by 15.
     rotation_rad: f64,
     /// Sensors' scales are off by up to 3 %, estimators' velocities by up to 12 %.
     scale: f64,
 }
 
 impl Limits {
-    /// Whether a scale is surely that of no sensor and no filter. One that is as slow as a stream
-    /// may be late takes off what changes at `pace`, 1/s.
+    /// Whether a scale is certainly beyond sensors and filters. A filter as slow as the largest
+    /// delay attenuates changes at `pace`, 1/s.
     fn is_no_scale(&self, scale: &Estimate, pace: f64) -> bool {
         let filtered = 1.0 / (self.delay_s * pace).hypot(1.0);
         let (low, high) = (1.0 - self.scale, 1.0 + self.scale);
@@ -78,7 +79,7 @@ impl Limits {
     }
 }
 
-/// Change of a delay within a log that matters, s.
+/// Change of a delay within a log that is reported, s.
 const DRIFT_S: f64 = 0.015;
 
 fn pairs(audit: &Audit) -> [Pair; 5] {
@@ -171,7 +172,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 impl Agreement {
-    /// Axes that run contrary for sure.
+    /// Axes that are certainly reversed.
     fn contrary(&self) -> impl Iterator<Item = &'static str> {
         let axes = AXES.into_iter().zip(self.scale);
         axes.filter(|(_, scale)| scale.is_some_and(|s| s.value < 0.0 && s.differs_from_zero(SURE)))
@@ -180,7 +181,7 @@ impl Agreement {
 }
 
 impl Pair {
-    /// Other axes, units or times than stated. Returns whether there are.
+    /// Reports other axes, units or times than stated, and returns whether there are any.
     fn has_fault(&self, agreement: &Agreement, findings: &mut Vec<Finding>) -> bool {
         let Self { stream, other, fault, .. } = self;
         let finding = |check, found, expected, unit, what, advice| Finding {
@@ -262,7 +263,7 @@ impl Pair {
         false
     }
 
-    /// Delay, drift, rotation, scale and bias that matter and are sure.
+    /// Reports delay, drift, rotation, scale and bias that are large enough and certain.
     fn tell(&self, agreement: &Agreement, matters: &Matters, findings: &mut Vec<Finding>) {
         let Self { stream, other, .. } = self;
         let mut tell = |check, found: f64, expected, unit, what: String, advice| {
@@ -340,7 +341,7 @@ impl Pair {
     }
 }
 
-/// What a scale may come from.
+/// The likely cause of a scale.
 fn unit_of(scale: f64) -> &'static str {
     let known = [
         (1f64.to_radians(), ": degrees for radians in the rates?"),
@@ -359,7 +360,7 @@ fn span_s(times: &[f64]) -> f64 {
     times.first().zip(times.last()).map_or(0.0, |(first, last)| last - first)
 }
 
-/// Quaternions read in another direction or order, where they do not turn by the gyro as stated.
+/// Reports quaternions in another direction or order, where they do not follow the gyro as stated.
 fn check_readings(flight: &Flight, audit: &mut Audit) {
     if !is_logged(&flight.attitude) || !is_logged(&flight.body_rate) {
         return;
@@ -386,7 +387,7 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
     let is_short = span_s(flight.attitude.times()) < SHORT_S;
     let (what, found) = match (found, turning_follows(flight)) {
         (Some((share, text)), _) => (format!("quaternions seem to be {text}"), share),
-        // So short a log may not show it.
+        // A log this short may not show it.
         (None, None) if is_short => return,
         (None, follows) => match follows.unwrap_or(0.0) {
             follows if follows < FOLLOWS => ("does not turn as the gyro says".to_owned(), follows),
@@ -405,8 +406,8 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
     });
 }
 
-/// Vectors of the body that are in axes of the world, or the other way about: at one attitude that
-/// is a turn like any other, at several it is none.
+/// Reports body vectors in world axes, or the reverse. At a single attitude, that looks like any
+/// rotation; over several it does not.
 fn check_frames(flight: &Flight, audit: &mut Audit) {
     let attitudes = flight.attitude.values();
     let turns = |first: &Attitude| attitudes.iter().any(|q| first.angle_to(*q) > APART);
@@ -417,7 +418,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
     let is_open = |pair: Option<Agreement>| pair.is_none_or(|pair| pair.explained < FITS);
     let follows_better = |stated: Option<f64>, otherwise: Option<f64>| {
         let (stated, otherwise) = (stated?, otherwise?);
-        // Of what fits already the rest is rounding.
+        // Where the stated frames fit, the rest is rounding.
         let is_better =
             stated < FITS && otherwise > READS && 1.0 - otherwise < LEAVES * (1.0 - stated);
         is_better.then_some(otherwise)
@@ -474,7 +475,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
     }
 }
 
-/// A position and a velocity of which one moves and the other does not go with it.
+/// Reports a position and a velocity that do not follow each other although one of them moves.
 fn check_moving(flight: &Flight, audit: &mut Audit) {
     let is_short = span_s(flight.position.times()) < SHORT_S;
     if is_short || !is_logged(&flight.position) || !is_logged(&flight.velocity) {
@@ -500,7 +501,7 @@ fn check_moving(flight: &Flight, audit: &mut Audit) {
     });
 }
 
-/// Gravity is in every specific force: its size tells the unit, its direction the axes.
+/// Every specific force contains gravity: its size shows the unit, its direction the axes.
 fn check_force(flight: &Flight, audit: &mut Audit) {
     if !is_logged(&flight.specific_force) {
         return;

@@ -1,5 +1,5 @@
-//! Files that are one flight twice: the same bytes, the same samples under another name, or a
-//! part of another; and two recordings of one flight.
+//! Finds files of the same flight: the same bytes, the same samples under another name, a part of
+//! another, or two recordings of one flight.
 
 use std::collections::BTreeSet;
 
@@ -7,20 +7,21 @@ use super::{Audit, Finding, Severity};
 use crate::learn::alignment::interpolated;
 use crate::log::import::Flight;
 
-/// Fewer distinct samples than this tell nothing.
+/// Fewest distinct samples for a comparison.
 const SAMPLES_MIN: usize = 100;
-/// Share of a flight's samples that another has too: chance shares hardly any.
+/// Share of a flight's samples that another also has: different flights share hardly any.
 const SHARED_MAX: f64 = 0.2;
-/// Two recorders of one flight differ by less than this in attitude, rad, and position, m, root
-/// mean square: flights of one reference, on clocks that start with each, differ by more.
+/// Limits of the root mean square difference between two recordings of one flight: attitude, rad,
+/// and position, m. Flights of the same reference differ by more, since their clocks start
+/// separately.
 const SAME_ATTITUDE: f64 = 0.006;
 const SAME_POSITION: f64 = 0.01;
-/// Motion that two flights cannot share by chance: spread of the attitude, rad.
+/// Least spread of the attitude that two flights cannot share by chance, rad.
 const SPREAD_MIN: f64 = 0.1;
 /// Instants at which two recordings are compared.
 const INSTANTS: usize = 200;
 
-/// Finds pairs; of each the later is at fault.
+/// Finds duplicate pairs; the later file of each is at fault.
 pub(super) fn check(flights: &[Flight], audits: &mut [Audit]) {
     let prints: Vec<BTreeSet<[u64; 4]>> = flights.iter().map(samples).collect();
     for (b, audit) in audits.iter_mut().enumerate() {
@@ -60,7 +61,7 @@ pub(super) fn check(flights: &[Flight], audits: &mut [Audit]) {
     }
 }
 
-/// The distinct samples of a flight: its attitudes, else its positions, else its specific forces.
+/// Distinct samples of a flight: its attitudes, else its positions, else its specific forces.
 fn samples(flight: &Flight) -> BTreeSet<[u64; 4]> {
     let attitudes = flight.attitude.values().iter().map(|q| [q.w, q.x, q.y, q.z].map(f64::to_bits));
     let vector = |v: [f64; 3]| [v[0].to_bits(), v[1].to_bits(), v[2].to_bits(), 0];
@@ -73,7 +74,7 @@ fn samples(flight: &Flight) -> BTreeSet<[u64; 4]> {
     }
 }
 
-/// Share of the smaller set that both have.
+/// Share of the smaller set that is in both.
 fn shared(a: &BTreeSet<[u64; 4]>, b: &BTreeSet<[u64; 4]>) -> f64 {
     let least = a.len().min(b.len());
     if least < SAMPLES_MIN {
@@ -82,7 +83,7 @@ fn shared(a: &BTreeSet<[u64; 4]>, b: &BTreeSet<[u64; 4]>) -> f64 {
     a.intersection(b).count() as f64 / least as f64
 }
 
-/// The position between two samples.
+/// The position at `time`, interpolated.
 fn place(flight: &Flight, time: f64) -> Option<[f64; 3]> {
     let at = flight.position.index_at(time)?;
     let (times, values) = (flight.position.times(), flight.position.values());
@@ -90,7 +91,7 @@ fn place(flight: &Flight, time: f64) -> Option<[f64; 3]> {
     Some((values[at] + (*values.get(at + 1)? - values[at]) * share).to_array())
 }
 
-/// Whether two logs on one clock show one motion.
+/// Whether two logs on the same clock show the same motion.
 fn is_same_flight(a: &Flight, b: &Flight) -> bool {
     let ends = |flight: &Flight| {
         Some((*flight.attitude.times().first()?, *flight.attitude.times().last()?))

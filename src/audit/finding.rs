@@ -1,19 +1,19 @@
-//! What an audit finds.
+//! Findings of an audit.
 
 use std::fmt;
 
 use schemars::JsonSchema;
 use serde::Serialize;
 
-/// How bad a finding is.
+/// The severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// Worth to know; nothing need be done.
+    /// Information that needs no action.
     Note,
-    /// Of the measurement: to be corrected for, and never taken for an effect of the vehicle.
+    /// A flaw of the measurement: correct for it, and never take it for an effect of the vehicle.
     Measurement,
-    /// Of the data: to be mended, or the log left out.
+    /// A fault of the data: repair it, or leave the log out.
     Fault,
 }
 
@@ -27,24 +27,24 @@ impl fmt::Display for Severity {
     }
 }
 
-/// Something found.
+/// A finding of an audit.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Finding {
-    /// How bad it is.
+    /// Severity of the finding.
     pub severity: Severity,
-    /// What was checked, as `gap` or `delay`.
+    /// Name of the check, such as `gap` or `delay`.
     pub check: &'static str,
-    /// The stream, where it is one.
+    /// Name of the stream, if the finding is about a single one.
     pub stream: Option<&'static str>,
-    /// The number found.
+    /// The measured number.
     pub found: f64,
-    /// The number expected.
+    /// The expected number.
     pub expected: f64,
     /// Unit of both, empty for shares and counts.
     pub unit: &'static str,
-    /// What was found, for a person.
+    /// Description of the finding in words.
     pub what: String,
-    /// What to do about it.
+    /// What to do about the finding.
     pub advice: &'static str,
 }
 

@@ -1,7 +1,7 @@
-//! How streams of one motion fit each other, with no model of the vehicle: attitude turns by the
-//! gyro, position moves by the velocity, velocity changes by the accelerometer, and, of anything
-//! that hangs on its rotors, by the lean. The attitude follows its setpoint. Each pair yields a
-//! delay, a drift, a rotation, scales and a bias ([`super::pair`]).
+//! Consistency of the streams of one motion, without a vehicle model: the attitude turns with the
+//! gyro, the position moves with the velocity, and the velocity changes with the accelerometer and,
+//! for anything that hangs on its rotors, with the lean. The attitude follows its setpoint. Each
+//! pair yields a delay, a drift, a rotation, scales and a bias ([`super::pair`]).
 
 use nalgebra::{Matrix3, SVector, Vector3};
 use schemars::JsonSchema;
@@ -15,21 +15,22 @@ use super::weak::{Bump, Weighed, bumps, median, weigh};
 use crate::learn::alignment::interpolated;
 use crate::log::import::{Flight, Stream};
 
-/// Standard gravity, m/s^2. Places differ by 0.03, which adds to the vertical bias.
+/// Standard gravity, m/s^2. Local gravity differs by up to 0.03, which adds to the vertical bias.
 const GRAVITY: f64 = 9.806_65;
-/// Half width of a bump: at least this, s, and this many periods of the slower stream.
+/// Half width of a bump: at least this time, s, and this many periods of the slower stream.
 const HALF: f64 = 0.2;
 const HALF_PERIODS: f64 = 8.0;
-/// A fast vehicle turns by no more than this within half a bump, rad, which is at least so wide, s.
+/// Limit of a fast vehicle's rotation within half a bump, rad, and least half width that it may
+/// lead to, s.
 const TURN_MAX: f64 = 1.0;
 const HALF_MIN: f64 = 0.05;
-/// Longer bumps see slow motion above the noise of a derivative; times as long.
+/// Longer bumps, which show slow motion above the noise of a derivative, by this factor.
 const LONGER: f64 = 3.0;
-/// A rotation that is this many times its interval is undone.
+/// A rotation beyond this many intervals is removed.
 const SURE: f64 = 2.0;
-/// A delay of the attitude that is known as well as this is undone, s.
+/// A delay of the attitude with at most this interval is removed, s.
 const LATE_SURE: f64 = 0.05;
-/// Beyond this lean the thrust that keeps the height says little of it, rad.
+/// Largest lean at which the thrust that holds the height indicates the force, rad.
 const LEAN_MAX: f64 = 1.0;
 
 /// All pairs of a flight; `None` where a stream is missing or its motion shows nothing.
@@ -40,20 +41,20 @@ pub struct Kinematics {
     /// Position against velocity: rotation in world axes, bias in m/s.
     pub position: Option<Agreement>,
     /// Velocity against the accelerometer: rotation only about down (the heading), scales in world
-    /// axes, bias in body axes in m/s^2. A rotation of the attitude that the gyro shows for sure is
-    /// undone before; what the gyro does not show of a tilt is in the bias.
+    /// axes, bias in body axes in m/s^2. A rotation of the attitude that the gyro shows with
+    /// certainty is removed first; a tilt that the gyro does not show is part of the bias.
     pub velocity: Option<Agreement>,
-    /// Velocity against the lean, where no accelerometer is logged: the acceleration across of a
-    /// thrust that holds the height at this attitude. Rotation only about down; bias as of the
-    /// accelerometer. Drag and climbs are in all of them, so that it is good for axes alone.
+    /// Velocity against the lean, where no accelerometer is logged: the horizontal acceleration of
+    /// a thrust that holds the height at this attitude. Rotation only about down; bias as for the
+    /// accelerometer. Drag and climbs affect all values, so they serve only to check axes.
     pub lean: Option<Agreement>,
-    /// Attitude against its setpoint, as lean to the north, lean to the east and heading: how the
-    /// vehicle's loop follows, so that neither delay nor scale is any flaw.
+    /// Attitude against its setpoint, as lean to the north, lean to the east and heading: the
+    /// response of the vehicle's loop. Neither its delay nor its scale is a flaw.
     pub setpoint: Option<Agreement>,
 }
 
 impl Kinematics {
-    /// The pairs of a flight.
+    /// Compares the pairs of a flight.
     pub fn of(flight: &Flight) -> Self {
         let attitude = agreement(&Turning::of(flight, |q| q));
         let late = attitude.filter(|agreement| agreement.delay_s.half_width < LATE_SURE);
@@ -67,31 +68,32 @@ impl Kinematics {
         let velocity = agreement(&gaining);
         let has_force = !flight.specific_force.is_empty();
         let lean = (!has_force).then(|| agreement(&Gaining::by_lean(flight))).flatten();
-        // What comes before its setpoint does not follow it.
+        // An attitude that precedes its setpoint does not follow it.
         let follows = |pair: &Agreement| pair.delay_s.value > -pair.delay_s.half_width;
         let setpoint = agreement(&Following::of(flight)).filter(follows);
         Self { attitude, position: agreement(&Moving::of(flight)), velocity, lean, setpoint }
     }
 }
 
-/// How well the attitude follows the gyro at best, in whatever axes.
+/// Share of the attitude's motion that the gyro explains at best, in any axes.
 pub(super) fn turning_follows(flight: &Flight) -> Option<f64> {
     Some(Trial::best(&Turning::of(flight, |q| q))?.explained)
 }
 
-/// How well the position follows the velocity at best, in whatever axes, and by how much either
-/// typically differs from its mean, m/s.
+/// Share of the position's motion that the velocity explains at best, in any axes, and the typical
+/// deviation of either from its mean, m/s.
 pub(super) fn moving_follows(flight: &Flight) -> Option<(f64, [f64; 2])> {
     let moving = Moving::of(flight);
     Some((Trial::best(&moving)?.explained, changes(&moving)?))
 }
 
-/// How well the velocity follows the accelerometer at best.
+/// Share of the velocity's motion that the accelerometer explains at best.
 pub(super) fn gaining_follows(flight: &Flight) -> Option<f64> {
     Some(Trial::best(&Gaining::by_accelerometer(flight, 0.0, [0.0; 3]))?.explained)
 }
 
-/// The attitude at each sample of a stream, where it is known, turned with the sample into another.
+/// Each sample of a stream, transformed with the attitude at its time; samples without one are left
+/// out.
 pub(super) fn by_attitude<V, W>(
     flight: &Flight,
     stream: &Stream<V>,
@@ -106,26 +108,25 @@ pub(super) fn by_attitude<V, W>(
     all
 }
 
-/// What a quaternion means.
+/// An interpretation of a quaternion.
 pub(super) type Reading = fn(Attitude) -> Attitude;
 
-/// How well the attitude follows the gyro when its quaternions are read as `read` does: for
-/// quaternions in another order or direction than stated.
+/// Share of the attitude's motion that the gyro explains with quaternions interpreted by `read`:
+/// for quaternions in another order or direction than stated.
 pub(super) fn turning_explained(flight: &Flight, read: Reading) -> Option<f64> {
     let trial = Trial::best(&Turning::of(flight, read))?;
-    // Of one axis alone any order could be true.
+    // With motion about a single axis, any order may fit.
     let is_near = trial.moving > 1 && trial.angle() < 0.3 && trial.signs.min() > 0.0;
     is_near.then_some(trial.explained)
 }
 
-/// By how much the vehicle's turning typically differs from its mean, rad/s: as the attitude and as
-/// the gyro show it, noise smoothed away. A steady spin shows nothing of how the two
-/// go together.
+/// Typical deviation of the vehicle's rotation from its mean, rad/s, according to the attitude and
+/// to the gyro, with noise smoothed out. A steady spin does not show whether the two match.
 pub(super) fn turns(flight: &Flight) -> Option<[f64; 2]> {
     changes(&Turning::of(flight, |q| q))
 }
 
-/// By how much what is seen and what is expected change: the typical distance from the mean.
+/// Typical distance from the mean of the stream's derivative and of the expected one.
 fn changes(pair: &impl Pair) -> Option<[f64; 2]> {
     let typical = |values: Vec<Vector3<f64>>| {
         let count = values.len() as f64;
@@ -147,7 +148,7 @@ fn vector(v: [f64; 3]) -> Vector3<f64> {
     Vector3::from(v)
 }
 
-/// The rotation vector of a rotation.
+/// The rotation vector of a rotation, rad.
 fn rotation_vector(q: Attitude) -> Vector3<f64> {
     let q = q.canonical();
     let v = Vector3::new(q.x, q.y, q.z);
@@ -155,7 +156,7 @@ fn rotation_vector(q: Attitude) -> Vector3<f64> {
     if sine < 1e-9 { 2.0 * v } else { v * (2.0 * sine.atan2(q.w) / sine) }
 }
 
-/// The rotation of a rotation vector.
+/// The rotation of a rotation vector, rad.
 fn of_vector(v: Vector3<f64>) -> Attitude {
     let angle = v.norm();
     let (sine, w) = (0.5 * angle).sin_cos();
@@ -163,7 +164,7 @@ fn of_vector(v: Vector3<f64>) -> Attitude {
     Attitude { w, x, y, z }
 }
 
-/// Three vectors in one that is weighed.
+/// Three vectors that are weighted together.
 type Nine = SVector<f64, 9>;
 
 fn three(a: Vector3<f64>, b: Vector3<f64>, c: Vector3<f64>) -> Nine {
@@ -174,7 +175,7 @@ fn three(a: Vector3<f64>, b: Vector3<f64>, c: Vector3<f64>) -> Nine {
     all
 }
 
-/// The pace of turning that nine tenths of an attitude's samples stay below, rad/s.
+/// The 90 % quantile of an attitude's rate of rotation, rad/s.
 fn fastest(attitude: &Stream<Attitude>) -> f64 {
     let pairs = attitude.times().windows(2).zip(attitude.values().windows(2));
     let mut paces: Vec<f64> =
@@ -183,7 +184,7 @@ fn fastest(attitude: &Stream<Attitude>) -> f64 {
     paces.get(paces.len() * 9 / 10).copied().unwrap_or(0.0)
 }
 
-/// Attitude against the gyro. Within a bump the attitude is the rotation vector from that at its
+/// Attitude against the gyro. Within a bump the attitude is the rotation vector relative to its
 /// middle, whose derivative is the body rate times the inverse of its right Jacobian.
 struct Turning<'a> {
     attitude: Stream<Attitude>,
@@ -196,7 +197,7 @@ impl<'a> Turning<'a> {
         let attitude = flight.attitude.map(|q| read(*q));
         let rate = &flight.body_rate;
         let half = half_width([attitude.period(), rate.period()]);
-        // A longer one might hold half a turn.
+        // A longer one might contain half a turn.
         let half = half.min((TURN_MAX / fastest(&attitude)).max(HALF_MIN));
         let bumps = bumps(attitude.times(), &[half]);
         Self { attitude, rate, bumps }
@@ -224,7 +225,7 @@ impl Pair for Turning<'_> {
         let Weighed { value, slope } = weigh(self.rate, bump, |time, rate: &Frd| {
             let plain = vector(rate.to_array()) - correction.bias;
             let rate = correction.map * plain;
-            // Outside of the bump's support the turn does not matter.
+            // Outside the bump's support the rotation does not matter.
             let turn = self.turn(middle, time + delay).unwrap_or_default();
             let turning = rate + turn.cross(&rate) / 2.0 + turn.cross(&turn.cross(&rate)) / 12.0;
             Some(three(turning, plain, Vector3::zeros()))
@@ -261,7 +262,7 @@ impl Pair for Moving<'_> {
     }
 
     fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
-        // From the bump's middle on, so that a position far from the origin loses nothing.
+        // Relative to the bump's middle, so that a position far from the origin loses no precision.
         let origin = vector(self.position.held_at(bump.centre)?.to_array());
         let from_there = |_, p: &Ned| Some(vector(p.to_array()) - origin);
         Some(-weigh(self.position, bump, from_there)?.slope / bump.area())
@@ -280,13 +281,13 @@ impl Pair for Moving<'_> {
     }
 }
 
-/// Velocity against a specific force, by an attitude whose delay is known.
+/// Velocity against a specific force, with an attitude of known delay.
 struct Gaining<'a> {
     velocity: &'a Stream<Ned>,
     /// Attitude and specific force.
     force: Stream<(Attitude, Vector3<f64>)>,
     bumps: Vec<Bump>,
-    /// Whether it compares the horizontal components alone.
+    /// Whether only horizontal components are compared.
     is_level: bool,
 }
 
@@ -305,7 +306,7 @@ impl<'a> Gaining<'a> {
         Self::of(flight, force, false)
     }
 
-    /// By the thrust that holds the height.
+    /// With the thrust that holds the height.
     fn by_lean(flight: &'a Flight) -> Self {
         let force = flight.attitude.filter_map(|q| {
             let upright = q.to_world(Frd::new(0.0, 0.0, 1.0)).to_array()[2];
@@ -358,7 +359,7 @@ impl Pair for Gaining<'_> {
         if self.is_level {
             (plain.z, late.z) = (0.0, 0.0);
             bias.row_mut(2).fill(0.0);
-            // Along the thrust it is a scale.
+            // Along the thrust, a bias is a scale.
             bias.column_mut(2).fill(0.0);
         }
         let map = correction.map;
@@ -387,8 +388,8 @@ impl Following {
     }
 }
 
-/// The lean to the north and to the east, in the world so that a heading that is not followed turns
-/// nothing, and the heading without jumps.
+/// The lean to the north and to the east, and the heading without jumps. The lean is in world axes,
+/// so that a heading error does not rotate it.
 fn leans(attitude: &Stream<Attitude>) -> Stream<Vector3<f64>> {
     let mut yaw = 0.0;
     attitude.map(|q| {

@@ -1,8 +1,8 @@
-//! What is wrong with logs before any physics: faults of the data, and of the measurement.
+//! Audits logs before any physics: faults of the data and of the measurement.
 //!
-//! Nothing here knows a vehicle. What it finds is reported as what it is, and must not be passed
-//! on as an effect of the vehicle: late or turned streams, biased sensors, gaps, frozen or
-//! impossible values, files that are one flight twice.
+//! No check uses a vehicle model. Late or rotated streams, biased sensors, gaps, frozen or
+//! impossible values and files of the same flight are reported as such, and must not be passed on
+//! as effects of the vehicle.
 
 mod agreement;
 mod conventions;
@@ -33,23 +33,23 @@ pub use tier::{Channels, FAST_HZ, Tier};
 pub use timing::{LEFT_OUT, NO_SAMPLES, StreamTiming};
 pub(crate) use weak::median;
 
-/// A time within which a stream must not be used.
+/// A time in which a stream must not be used.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct UnusableSpan {
-    /// The stream.
+    /// Name of the stream.
     pub stream: &'static str,
-    /// From, s of the vehicle's clock.
+    /// Start, s of the vehicle's clock.
     pub from_s: f64,
-    /// To, s.
+    /// End, s of the vehicle's clock.
     pub to_s: f64,
-    /// Why.
+    /// Why it must not be used.
     pub reason: &'static str,
 }
 
-/// What a log is worth.
+/// The audit of a log.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Audit {
-    /// The file.
+    /// Path of the file.
     pub file: String,
     /// Name of the flight.
     pub run: String,
@@ -57,23 +57,23 @@ pub struct Audit {
     pub format: &'static str,
     /// SHA-256 of the file.
     pub sha256: String,
-    /// What was logged, as far as it decides what can be tested.
+    /// Logged channels, as far as they decide what can be tested.
     pub channels: Channels,
-    /// The most that the channels reach; `None` without a pose.
+    /// The most that the channels can show; `None` without a pose.
     pub tier: Option<Tier>,
     /// Rates, gaps and jitter of each stream.
     pub streams: Vec<StreamTiming>,
-    /// How often streams bring something new.
+    /// Rates of new values, whatever the logged rates.
     pub rates: Rates,
-    /// By how much of itself the ground's clock ran faster than the vehicle's.
+    /// Relative rate by which the ground's clock was faster than the vehicle's.
     pub ground_skew: Option<f64>,
-    /// How the streams fit each other.
+    /// Agreement between the streams.
     pub kinematics: Kinematics,
-    /// What each motor output does to the body, where the motion shows it.
+    /// Effect of each motor output on the body, where the motion shows it.
     pub rotors: Option<RotorEffects>,
-    /// What was found, worst first.
+    /// Findings, worst first.
     pub findings: Vec<Finding>,
-    /// Times that streams must not be used in, in their order.
+    /// Times in which streams must not be used, in order.
     pub unusable: Vec<UnusableSpan>,
 }
 
@@ -106,7 +106,7 @@ impl Audit {
         audit
     }
 
-    /// Audits flights, and finds those that are one flight twice: the later one is at fault.
+    /// Audits several flights. Of files of the same flight, the later one is at fault.
     pub fn of_all(flights: &[Flight]) -> Vec<Self> {
         use rayon::prelude::*;
         let mut audits: Vec<Self> = flights.par_iter().map(Self::of).collect();
@@ -115,19 +115,19 @@ impl Audit {
         audits
     }
 
-    /// Whether the data are at fault: nothing may be concluded from the log before that is mended.
+    /// Whether the data are at fault: the log supports no conclusion until they are repaired.
     pub fn is_faulty(&self) -> bool {
         self.findings.iter().any(|finding| finding.severity == Severity::Fault)
     }
 
-    /// Faults for which the whole log is left out: those that are not a matter of some times of it.
+    /// Faults that exclude the whole log, rather than some times of it.
     pub fn faults(&self) -> impl Iterator<Item = &Finding> {
         let faults = self.findings.iter().filter(|f| f.severity == Severity::Fault);
         faults.filter(|finding| finding.check != values::STOOD_STILL)
     }
 
-    /// Adds a fault of the outputs' order against rotors that are known from elsewhere than the log;
-    /// `whose` they are.
+    /// Adds a fault if the outputs' order contradicts rotors that are known from elsewhere than the
+    /// log. `whose` says where from.
     pub(crate) fn check_order(&mut self, rotors: &[RotorFact; 4], whose: &str) {
         let is_known = self.findings.iter().any(|finding| finding.check == rotors::MOTOR_ORDER);
         let fault = self.rotors.and_then(|effects| effects.misordered(rotors, whose));

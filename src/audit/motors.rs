@@ -1,29 +1,29 @@
-//! Motor outputs: legal values, channels that are stuck, and which rotor is where.
+//! Checks motor outputs: valid values, stuck channels, and the order of the rotors.
 
 use super::tier::FAST_HZ;
 use super::weak::median;
 use super::{Audit, Finding, Severity};
 use crate::log::import::{Flight, MotorUnit};
 
-/// How far beyond 0..1 rounding may bring a fraction.
+/// Rounding error of a fraction beyond 0..1.
 const ROUNDING: f64 = 0.02;
-/// Pulses that a motor is driven with, us, when outputs are pulses.
+/// Valid pulses, us, when outputs are pulses.
 const PULSES: std::ops::RangeInclusive<f64> = 750.0..=2250.0;
-/// Outputs look like pulses when their median is above.
+/// Median above which outputs look like pulses.
 const PULSE_LIKE: f64 = 500.0;
-/// A channel whose values spread by less than this share of the others' is stuck.
+/// A channel is stuck if its spread is below this share of the others'.
 const STUCK: f64 = 1e-3;
-/// Share of the time at a limit that is worth a word.
+/// Share of the time at a limit that is reported.
 const SATURATED: f64 = 0.05;
-/// Outputs that change in a smaller share of the samples while the vehicle moves drive no motors.
+/// Share of changing samples during motion below which outputs drive no motors.
 const CHANGES: f64 = 0.01;
-/// The vehicle moves where it rolls, pitches or travels by more than this, rad/s and m/s.
+/// Limits of roll and pitch rate or speed above which the vehicle moves, rad/s and m/s.
 const TURNS: f64 = 0.05;
 const TRAVELS: f64 = 0.2;
-/// For less time of motion nothing is said, s.
+/// Least time and number of samples in motion for a check, s.
 const MOTION_MIN: f64 = 2.0;
 const MOTION_SAMPLES: u32 = 20;
-/// Below this mean of a full range the vehicle does not fly.
+/// Mean output, as a share of the full range, below which the vehicle does not fly.
 const FLIES: f64 = 0.1;
 
 pub(super) fn check(flight: &Flight, audit: &mut Audit) {
@@ -50,8 +50,8 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     }
 }
 
-/// Whether outputs stand still while the vehicle moves; then they are none of its motors', and
-/// nothing else is to be said of them.
+/// Whether outputs stand still while the vehicle moves. They are then not its motors', and the
+/// other checks do not apply.
 fn check_movement(flight: &Flight, audit: &mut Audit) -> bool {
     let turns = flight.body_rate.map(|rate| {
         let [p, q, _] = rate.to_array();
@@ -91,7 +91,7 @@ fn check_movement(flight: &Flight, audit: &mut Audit) -> bool {
     true
 }
 
-/// Whether outputs do what rotors would where the autopilot believes them to be.
+/// Checks that outputs have the effect of rotors at the autopilot's configured places.
 fn check_order(flight: &Flight, audit: &mut Audit) {
     if let (Some(effects), [a, b, c, d]) = (&audit.rotors, flight.facts.rotors.as_slice()) {
         let fault = effects.misordered(&[*a, *b, *c, *d], "the autopilot's motors");
@@ -99,7 +99,7 @@ fn check_order(flight: &Flight, audit: &mut Audit) {
     }
 }
 
-/// The range that outputs may have in their unit; `None` where only a vehicle file can tell.
+/// The valid range of outputs in their unit; `None` where it takes a vehicle file to know.
 fn legal(flight: &Flight) -> Option<(f64, f64, &'static str)> {
     match flight.motor_unit {
         MotorUnit::ThrustFraction => Some((-ROUNDING, 1.0 + ROUNDING, "")),
@@ -114,7 +114,7 @@ fn legal(flight: &Flight) -> Option<(f64, f64, &'static str)> {
 
 fn check_range(flight: &Flight, audit: &mut Audit) {
     let Some((low, high, unit)) = legal(flight) else { return };
-    // A pulse of 0 is none: a motor that is switched off.
+    // A pulse of 0 means that the motor is off.
     let is_legal = |u: f64| (low..=high).contains(&u) || u == 0.0;
     let wrong = flight.outputs.values().iter().filter(|u| !u.iter().all(|u| is_legal(*u)));
     let (count, worst) = wrong.fold((0_usize, 0.0_f64), |(count, worst), outputs| {
@@ -143,7 +143,7 @@ fn check_range(flight: &Flight, audit: &mut Audit) {
 }
 
 fn check_channels(flight: &Flight, audit: &mut Audit) {
-    // In flight, by the outputs themselves.
+    // In flight, according to the outputs themselves.
     let values = flight.outputs.values();
     let top = values.iter().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
     let bottom = values.iter().flatten().copied().fold(f64::INFINITY, f64::min);

@@ -1,22 +1,23 @@
-//! Two streams of one motion: under a bump, what one shows, and what the other says of it.
+//! Two streams of one motion: under a bump, the derivative of one and its prediction from the
+//! other.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::weak::Bump;
 
-/// What the other sensor says under a bump, as means over it.
+/// The prediction of the other sensor under a bump, as means over it.
 pub(super) struct Expected {
-    /// In the stream's axes: with the bias off, scaled and turned.
+    /// In the stream's axes: without the bias, scaled and rotated.
     pub value: Vector3<f64>,
-    /// How the value changes with the delay, 1/s.
+    /// Derivative of the value with respect to the delay, 1/s.
     pub late: Vector3<f64>,
-    /// In the sensor's axes: with the bias off.
+    /// In the sensor's axes: without the bias.
     pub plain: Vector3<f64>,
-    /// How `plain` changes with the bias.
+    /// Derivative of `plain` with respect to the bias.
     pub bias: Matrix3<f64>,
 }
 
-/// What is subtracted from the other sensor, and how it is scaled and turned.
+/// The bias of the other sensor, and the map that scales and rotates it.
 #[derive(Clone, Copy)]
 pub(super) struct Correction {
     pub map: Matrix3<f64>,
@@ -32,16 +33,16 @@ impl Correction {
 
 /// Two streams of one motion.
 pub(super) trait Pair {
-    /// Moments that are compared, in their order.
+    /// Moments to compare, in order.
     fn bumps(&self) -> &[Bump];
 
-    /// The stream's derivative, as a mean over a bump.
+    /// The stream's derivative, averaged over a bump.
     fn seen(&self, bump: Bump) -> Option<Vector3<f64>>;
 
-    /// What the other sensor says under a bump of its own time, if the stream is `delay` later.
+    /// The other sensor's prediction under a bump of its own time, if the stream is `delay` later.
     fn expected(&self, bump: Bump, delay: f64, correction: &Correction) -> Option<Expected>;
 
-    /// About which axes the stream may be turned.
+    /// Axes about which the stream may be rotated.
     fn turns(&self) -> [bool; 3] {
         [true; 3]
     }

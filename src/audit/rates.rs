@@ -1,8 +1,7 @@
-//! How often streams bring something new, whatever rate they are logged at.
+//! Rates at which streams bring new values, whatever rate they are logged at.
 //!
-//! A logger that is faster than its source repeats values, or draws lines between them. Neither
-//! tells more than the source did, and what changes faster than half of the source's rate is not
-//! lost but folded into what is slower.
+//! A logger that is faster than its source repeats values or interpolates between them. Neither
+//! adds information, and changes faster than half of the source's rate alias to lower frequencies.
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -11,17 +10,17 @@ use vehicle::frame::{Attitude, Frd, Ned};
 use super::weak::median;
 use crate::log::import::{Flight, Stream};
 
-/// Pauses of more than this many periods say nothing of the rate.
+/// Pauses of more than this many periods do not count for the rate.
 const PAUSE: f64 = 3.0;
 /// A sample is on the line between its neighbours if it is off by less than this share of the
-/// stream's range: single precision rounds by less.
+/// stream's range; single precision rounds by less.
 const ON_LINE: f64 = 1e-5;
-/// A stream is drawn between samples of its source if more than this share lies on lines.
+/// A stream is interpolated if more than this share of its samples is on lines.
 const DRAWN: f64 = 0.5;
-/// Fewer new values say nothing.
+/// Fewest new values for a rate.
 const VALUES_MIN: usize = 20;
 
-/// New values per second while they come, Hz; `None` of a stream that is not logged or never
+/// New values per second while they come, Hz; `None` for a stream that is not logged or never
 /// changes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct Rates {
@@ -35,18 +34,18 @@ pub struct Rates {
     pub body_rate_hz: Option<f64>,
     /// Specific force.
     pub specific_force_hz: Option<f64>,
-    /// Motor outputs: what a quadrotor does faster than half of this is not in them.
+    /// Motor outputs: they do not show dynamics faster than half of this.
     pub outputs_hz: Option<f64>,
     /// Rotor speeds.
     pub rotor_speed_hz: Option<f64>,
     /// Setpoints.
     pub setpoint_hz: Option<f64>,
-    /// Smallest change of a motor output, in the outputs' unit: what they are rounded to.
+    /// Smallest change of a motor output, in the outputs' unit: their resolution.
     pub outputs_step: Option<f64>,
 }
 
 impl Rates {
-    /// The rates of a flight.
+    /// Measures the rates of a flight.
     pub fn of(flight: &Flight) -> Self {
         let attitude = |q: &Attitude| [q.w, q.x, q.y, q.z];
         let ned = |v: &Ned| v.to_array();
@@ -71,7 +70,7 @@ impl Rates {
     }
 }
 
-/// New values per second.
+/// New values per second, without interpolated ones.
 fn rate<T, const N: usize>(stream: &Stream<T>, value: impl Fn(&T) -> [f64; N]) -> Option<f64> {
     let mut news: Vec<(f64, [f64; N])> = Vec::new();
     for (time, new) in stream.iter() {
@@ -104,7 +103,7 @@ fn rate<T, const N: usize>(stream: &Stream<T>, value: impl Fn(&T) -> [f64; N]) -
     (sum > 0.0).then(|| count / sum)
 }
 
-/// The smallest change of any of four.
+/// The smallest change of any of four outputs.
 fn step(outputs: &Stream<[f64; 4]>) -> Option<f64> {
     let changes = outputs.values().windows(2).flat_map(|pair| {
         let (a, b) = (pair[0], pair[1]);
@@ -117,7 +116,7 @@ fn step(outputs: &Stream<[f64; 4]>) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Samples at 100 Hz of a source at 10 Hz, by what stands between its samples.
+    /// Samples at 100 Hz of a source at 10 Hz, with the given values between its samples.
     fn logged(between: impl Fn(f64, f64, f64) -> f64) -> Stream<[f64; 4]> {
         let source = |k: f64, i: usize| (k * (1.3 + i as f64)).sin();
         let mut stream = Stream::default();

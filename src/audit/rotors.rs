@@ -1,6 +1,6 @@
-//! Which output drives which rotor, by what it does: an output whose rise rolls the vehicle to the
-//! left is on the right, one that pitches it up is in front, one that yaws it right is a rotor
-//! whose drag turns the body right.
+//! Finds which output drives which rotor, from its effect: an output that rolls the vehicle to the
+//! left is on the right, one that pitches it up is in front, and one that yaws it right drives a
+//! rotor whose drag turns the body right.
 
 use nalgebra::{SMatrix, SVector, Vector3};
 use schemars::JsonSchema;
@@ -13,36 +13,36 @@ use super::weak::{Bump, Row, bumps, fit, weigh};
 use super::{Finding, Severity};
 use crate::log::import::{Flight, RotorFact};
 
-/// Name of the check of which output is where.
+/// Name of the check of the outputs' order.
 pub(super) const MOTOR_ORDER: &str = "motor_order";
 
-/// Half width of a bump: at least this, s, and this many periods of the slower stream.
+/// Half width of a bump: at least this time, s, and this many periods of the slower stream.
 const HALF: f64 = 0.1;
 const HALF_PERIODS: f64 = 5.0;
-/// Delays from an output to the rotor's answer that are tried, s.
+/// Number and step of the delays from an output to the rotor's response that are tried, s.
 const DELAYS: usize = 9;
 const DELAY_STEP: f64 = 0.015;
-/// Least share of the turning that the outputs must explain.
+/// Least share of the angular acceleration that the outputs must explain.
 const EXPLAINED_MIN: f64 = 0.4;
-/// An effect must be this many times its interval to have a sign.
+/// Intervals by which an effect must differ from zero to have a sign.
 const SURE: f64 = 2.0;
-/// Places nearer to the axis than this share of the arm have no side.
+/// Distance from an axis, as a share of the arm, below which a rotor has no side.
 const ON_AXIS: f64 = 0.2;
-/// So many contradictions are none by chance.
+/// Fewest contradictions that are not due to chance.
 const CONTRADICTIONS: usize = 2;
 
-/// What each output does to the body, rad/s^2 for a rise by 1 of the outputs' unit.
+/// Effect of each output on the body, rad/s^2 per unit of the output.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct RotorEffects {
-    /// About front, right and down, for each output.
+    /// Angular acceleration about front, right and down, for each output.
     pub turning: [[Estimate; 3]; 4],
-    /// From an output to its effect, s; roughly.
+    /// Approximate delay from an output to its effect, s.
     pub delay_s: f64,
-    /// Share of the turning that outputs explain.
+    /// Share of the angular acceleration that the outputs explain.
     pub explained: f64,
 }
 
-/// An output that does not do what a rotor at its place would.
+/// An output whose effect contradicts a rotor at its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 pub struct Contradiction {
     /// Index of the output.
@@ -52,7 +52,7 @@ pub struct Contradiction {
 }
 
 impl RotorEffects {
-    /// What the outputs of a flight do, if its motion shows that.
+    /// Measures the outputs' effects in a flight, if its motion shows them.
     pub fn of(flight: &Flight) -> Option<Self> {
         let Rates { outputs_hz, body_rate_hz, .. } = Rates::of(flight);
         if outputs_hz.is_none_or(|rate| rate < FAST_HZ)
@@ -69,7 +69,7 @@ impl RotorEffects {
         (best.explained > EXPLAINED_MIN).then_some(best)
     }
 
-    /// The best effects if outputs act `delay` later.
+    /// The effects for outputs that act `delay_s` later.
     fn at(flight: &Flight, bumps: &[Bump], delay_s: f64) -> Option<Self> {
         let mut pairs: Vec<(Vector3<f64>, SVector<f64, 4>)> = Vec::new();
         let mut times = Vec::new();
@@ -99,7 +99,7 @@ impl RotorEffects {
             };
             times.iter().zip(&pairs).map(row).collect()
         };
-        // An effect matters if the output's changes turn the body as it turns.
+        // An effect matters if the output's changes cause rotation as large as the body's.
         let turns: f64 = pairs.iter().map(|(seen, _)| (seen - turning).norm_squared()).sum();
         let size = |output: usize| {
             let moved = |of: &SVector<f64, 4>| (of[output] - outputs[output]).powi(2);
@@ -114,7 +114,7 @@ impl RotorEffects {
         Some(Self { turning, delay_s, explained: fit.explained })
     }
 
-    /// Where these effects surely contradict rotors that are said to be at `rotors`.
+    /// Certain contradictions between these effects and rotors at the places `rotors`.
     pub fn contradictions(&self, rotors: &[RotorFact; 4]) -> Vec<Contradiction> {
         let arm = rotors.iter().map(|r| r.front.hypot(r.right)).fold(0.0, f64::max);
         let mut found = Vec::new();
@@ -132,7 +132,8 @@ impl RotorEffects {
         found
     }
 
-    /// The fault that outputs are, which do not turn the vehicle as `whose` would at `rotors`.
+    /// The fault of outputs that do not turn the vehicle as `rotors` would; `whose` says where
+    /// those places come from.
     pub fn misordered(&self, rotors: &[RotorFact; 4], whose: &str) -> Option<Finding> {
         let wrong = self.contradictions(rotors);
         let named = wrong.iter().map(|wrong| format!("{} in {}", wrong.output + 1, wrong.axis));

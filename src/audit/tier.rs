@@ -1,4 +1,4 @@
-//! What a log's channels can show.
+//! The most that a log's channels can show.
 
 use std::fmt;
 
@@ -10,10 +10,10 @@ use crate::log::import::{Flight, SetpointSource};
 
 /// Least rate of an IMU that separates measurement from dynamics, Hz.
 const IMU_HZ: f64 = 80.0;
-/// Least rate of outputs, or of rates, that shows how rotors answer, Hz.
+/// Least rate of outputs, or of rates, that shows the rotors' response, Hz.
 pub const FAST_HZ: f64 = 40.0;
 
-/// What was logged.
+/// The channels of a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize)]
 pub struct Channels {
     /// Attitude.
@@ -32,14 +32,14 @@ pub struct Channels {
     pub voltage: bool,
     /// Rotor speeds.
     pub rotor_speed: bool,
-    /// Setpoints as the ground sent them.
+    /// Setpoints as the offboard controller sent them.
     pub setpoint: bool,
-    /// All of attitude, rates and thrust in these.
+    /// Some of these hold attitude, rates and thrust together.
     pub whole_setpoint: bool,
 }
 
 impl Channels {
-    /// What a flight has.
+    /// The channels of a flight.
     pub fn of(flight: &Flight) -> Self {
         let setpoints = flight.setpoint.values();
         let is_whole = setpoints
@@ -61,27 +61,27 @@ impl Channels {
         }
     }
 
-    /// Position, velocity and attitude.
+    /// Whether position, velocity and attitude are all logged.
     pub fn pose(&self) -> bool {
         self.attitude && self.motion
     }
 }
 
-/// How much of a flight was logged; each holds all that is below it.
+/// How much of a flight was logged; each tier includes those below it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize)]
 pub enum Tier {
-    /// Pose, velocity and attitude.
+    /// Position, velocity and attitude.
     T0,
-    /// And an IMU.
+    /// As T0, with an IMU.
     T1,
-    /// And motor outputs and voltage.
+    /// As T1, with motor outputs and voltage.
     T2,
-    /// And rotor speeds.
+    /// As T2, with rotor speeds.
     T3,
 }
 
 impl Tier {
-    /// The most that channels reach; `None` without a pose.
+    /// The highest tier of these channels; `None` without a pose.
     pub fn of(channels: &Channels) -> Option<Self> {
         let steps = [
             (channels.pose(), Self::T0),

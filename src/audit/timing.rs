@@ -1,4 +1,4 @@
-//! Rates, gaps, jitter and clocks.
+//! Checks rates, gaps, jitter and clocks.
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -6,26 +6,26 @@ use serde::Serialize;
 use super::{Audit, Finding, Severity, UnusableSpan};
 use crate::log::import::{Flight, Stream};
 
-/// More than this many periods between samples is a gap.
+/// Periods between samples above which there is a gap.
 const GAP_PERIODS: f64 = 3.0;
-/// A gap of this length cannot be bridged, s.
+/// Length of a gap that cannot be bridged, s.
 const GAP_LONG: f64 = 0.5;
-/// Lost samples that are worth a word, and those that are a flaw of the measurement.
+/// Share of lost samples that is reported as a note, and as a flaw of the measurement.
 const LOST_NOTE: f64 = 0.01;
 const LOST_MUCH: f64 = 0.05;
-/// Half of the range of nine tenths of the intervals, over the period: above, stamps are uneven.
+/// Half of the range of nine tenths of the intervals, in periods, above which stamps are uneven.
 const JITTER_MAX: f64 = 0.35;
-/// Skew of the ground's clock that is worth a word: ordinary quartz stays below 1e-4.
+/// Relative rate error of the ground's clock that is reported; ordinary quartz stays below 1e-4.
 const SKEW_MAX: f64 = 1e-3;
-/// Samples that were left out as damaged, over all: more is no log to conclude from.
+/// Share of samples left out as damaged above which the log supports no conclusion.
 const DAMAGED_MAX: f64 = 0.1;
 
-/// How a stream's samples lie in time.
+/// Timing of a stream's samples.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct StreamTiming {
-    /// The stream.
+    /// Name of the stream.
     pub stream: &'static str,
-    /// Samples.
+    /// Number of samples.
     pub samples: usize,
     /// Samples per second over the whole span.
     pub rate_hz: f64,
@@ -33,16 +33,16 @@ pub struct StreamTiming {
     pub period_s: Option<f64>,
     /// Half of the range that holds nine tenths of the intervals, s.
     pub jitter_s: Option<f64>,
-    /// Intervals of more than three periods.
+    /// Number of intervals longer than three periods.
     pub gaps: usize,
     /// The longest interval, s.
     pub longest_gap_s: Option<f64>,
-    /// Samples missing in the gaps, over those expected.
+    /// Samples missing in the gaps, as a share of those expected.
     pub lost: f64,
 }
 
-/// Streams that are sampled at a rate, with their times. Others, as the voltage, may come when
-/// they change.
+/// Streams that are sampled at a rate, with their times. Others, such as the voltage, may come only
+/// when they change.
 fn sampled(flight: &Flight) -> [(&'static str, &[f64]); 8] {
     [
         ("attitude", flight.attitude.times()),
@@ -56,7 +56,7 @@ fn sampled(flight: &Flight) -> [(&'static str, &[f64]); 8] {
     ]
 }
 
-/// All streams that were logged.
+/// The timing of every logged stream.
 pub(super) fn streams(flight: &Flight) -> Vec<StreamTiming> {
     let all = sampled(flight).into_iter().chain([("voltage", flight.voltage.times())]);
     all.filter(|(_, times)| !times.is_empty()).map(|(name, times)| timing(name, times)).collect()
@@ -103,7 +103,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
 
 /// Name of the check of what the importer left out.
 pub const LEFT_OUT: &str = "left_out";
-/// Why a time between two samples is unusable.
+/// Reason for an unusable time between two samples.
 pub const NO_SAMPLES: &str = "no samples";
 
 fn check_gaps(name: &'static str, times: &[f64], timing: &StreamTiming, audit: &mut Audit) {
@@ -177,10 +177,10 @@ fn check_clocks(flight: &Flight, audit: &mut Audit) {
     });
 }
 
-/// Damage that the importer met.
+/// Reports damage that the importer found.
 fn check_left_out(flight: &Flight, audit: &mut Audit) {
     let samples: usize = audit.streams.iter().map(|timing| timing.samples).sum();
-    // What belongs to others, or to another sensor, is nothing lost.
+    // Data of another vehicle or another sensor are not lost.
     let is_foreign = |reason: &str| {
         [
             "of instance",
@@ -195,7 +195,7 @@ fn check_left_out(flight: &Flight, audit: &mut Audit) {
     };
     for (reason, count) in &flight.left_out {
         let share = *count as f64 / (samples as f64 + *count as f64).max(1.0);
-        // Counts of bytes are no counts of samples.
+        // Counts of bytes are not counts of samples.
         let is_much = share > DAMAGED_MAX && !reason.contains("byte");
         audit.findings.push(Finding {
             severity: match (is_foreign(reason), is_much) {
@@ -214,10 +214,10 @@ fn check_left_out(flight: &Flight, audit: &mut Audit) {
     }
 }
 
-/// Samples from which on a stream can be judged.
+/// Fewest samples for a check of a stream.
 const SAMPLES_MIN: usize = 20;
 
-/// Whether a stream has samples enough to be judged.
+/// Whether a stream has enough samples for a check.
 pub(super) fn is_logged<T>(stream: &Stream<T>) -> bool {
     stream.len() >= SAMPLES_MIN
 }

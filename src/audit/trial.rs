@@ -5,27 +5,27 @@ use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 use super::pair::{Correction, Pair};
 use super::weak::Bump;
 
-/// Delays either side that are tried, s.
+/// Largest delay that is tried in either direction, s.
 const DELAY_MAX: f64 = 0.5;
 /// Step of the trial, in half widths of a bump.
 const STEP: f64 = 0.1;
-/// Drifts either side that are tried, steps of the delay at the ends of the log.
+/// Drifts that are tried in either direction, in steps of the delay at the ends of the log.
 const DRIFTS: i32 = 16;
-/// Clocks differ by no more: those of resonators without a quartz do by half of it.
+/// Largest relative rate error between clocks: resonators without a quartz are off by half of it.
 const DRIFT_MAX: f64 = 0.015;
-/// Another delay, and another drift, must leave less than this share of what is not explained.
+/// Another delay, and another drift, must leave less than this share of the unexplained part.
 const BETTER_DELAY: f64 = 0.95;
 const BETTER_DRIFT: f64 = 0.8;
-/// Axes of another handedness must leave less than this share.
+/// Axes of opposite handedness must leave less than this share.
 const BETTER_MIRRORED: f64 = 0.5;
-/// And either of them less by this share of what is seen: less is rounding, where all is explained.
+/// They must also explain this much more of the motion: less is rounding, where all is explained.
 const NEGLIGIBLE: f64 = 1e-4;
-/// Bumps of the trial at most, and at least.
+/// Most and fewest bumps of the trial.
 const BUMPS: usize = 300;
 const BUMPS_MIN: usize = 24;
-/// Axes whose singular value is below this share of the first one's do not move.
+/// Axes with a singular value below this share of the largest do not move.
 const MOVES_MIN: f64 = 1e-6;
-/// Sweeps of a decomposition at most; ten are usual.
+/// Most sweeps of a decomposition; ten are usual.
 const SWEEPS: usize = 200;
 
 /// The first guess: the delay at which a rotation and a scale explain most.
@@ -36,13 +36,13 @@ pub(super) struct Trial {
     pub drift: f64,
     /// Mean time of the motion, s.
     pub middle: f64,
-    /// From the axes of what is expected to those of what is seen.
+    /// From the axes of the expected derivative to those of the measured one.
     pub rotation: Rotation3<f64>,
-    /// -1 of an axis of what is expected that runs contrary.
+    /// Sign of each axis of the expected derivative; -1 for a reversed one.
     pub signs: Vector3<f64>,
     pub scale: f64,
     pub explained: f64,
-    /// Axes that move.
+    /// Number of axes that move.
     pub moving: usize,
 }
 
@@ -95,7 +95,7 @@ impl Trial {
         1.0 - self.explained < share * (1.0 - other.explained) - NEGLIGIBLE
     }
 
-    /// The best rotation and scale (Kabsch, Umeyama) of pairs less their means.
+    /// The best rotation and scale (Kabsch, Umeyama) of pairs, without their means.
     fn at(pairs: &[(Vector3<f64>, Vector3<f64>)], turns: [bool; 3]) -> Self {
         let count = pairs.len() as f64;
         let (y_mean, x_mean) =
@@ -119,7 +119,7 @@ impl Trial {
             explained: 0.0,
             moving: 0,
         };
-        // Damaged numbers may be of any size.
+        // Damaged numbers may be arbitrarily large.
         if !(cross.norm().is_finite() && x_power.is_finite() && y_power.is_finite()) {
             return trial;
         }
@@ -151,18 +151,18 @@ impl Trial {
         self.rotation.angle()
     }
 
-    /// The scale, where it is no accuracy but a unit.
+    /// The scale, if it indicates another unit rather than a calibration error.
     pub fn unit(&self) -> f64 {
         if (0.7..1.4).contains(&self.scale) { 1.0 } else { self.scale }
     }
 }
 
-/// Numbers from 0 outwards.
+/// Integers from 0 outwards.
 fn outwards(most: i32) -> impl Iterator<Item = i32> {
     std::iter::once(0).chain((1..=most).flat_map(|k| [k, -k]))
 }
 
-/// What is seen at a moment, and what is expected at each delay.
+/// The measured derivative at a moment, and the expected one at each delay.
 struct Moment {
     centre: f64,
     seen: Vector3<f64>,
@@ -185,7 +185,7 @@ impl Moment {
     }
 }
 
-/// The best rotation, and the best turn of axes of another handedness, with what they explain.
+/// The best rotation, and the best one with opposite handedness, with the power that each explains.
 struct Fitting {
     proper: Rotation3<f64>,
     power: f64,
@@ -212,7 +212,7 @@ impl Fitting {
         })
     }
 
-    /// About down.
+    /// About down only.
     fn level(cross: &Matrix3<f64>) -> Option<Self> {
         let [along, across] = [cross[(0, 0)] + cross[(1, 1)], cross[(1, 0)] - cross[(0, 1)]];
         let [even, odd] = [cross[(0, 0)] - cross[(1, 1)], cross[(1, 0)] + cross[(0, 1)]];
@@ -229,7 +229,7 @@ impl Fitting {
     }
 }
 
-/// A turn of axes of another handedness as one contrary axis and the least rotation.
+/// A transformation of opposite handedness as one reversed axis and the smallest rotation.
 fn least_turn(mirrored: &Matrix3<f64>, turns: [bool; 3]) -> (Rotation3<f64>, Vector3<f64>) {
     let with = |axis: usize| {
         let mut signs = Vector3::repeat(1.0);
@@ -237,20 +237,20 @@ fn least_turn(mirrored: &Matrix3<f64>, turns: [bool; 3]) -> (Rotation3<f64>, Vec
         let rotation = mirrored * Matrix3::from_diagonal(&signs);
         (Rotation3::from_matrix_unchecked(rotation), signs)
     };
-    // Where only the heading turns, down stays.
+    // Where only the heading may be off, down stays.
     let axes = if turns == [true; 3] { 0..3 } else { 0..2 };
     let mut all = axes.map(with);
     let first = all.next().unwrap_or_else(|| with(0));
     all.fold(first, |best, next| if next.0.angle() < best.0.angle() { next } else { best })
 }
 
-/// The rotation that takes `from` to `to`, unit vectors of which the first `moving` count. One
-/// leaves the turn about itself open: then it is the shortest rotation.
+/// The rotation that takes the first `moving` unit vectors of `from` to those of `to`. A single one
+/// leaves the rotation about itself open, and yields the shortest rotation.
 fn rotation_of(from: [Vector3<f64>; 2], to: [Vector3<f64>; 2], moving: usize) -> Rotation3<f64> {
     match moving {
         0 => Rotation3::identity(),
         1 => Rotation3::rotation_between(&from[0], &to[0]).unwrap_or_else(|| {
-            // Opposite ones: by half a turn about an axis across.
+            // For opposite vectors, half a turn about a perpendicular axis.
             let across = from[0].cross(&Vector3::ith(from[0].iamin(), 1.0));
             Rotation3::from_axis_angle(&Unit::new_normalize(across), std::f64::consts::PI)
         }),

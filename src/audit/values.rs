@@ -1,29 +1,29 @@
-//! Values that repeat, jump, or cannot be.
+//! Checks for values that repeat, jump, or are impossible.
 
 use vehicle::frame::{Frd, Ned};
 
 use super::{Audit, Finding, Severity, UnusableSpan};
 use crate::log::import::{Flight, Stream};
 
-/// A stream that stood still for some time.
+/// Name of the check for a stream that stands still for some time.
 pub(super) const STOOD_STILL: &str = "frozen";
 
-/// A share of samples that only repeat the one before which is worth a word.
+/// Share of repeated samples that is reported.
 const REPEATED_NOTE: f64 = 0.05;
-/// No change for this long, while the vehicle moves, is a stream that has stopped, s.
+/// Time without change during motion after which a stream counts as frozen, s.
 const FROZEN: f64 = 0.4;
-/// The vehicle moves when it turns or travels at more than this, rad/s and m/s.
+/// Limits of body rate and speed above which the vehicle moves, rad/s and m/s.
 const TURNS: f64 = 0.08;
 const TRAVELS: f64 = 0.15;
 /// Steps that no motion explains: position m, velocity m/s, attitude rad.
 const POSITION_STEP: f64 = 0.3;
 const VELOCITY_STEP: f64 = 0.8;
 const ATTITUDE_STEP: f64 = 0.15;
-/// Accelerations beyond this are none of a quadrotor's, m/s^2.
+/// Largest acceleration of a quadrotor, m/s^2.
 const ACCELERATION_MAX: f64 = 40.0;
-/// Over longer pauses a step says nothing, s.
+/// Longest pause over which steps are checked, s.
 const STEP_PAUSE: f64 = 0.3;
-/// Beyond these no sensor of a quadrotor measures: rad/s, m/s^2, m/s, m.
+/// Largest values that a quadrotor's sensors measure: rad/s, m/s^2, m/s, m.
 const RATE_MAX: f64 = 50.0;
 const FORCE_MAX: f64 = 400.0;
 const SPEED_MAX: f64 = 150.0;
@@ -68,7 +68,7 @@ fn repeated<T>(
     if !super::timing::is_logged(stream) {
         return;
     }
-    // By other streams than the one in question.
+    // According to streams other than the one in question.
     let moves = |from: f64, to: f64| {
         name != "body_rate" && mean_size(&flight.body_rate, from, to, |w| w.norm()) > TURNS
             || name != "velocity" && mean_size(&flight.velocity, from, to, |v| v.norm()) > TRAVELS
@@ -150,7 +150,7 @@ fn steps(flight: &Flight, audit: &mut Audit) {
     report(audit, "attitude", "rad", ATTITUDE_STEP, attitude);
 }
 
-/// Steps beyond what is allowed: from, to, by how much more.
+/// Steps beyond the limit: start, end, and excess.
 fn steps_of<T>(
     stream: &Stream<T>,
     excess: impl Fn(&T, &T, f64, f64) -> Option<f64>,

@@ -1,9 +1,9 @@
-//! What kind of vehicle the log is of: nothing is concluded of others than quadrotors.
+//! Checks that the log is of a quadrotor: other vehicles support no conclusion.
 
 use super::{Audit, Finding, Severity};
 use crate::log::import::Flight;
 
-/// A quadrotor's motors.
+/// Number of a quadrotor's motors.
 const MOTORS: u32 = 4;
 
 pub(super) fn check(flight: &Flight, audit: &mut Audit) {

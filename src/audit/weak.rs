@@ -1,7 +1,7 @@
-//! Kinematics in weak form: what a stream's derivative must be, without differentiating it.
+//! Kinematics in weak form: compares a stream's derivative without differentiating it.
 //!
 //! For a bump phi that vanishes with its slope at both ends, `int phi dx/dt = -int phi' x`. The
-//! left side is a weighted mean of the derivative, as another sensor measures it; the right side
+//! left side is a weighted mean of the derivative, which another sensor measures. The right side
 //! needs only the stream itself. Shifting the bump of one side in time tries a delay.
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector, SymmetricEigen};
@@ -13,7 +13,7 @@ use crate::log::import::Stream;
 pub(super) struct Bump {
     pub centre: f64,
     pub half: f64,
-    /// Which of the lengths it has.
+    /// Index of its half width.
     pub group: usize,
 }
 
@@ -28,29 +28,29 @@ impl Bump {
         -6.0 * s * (1.0 - s * s).max(0.0).powi(2) / self.half
     }
 
-    /// The bump `by` seconds later.
+    /// The bump, `by` seconds later.
     pub fn shifted(self, by: f64) -> Self {
         Self { centre: self.centre + by, ..self }
     }
 
-    /// The bump's own integral.
+    /// The integral of the bump.
     pub fn area(self) -> f64 {
         self.half * 32.0 / 35.0
     }
 }
 
-/// Integrals of a signal under a bump and under its slope.
+/// Integrals of a signal weighted by a bump and by its slope.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Weighed<const N: usize> {
     pub value: SVector<f64, N>,
     pub slope: SVector<f64, N>,
 }
 
-/// Longest gap within a bump, of its half width: beyond, a line between the ends is a guess.
+/// Longest gap within a bump, relative to its half width: beyond, interpolation is a guess.
 const GAP_MAX: f64 = 0.5;
 
-/// Weighs a signal, which runs straight from sample to sample; `None` where the samples do not
-/// cover the bump.
+/// Weights a signal, which is linear between samples; `None` where the samples do not cover the
+/// bump.
 pub(super) fn weigh<V, const N: usize>(
     stream: &Stream<V>,
     bump: Bump,
@@ -67,7 +67,7 @@ pub(super) fn weigh<V, const N: usize>(
             return None;
         }
         let right = signal(b, &stream.values()[at + 1])?;
-        // Simpson's rule on the straight piece, within the bump.
+        // Simpson's rule on the linear piece, within the bump.
         let (start, end) = (a.max(from), b.min(to));
         let middle = 0.5 * (start + end);
         let line = |t: f64| left + (right - left) * ((t - a) / (b - a));
@@ -82,8 +82,8 @@ pub(super) fn weigh<V, const N: usize>(
     Some(weighed)
 }
 
-/// Bumps of some half widths over samples in the order of their centres, each beginning at the
-/// middle of the one before of its length; none where no sample is, however long a log pauses.
+/// Bumps of each half width over the samples, in the order of their centres. Bumps of a width
+/// overlap by half, and there are none in pauses without a sample.
 pub(super) fn bumps(times: &[f64], halves: &[f64]) -> Vec<Bump> {
     let Some(start) = times.first() else { return Vec::new() };
     let mut bumps = Vec::new();
@@ -101,30 +101,30 @@ pub(super) fn bumps(times: &[f64], halves: &[f64]) -> Vec<Bump> {
     bumps
 }
 
-/// One bump's misfit and how the unknowns change what is expected there.
+/// The misfit under one bump, and its derivatives by the unknowns.
 pub(super) struct Row<const P: usize> {
-    /// The bump's middle, s.
+    /// Time of the bump's middle, s.
     pub time: f64,
-    /// Which of the lengths the bump has.
+    /// Index of the bump's half width.
     pub group: usize,
-    /// What is seen.
+    /// The stream's derivative.
     pub seen: SVector<f64, 3>,
-    /// Seen minus expected.
+    /// The stream's derivative minus the expected one.
     pub misfit: SVector<f64, 3>,
-    /// Slope of what is expected.
+    /// Derivatives of the expected value by the unknowns.
     pub slopes: SMatrix<f64, 3, P>,
 }
 
-/// Unknowns found, and how well.
+/// Estimated unknowns with their covariance.
 #[derive(Clone, Debug)]
 pub(super) struct Fit<const P: usize> {
-    /// Where nothing shows an unknown, that nearest to the start.
+    /// The unknowns; where the rows do not show one, the value nearest to the start.
     pub value: [f64; P],
-    /// In half widths of the interval: see [`interval`].
+    /// Covariance in half widths of the interval: see [`interval`].
     pub covariance: SMatrix<f64, P, P>,
-    /// Projects onto what the rows do not show.
+    /// Projection onto the directions that the rows do not show.
     pub hidden: SMatrix<f64, P, P>,
-    /// Share of what is seen that is explained.
+    /// Explained share of the stream's motion.
     pub explained: f64,
     /// Weight of each row.
     pub weights: Vec<f64>,
@@ -137,7 +137,7 @@ impl<const P: usize> Fit<P> {
     }
 }
 
-/// Half width by its place in a covariance; `None` where it lies in what is hidden.
+/// Half width of the unknown with index `of`; `None` where it is hidden.
 pub(super) fn half_width<const P: usize>(
     covariance: &SMatrix<f64, P, P>,
     hidden: &SMatrix<f64, P, P>,
@@ -146,40 +146,40 @@ pub(super) fn half_width<const P: usize>(
     (hidden[(of, of)] < HIDDEN_MAX).then(|| covariance[(of, of)].max(0.0).sqrt())
 }
 
-/// Blocks of time that are left out in turn: few of them are long, so that what a block leaves
-/// hardly hangs together with what the next one does.
+/// Range of the number of blocks of time that are left out in turn. Few blocks are long, so that
+/// the misfits of one hardly correlate with the next.
 const BLOCKS: std::ops::RangeInclusive<usize> = 4..=12;
-/// Shorter ones would hang together by the width of the bumps alone, s.
+/// Least length of a block, s: shorter ones correlate through the width of the bumps.
 const BLOCK_S: f64 = 1.5;
-/// Fewest rows.
+/// Fewest rows of a fit.
 const ROWS_MIN: usize = 24;
-/// Misfits beyond this many typical ones count linearly.
+/// Multiple of the typical misfit beyond which misfits count linearly.
 const HUBER: f64 = 2.5;
-/// Iterations.
+/// Iterations of Gauss-Newton.
 const ITERATIONS: usize = 12;
-/// A direction of the unknowns is not shown if a step of their sizes changes what is expected by
-/// less than this share of what is seen.
+/// A direction of the unknowns is hidden if a significant step along it changes the expected value
+/// by less than this share of the motion.
 const SHOWN_MIN: f64 = 1e-3;
-/// An unknown is not shown if more than this share of it lies in such directions.
+/// An unknown is hidden if more than this share of it is along hidden directions.
 const HIDDEN_MAX: f64 = 1e-3;
-/// Sweeps of a decomposition at most; ten are usual.
+/// Most sweeps of a decomposition; ten are usual.
 const SWEEPS: usize = 200;
-/// Standard deviations of as many blocks that hold a value in at least 95 of 100 cases, and thrice
-/// as many in 9998 of 10 000, by Student's t.
+/// Standard deviations over this many blocks that contain a value in at least 95 of 100 cases, and
+/// three times as many in 9998 of 10 000, by Student's t.
 fn interval(blocks: usize) -> f64 {
     const OF_4: [f64; 9] = [7.40, 4.34, 3.23, 2.67, 2.36, 2.31, 2.26, 2.23, 2.20];
     OF_4.get(blocks.saturating_sub(4)).copied().unwrap_or(2.20)
 }
 
-/// Added to what is left of the Gram matrix without a block, against rounding.
+/// Added to the Gram matrix without a block, against rounding.
 const LEFT_MIN: f64 = 1e-9;
-/// Lengths of bumps at most.
+/// Number of half widths of bumps.
 const GROUPS: usize = 2;
 
-/// Finds the unknowns by Gauss-Newton from `start`, in the directions that the rows show; `sizes`
-/// are steps of the unknowns that matter, 0 of one that stays at its start. Wild misfits count
-/// less, and bumps of each length by what their misfits are. The covariance is that of the
-/// jackknife over blocks of time.
+/// Finds the unknowns by Gauss-Newton from `start`, along the directions that the rows show.
+/// `sizes` are significant steps of the unknowns; 0 fixes one at its start. Outliers are weighted
+/// down, and bumps of each half width are weighted by their typical misfit. The covariance comes
+/// from the jackknife over blocks of time.
 pub(super) fn fit<const P: usize>(
     start: [f64; P],
     sizes: [f64; P],
@@ -227,7 +227,7 @@ pub(super) fn fit<const P: usize>(
 struct Normal<const P: usize> {
     gram: SMatrix<f64, P, P>,
     gradient: SVector<f64, P>,
-    /// Of what is seen.
+    /// Weighted power of the stream's derivative.
     power: f64,
     weights: Vec<f64>,
 }
@@ -258,7 +258,7 @@ impl<const P: usize> Normal<P> {
         Some(Self { gram, gradient, power, weights })
     }
 
-    /// `None` if nothing is seen, or the numbers are of no size that can be reckoned with.
+    /// `None` if nothing moves, or the numbers are not finite.
     fn shown(&self, sizes: &[f64; P]) -> Option<Shown<P>> {
         let sensitivity =
             DMatrix::from_fn(P, P, |i, j| self.gram[(i, j)] * sizes[i] * sizes[j] / self.power);
@@ -281,21 +281,21 @@ impl<const P: usize> Normal<P> {
     }
 }
 
-/// What the rows show of the unknowns: steps in which the Gram matrix is the identity, and the
-/// projection onto the rest.
+/// The directions of the unknowns that the rows show, as steps in which the Gram matrix is the
+/// identity, and the projection onto the rest.
 struct Shown<const P: usize> {
     steps: Vec<SVector<f64, P>>,
     hidden: SMatrix<f64, P, P>,
 }
 
 impl<const P: usize> Shown<P> {
-    /// The step of least squares.
+    /// The least-squares step.
     fn step(&self, normal: &Normal<P>) -> SVector<f64, P> {
         self.steps.iter().map(|step| step * step.dot(&normal.gradient)).sum()
     }
 
-    /// Covariance by how the unknowns change as one block of rows after another is left out, in
-    /// half widths of the interval.
+    /// Covariance in half widths of the interval, from the changes of the unknowns as each block of
+    /// rows is left out.
     fn jackknife(&self, rows: &[Row<P>], normal: &Normal<P>) -> SMatrix<f64, P, P> {
         let size = self.steps.len();
         let span = rows.first().zip(rows.last()).map_or(0.0, |(a, b)| b.time - a.time);
@@ -316,7 +316,8 @@ impl<const P: usize> Shown<P> {
                     }
                 }
             }
-            // What only this block shows leaves nothing without it: then the change has no end.
+            // Directions that only this block shows become singular without it, and their change is
+            // unbounded.
             for i in 0..size {
                 gram[(i, i)] += LEFT_MIN;
             }
@@ -330,7 +331,7 @@ impl<const P: usize> Shown<P> {
     }
 }
 
-/// The middle one of the values; 0 of none.
+/// The median, or the upper of the middle two; 0 without a value.
 pub fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
@@ -343,7 +344,7 @@ mod tests {
     fn sampled(f: impl Fn(f64) -> f64) -> Stream<f64> {
         let mut stream = Stream::default();
         for k in 0..2000 {
-            // Uneven, as the stamps of real loggers are.
+            // Uneven, like the stamps of real loggers.
             let t = 0.01 * f64::from(k) + 0.003 * (f64::from(k) * 1.7).sin();
             stream.push(t, f(t));
         }

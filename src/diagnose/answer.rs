@@ -1,4 +1,4 @@
-//! The answer: what `--json` prints and the report shows.
+//! The answer: the data behind `--json` and the report.
 
 pub mod additions;
 pub(super) mod assembly;
@@ -30,26 +30,26 @@ use crate::diagnose::verdict::untestable::{self, Untestable};
 use crate::diagnose::verdict::{NAMED, Verdict};
 use crate::log::import::Flight;
 
-/// The full verdict.
+/// The verdict in the JSON answer's `finding`, finer than the three words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FullVerdict {
-    /// Effects of the catalogue, and no others in their place.
+    /// Effects of the catalogue, and no alternatives to them.
     Named,
-    /// An effect of the catalogue, by another law than the catalogue's: the evidence that no other
-    /// effect touches shows it, and the gap stays open.
+    /// An effect of the catalogue whose equation is not quite the catalogue's: a part of the gap
+    /// stays open.
     OtherLaw,
-    /// One of several effects: these flights do not tell which.
+    /// One of several effects: these flights do not distinguish them.
     Ambiguous,
-    /// Nothing beyond noise and tolerances, and these flights would have shown it.
+    /// Nothing beyond noise and tolerances, and these flights would have shown any effect.
     None,
-    /// Nothing stands out, but some effects could not have shown.
+    /// Nothing stands out, but these flights could not have shown some effects.
     NotTestable,
-    /// What is left depends on how the vehicle flies, and no listed effect explains it.
+    /// The residual depends on how the vehicle flies, and no listed effect explains it.
     UnknownStructured,
-    /// Something acts that the logs do not show.
+    /// The residual depends on none of the recorded quantities.
     UnobservedDisturbance,
-    /// The data are at fault: nothing was concluded.
+    /// The data are at fault, so there is no conclusion.
     DataFault,
 }
 
@@ -58,24 +58,24 @@ pub enum FullVerdict {
 pub struct Finding {
     /// The verdict.
     pub verdict: FullVerdict,
-    /// In a sentence or two.
+    /// The finding in a sentence or two.
     pub sentence: String,
-    /// Why what was seen counts as unexplained, where it does.
+    /// Why a gap counts as unexplained, where it does.
     pub because: Option<Unexplained>,
-    /// What a gap that nothing explains depends on.
+    /// The quantities that an unexplained gap depends on.
     pub depends_on: Vec<String>,
 }
 
-/// What the audit found in a log.
+/// The audit's findings on a log.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct LogAnswer {
-    /// Its name.
+    /// The log's name.
     pub name: String,
-    /// What was logged, as far as it decides what can be told.
+    /// The most that the log's channels can show.
     pub tier: Option<Tier>,
-    /// Faults of the data for which it was left out.
+    /// Faults of the data that excluded the log.
     pub faults: Vec<String>,
-    /// What is at fault in the data and in the measurement, and what to do about it.
+    /// Problems of the data and the measurement above the level of a note, with remedies.
     pub findings: Vec<String>,
     /// Effects that its channels cannot show.
     #[serde(skip)]
@@ -83,7 +83,7 @@ pub struct LogAnswer {
 }
 
 impl LogAnswer {
-    /// What an audit found, and what its flight cannot show.
+    /// The audit's findings, with the effects that `flight` cannot show.
     pub fn of(audit: &Audit, flight: &Flight) -> Self {
         let worth_a_word = audit.findings.iter().filter(|f| f.severity > Severity::Note);
         Self {
@@ -95,101 +95,103 @@ impl LogAnswer {
         }
     }
 
-    /// Whether the log was left out as faulty.
+    /// Whether faults excluded the log.
     pub fn is_faulty(&self) -> bool {
         !self.faults.is_empty()
     }
 }
 
-/// An effect with its probability.
+/// An effect of the answer, with its probability and numbers.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct EffectAnswer {
-    /// Its id.
+    /// Its id in the catalogue.
     #[schemars(with = "String")]
     pub id: EffectId,
-    /// Probability that the vehicle has it, 0..1.
+    /// Probability that the effect acts on the vehicle, 0..1.
     pub probability: f64,
-    /// The vehicle's true values, absolute.
+    /// Absolute values of all its parameters, by name.
     pub parameters: BTreeMap<&'static str, Parameter>,
     /// 90 % intervals of the fitted numbers, by parameter (component).
     pub intervals: BTreeMap<String, [f64; 2]>,
-    /// Standard deviations of the fitted numbers, as the fit has them: what the vehicle file and an
-    /// inexact law add is in the intervals only.
+    /// Standard deviations of the fitted numbers from the fit alone. Only the intervals include the
+    /// errors of the vehicle file and of an inexact law.
     pub deviations: BTreeMap<String, f64>,
 }
 
-/// The gap on the flights held out.
+/// The gap on the held-out flights.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Gap {
-    /// `mean`: of position, velocity and attitude at 0.5 and 1 s, each over its noise.
+    /// Name of the metric. `mean` averages the errors of position, velocity and attitude at 0.5 and
+    /// 1 s, each over its noise.
     pub metric: &'static str,
     /// With the vehicle file as shipped.
     pub before: f64,
     /// With the named effects.
     pub after: f64,
-    /// What noise alone leaves. 1, the unit of all gaps here, is what the sensors' noise leaves in
-    /// simulation; the floor is higher where a flexible learner finds no way to predict more.
+    /// The gap from noise alone. 1, the unit of all gaps here, is the floor from sensor noise in
+    /// simulation; this is higher where a flexible learner cannot predict more.
     pub floor: f64,
-    /// By how much noise alone scatters what it leaves.
+    /// Scatter of the floor from noise alone.
     pub scatter: f64,
-    /// (before - after) / (before - floor), where there is a gap.
+    /// (before - after) / (before - floor); missing where nothing is closable.
     pub closure: Option<f64>,
-    /// With the vehicle file's numbers within their tolerances alone.
+    /// With only the vehicle file's numbers, within their tolerances.
     pub nuisances_only: Option<f64>,
-    /// With the named effects and the nuisances.
+    /// With the named effects and the file's numbers.
     pub with_nuisances: Option<f64>,
-    /// As shipped with what a flexible learner adds that was taught on the flights of the fit.
+    /// With the best explanation, and a flexible learner's corrections trained on its residuals.
     pub with_learner: Option<f64>,
     /// Errors by horizon and quantity: before, after, floor.
     pub errors: [Errors; 3],
-    /// Noise of the reports.
+    /// Noise of the reported state.
     pub noise: ReportNoise,
 }
 
 impl Gap {
-    /// A gap in units of what noise alone leaves.
+    /// `gap` in units of the floor.
     pub fn times(&self, gap: f64) -> f64 {
         gap / self.floor.max(f64::MIN_POSITIVE)
     }
 
-    /// What stays open with the named effects, with or without nuisances, in units of the noise.
+    /// The gap that stays open with the named effects, with or without nuisances, in units of the
+    /// floor.
     pub fn open(&self) -> f64 {
         let left = self.with_nuisances.map_or(self.after, |with| with.min(self.after));
         self.times(left)
     }
 }
 
-/// A set of effects as it fared.
+/// A fitted set of effects.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct ExplanationAnswer {
-    /// Its effects.
+    /// Ids of its effects.
     pub effects: Vec<String>,
-    /// Evidence over the vehicle file within its tolerances, nats.
+    /// Evidence against the vehicle file within its tolerances, nats.
     pub evidence: f64,
     /// Its posterior mass, 0..1.
     pub mass: f64,
-    /// Fitted numbers.
+    /// Its fitted numbers.
     pub numbers: Vec<f64>,
 }
 
 /// A flight of the diagnosis.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct FlightAnswer {
-    /// Name.
+    /// The flight's name.
     pub name: String,
     /// Whether it was held out of the fit.
     pub held_out: bool,
-    /// Airborne time used, s.
+    /// Airborne time in use, s.
     pub seconds: f64,
-    /// What its log holds.
+    /// The channels of its log.
     pub channels: Channels,
-    /// The gap of the simulator as shipped on this flight alone; missing where no window can start.
+    /// The gap as shipped on this flight alone; missing where no prediction window fits.
     #[serde(flatten)]
     pub over_noise: Option<OverNoise>,
 }
 
 impl FlightAnswer {
-    /// Every flight of a case, with the gap of each as `gap` has it.
+    /// Every flight of a case, with its gap from `gap`.
     pub fn all(case: &Case<'_>, gap: impl Fn(&PreparedFlight) -> Option<OverNoise>) -> Vec<Self> {
         let of = |flight: &PreparedFlight, held_out: bool| Self {
             name: flight.name.clone(),
@@ -210,63 +212,63 @@ pub struct Answer {
     pub verdict: Verdict,
     /// The effects, the most probable first.
     pub effects: Vec<EffectAnswer>,
-    /// The gap; missing where no window can start.
+    /// The gap; missing where no prediction window fits.
     pub gap: Option<Gap>,
-    /// The flights held out, flown again in simulation.
+    /// The held-out flights, flown again in simulation.
     pub closed_loop: Option<ClosedLoop>,
-    /// Why they were not, where they were not.
+    /// Why no flight was flown again, where none was.
     pub closed_loop_missing: Option<String>,
-    /// Effects that cannot be told from the named ones.
+    /// Effects that these flights do not distinguish from the named ones.
     #[schemars(with = "Vec<String>")]
     pub ambiguous_with: Vec<EffectId>,
-    /// The full verdict.
+    /// The full verdict with its reasons.
     pub finding: Finding,
-    /// What the audit found in each log.
+    /// The audit's findings on each log.
     pub logs: Vec<LogAnswer>,
-    /// Where the gap lies.
+    /// The location of the gap.
     #[serde(rename = "where")]
     pub map: ResidualMap,
     /// Effects that these logs cannot show.
     pub not_testable: Vec<NotTestable>,
-    /// The flight that would tell what these logs cannot, where it was asked for.
+    /// The flight that would resolve what these logs cannot, if requested.
     pub next_flight: Option<NextFlight>,
-    /// Force that nothing explains, before and after.
+    /// Force that nothing explains, with the file alone and with the best explanation.
     pub unmodelled_force: Option<[UnmodelledForce; 2]>,
-    /// Shares of the squared gap on the flights held out.
+    /// Shares of the squared gap on the held-out flights.
     pub attribution: Vec<Share>,
-    /// How good the vehicle file is: the scale of the tolerances that it does not state.
+    /// Quality of the vehicle file: the scale of the tolerances that it does not state.
     pub file_scale: f64,
-    /// Numbers of the vehicle file that are off by one tolerance or more where the file alone
-    /// explains the flights best, the furthest off first.
+    /// The vehicle file's numbers that are off by one tolerance or more where the file alone
+    /// explains the flights, the furthest off first.
     pub file_numbers: Vec<FileNumber>,
-    /// Flights simulated without an effect.
+    /// Results of the twins without an effect; missing where none were flown.
     pub twins: Option<Twins>,
-    /// What was fitted, the best first.
+    /// The fitted sets of effects, the best first.
     pub explanations: Vec<ExplanationAnswer>,
-    /// The flights.
+    /// The flights that were used, held-out ones included.
     pub flights: Vec<FlightAnswer>,
-    /// The law that explains what no effect does, where the search found one.
+    /// The law that explains what no effect does, if the search found one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub law: Option<LawAnswer>,
 }
 
-/// An effect that cannot be tested, and why.
+/// An effect that these logs cannot show.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct NotTestable {
-    /// Its id.
+    /// Its id in the catalogue.
     #[schemars(with = "String")]
     pub id: EffectId,
-    /// Why.
+    /// The reason, in words.
     pub reason: String,
 }
 
 impl Answer {
-    /// The effects that are named, the most probable first.
+    /// The effects with a probability of a half or more, the most probable first.
     pub fn named(&self) -> impl Iterator<Item = &EffectAnswer> {
         self.effects.iter().filter(|effect| effect.probability >= NAMED)
     }
 
-    /// Whether effects were named that explain the gap.
+    /// Whether the named effects, or one of several, explain the gap.
     pub fn explains(&self) -> bool {
         matches!(self.finding.verdict, FullVerdict::Named | FullVerdict::Ambiguous)
     }

@@ -1,5 +1,5 @@
-//! What a vehicle may differ in from its file: numbers, their tolerances and priors, and the effects
-//! that they belong to.
+//! The ways a vehicle may differ from its file: numbers with their tolerances and priors, and the
+//! effects that they belong to.
 
 pub mod candidate;
 pub mod hypothesis;

@@ -1,10 +1,10 @@
-//! Discovery: which formula explains what the catalogue leaves.
+//! Discovery: searches for a formula that explains what the catalogue cannot.
 //!
-//! Terms of the [grammar](mod@terms) are numbers of the catalogue like any other: free beside the
-//! vehicle file's numbers, in the same equations in weak form, with the same evidence. They join one
-//! at a time, each at the price of having been chosen among all; then each is exchanged for what does
-//! better, and powers and lengths are refined. What comes of it is one more explanation, and the
-//! verdict decides on it as on the others.
+//! Terms of the [grammar](mod@terms) are numbers of the catalogue like any other. They are free
+//! beside the vehicle file's numbers, in the same equations in weak form, with the same evidence.
+//! They join one at a time, and each pays the price of the choice among all terms. Then each is
+//! exchanged for any better one, and powers and lengths are refined. The result is one more
+//! explanation, and the verdict treats it like the others.
 
 pub mod law;
 pub mod terms;
@@ -36,29 +36,29 @@ use crate::diagnose::verdict::posterior::{CARRIES, CHANGES, OPEN};
 
 /// Most terms of a law.
 const TERMS_MAX: usize = 5;
-/// Steps of the search for a shape; each leaves 0.62 of its range.
+/// Steps of the golden-section search for a shape; each keeps 0.62 of its range.
 const SHAPE_STEPS: usize = 10;
 /// Rounds in which every term may be exchanged.
 const EXCHANGES: usize = 2;
 
 /// A law that was found.
 pub(super) struct Discovered {
-    /// For the answer.
+    /// The law as the answer describes it.
     pub answer: LawAnswer,
-    /// The law, and the effects that act beside it.
+    /// The law and the effects that act beside it.
     pub effects: EffectSet,
 }
 
-/// Terms beside the effects of an explanation.
+/// Terms of a law beside the effects of an explanation.
 #[derive(Clone)]
 struct Draft {
-    /// Hypotheses of the catalogue.
+    /// Indices of the hypotheses in the catalogue.
     beside: Vec<usize>,
-    /// The terms, with the width of their priors.
+    /// The terms with the widths of their priors.
     terms: Vec<(Term, f64)>,
-    /// The fit, to the flights for fitting.
+    /// The fit to the flights for fitting.
     fit: Fit,
-    /// Evidence that the fit of the shapes costs, nats.
+    /// Evidence lost by fitting the shapes, nats.
     shapes: f64,
     /// Standard deviations of the shapes.
     deviations: Vec<f64>,
@@ -72,13 +72,13 @@ impl Draft {
         inquiry.catalogue.with_terms(self.terms.clone())
     }
 
-    /// The numbers that are held by wide priors.
+    /// The numbers with wide priors.
     fn active(&self, inquiry: &Inquiry<'_>) -> Vec<usize> {
         active(inquiry.catalogue, &self.beside, self.terms.len())
     }
 }
 
-/// Numbers of hypotheses, and of terms that follow all of the catalogue's.
+/// Numbers of hypotheses, and of terms, which follow the catalogue's own numbers.
 fn active(catalogue: &Catalogue, beside: &[usize], terms: usize) -> Vec<usize> {
     let own = beside.iter().flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied());
     let first = catalogue.numbers.len();
@@ -86,8 +86,8 @@ fn active(catalogue: &Catalogue, beside: &[usize], terms: usize) -> Vec<usize> {
 }
 
 impl Inquiry<'_> {
-    /// The law that explains the flights best, as `found` and `evidence` have them; `None` where no
-    /// term is worth its price.
+    /// The law that best explains the flights beside `found` and `evidence`; `None` where no term
+    /// is worth its price.
     pub(super) fn discover(
         &self,
         found: &Explanations,
@@ -118,7 +118,7 @@ impl Inquiry<'_> {
         self.weigh(evidence, &floors, chosen).map(Some)
     }
 
-    /// What all logs hold.
+    /// The channels that all logs hold.
     fn channels(&self) -> Channels {
         let all = |has: fn(&Channels) -> bool| self.case.fitted.iter().all(|f| has(&f.channels));
         Channels {
@@ -149,7 +149,7 @@ impl Inquiry<'_> {
                 own.iter().copied().chain(set.iter().map(|t| first + t)).collect();
             Some(about.solve(&catalogue, observed.counts(), &active)?.evidence)
         };
-        // What is added to, or put into the place of, the last of a set.
+        // The best term to add to a set, or to replace a removed one.
         let best_beside = |set: &[usize]| -> Option<(usize, f64)> {
             let others = (0..library.len()).into_par_iter().filter(|t| !set.contains(t));
             let with = others.filter_map(|term| {
@@ -162,7 +162,8 @@ impl Inquiry<'_> {
         let (mut set, mut now) = (Vec::new(), none);
         while set.len() < TERMS_MAX {
             let Some((term, with)) = best_beside(&set) else { break };
-            // No law is exact to more than a share of its evidence: what is within that is no term.
+            // No law is exact to more than a share of its evidence, so a gain within that share is
+            // no term.
             let least = price.max(Calibration::shipped().law * (now - none));
             if with - now < least {
                 break;
@@ -193,9 +194,9 @@ impl Inquiry<'_> {
         self.refined(start, terms)
     }
 
-    /// A draft without terms that change no prediction and carry little of the evidence, as the
-    /// verdict does without such effects. Predictions are of all flights but those reported on: the
-    /// one that chooses may not show what the others do.
+    /// Removes terms that change no prediction and carry little of the evidence, as the verdict
+    /// does with effects. The predictions cover all flights except the held-out ones: the flight
+    /// for choosing may not show what the others do.
     fn pruned(
         &self,
         start: &Explanation,
@@ -233,7 +234,7 @@ impl Inquiry<'_> {
         Ok(draft)
     }
 
-    /// The terms with their powers and lengths refined, fitted.
+    /// Refines the powers and lengths of the terms, and fits the result.
     fn refined(&self, start: &Explanation, mut terms: Vec<(Term, f64)>) -> Option<Draft> {
         let beside = &start.fit.hypotheses;
         let look = Shaping { inquiry: self, start, about: self.nuisances(start)? };
@@ -250,13 +251,13 @@ impl Inquiry<'_> {
             let range = [(shape - width).max(low), (shape + width).min(high)];
             let Some((shape, top)) = greatest(range, &with) else { continue };
             terms[index].0.factor = terms[index].0.factor.shaped(shape);
-            // A number that was fitted costs what it was narrowed down by, as every other does.
+            // A fitted shape pays for the narrowing of its range, like any other number.
             let step = 0.02 * (high - low);
             let beside = with(shape - step).zip(with(shape + step));
             let bend = beside.map_or(0.0, |(a, b)| (2.0 * top - a - b) / (step * step));
             let deviation = if bend > 0.0 { bend.powf(-0.5) } else { high - low };
             let narrowed = (deviation * std::f64::consts::TAU.sqrt() / (high - low)).min(1.0).ln();
-            // A plain factor does without.
+            // A plain factor needs no shape.
             let plain = |factor: Factor| -> Option<(f64, Factor)> {
                 let mut terms = terms.clone();
                 terms[index].0.factor = factor;
@@ -290,14 +291,14 @@ impl Inquiry<'_> {
         Some(Draft { beside: beside.clone(), terms, fit, shapes, deviations, gains })
     }
 
-    /// Derivatives by all of the catalogue's numbers where an explanation has them.
+    /// Derivatives by all of the catalogue's numbers at an explanation's values.
     fn nuisances(&self, start: &Explanation) -> Option<Linearised> {
         let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
         Linearised::new(&self.fitted, &start.fit.values, &numbers)
     }
 
-    /// Terms beside hypotheses, fitted to flights without linearisation, from where `from` has the
-    /// other numbers.
+    /// Fits terms beside hypotheses to flights without linearisation. The other numbers start at
+    /// their values in `from`.
     fn fitted_terms(
         &self,
         flights: &Observed<'_>,
@@ -317,7 +318,7 @@ impl Inquiry<'_> {
         fit_numbers(&observed, &about, (beside, &active), &[start])
     }
 
-    /// A draft as an explanation: its terms have been chosen, which has its price.
+    /// A draft as an explanation, which pays the price of choosing its terms.
     fn explanation(&self, draft: &Draft, price: f64) -> Option<Explanation> {
         let catalogue = draft.catalogue(self);
         let [fitted, choosing] = [&self.fitted, &self.choosing].map(|look| look.by(&catalogue));
@@ -326,7 +327,7 @@ impl Inquiry<'_> {
     }
 }
 
-/// The evidence of terms in other shapes, from derivatives that were taken once.
+/// The evidence of terms in other shapes, with derivatives computed once.
 struct Shaping<'a> {
     inquiry: &'a Inquiry<'a>,
     start: &'a Explanation,
@@ -352,7 +353,7 @@ impl Shaping<'_> {
     }
 }
 
-/// Where a function of one number is greatest, and how great, by golden sections.
+/// The maximum of a function of one number and its position, by golden sections.
 fn greatest(range: [f64; 2], of: &dyn Fn(f64) -> Option<f64>) -> Option<(f64, f64)> {
     const GOLDEN: f64 = 0.618_033_988_749_895;
     let [mut low, mut high] = range;

@@ -1,21 +1,21 @@
-//! Why there is no answer.
+//! Reasons for a diagnosis without an answer.
 
 use vehicle::VehicleError;
 use vehicle::law::LawError;
 
-/// Why there is no answer.
+/// A reason for a diagnosis without an answer.
 #[derive(Debug, thiserror::Error)]
 pub enum DiagnoseError {
-    /// The vehicle is refused.
+    /// The physics rejects the vehicle.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
-    /// The law that was found is refused.
+    /// The law that was found is not valid.
     #[error(transparent)]
     Law(#[from] LawError),
-    /// The answer is no longer wanted.
+    /// The caller stopped the diagnosis.
     #[error("interrupted")]
     Stopped,
-    /// Nothing can be fitted.
+    /// No flight has data to fit.
     #[error("the flights hold nothing that a model could be compared with")]
     Nothing,
 }

@@ -1,5 +1,5 @@
-//! Logs as data: streams as plain numbers, the blocks of airborne time, their spectra, and what the
-//! on-board loop made of setpoints.
+//! Logs as data: streams as plain numbers, blocks of airborne time, their spectra, and the on-board
+//! loop's response to setpoints.
 
 pub mod arrival;
 pub mod case;

@@ -1,4 +1,4 @@
-//! How likely flights are by a vehicle: equations of motion cell by cell, by frequency, fitted.
+//! The likelihood of flights: equations of motion over cells of time, by frequency, and their fit.
 
 pub mod channels;
 pub mod fit;

@@ -1,5 +1,5 @@
-//! Diagnosis of the gap between a simulator and flights: where it lies, which effect causes it,
-//! how far it shrinks.
+//! Diagnosis of the gap between a simulator and flights: where the gap is, which effect causes it,
+//! and how far that effect closes it.
 
 pub mod answer;
 pub mod catalogue;

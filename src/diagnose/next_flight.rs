@@ -1,12 +1,11 @@
-//! The flight that tells rival explanations apart, or that shows what these logs cannot.
+//! Proposes the flight that separates rival explanations, or shows what these logs cannot.
 //!
-//! Every manoeuvre of a library is flown in closed-loop simulation by a vehicle that each of the
-//! live hypotheses is true of in turn. Each hypothesis is then refitted to that flight alone, with
-//! every nuisance free: what the rivals can explain by other numbers counts for nothing (Atkinson
-//! and Fedorov's T-optimality), and nothing is taken for granted of old flights, whose wind and
-//! pack are not those of the new one. The manoeuvre whose least expected evidence against a rival
-//! is the largest is the best; of those with plenty, and with half of what the best has, the
-//! shortest.
+//! For each live hypothesis in turn, a vehicle of which it is true flies every manoeuvre of a
+//! library in closed-loop simulation. Each hypothesis is then fitted to that flight alone, with
+//! every nuisance free, so evidence that rivals can explain by other numbers does not count
+//! (Atkinson and Fedorov's T-optimality). Old flights are not part of the fit: their wind and pack
+//! differ from the new one's. The best manoeuvre has the largest worst-case evidence against a
+//! rival. Among those with plenty of it, and with half of the best one's, the shortest wins.
 
 mod live;
 mod rehearsal;
@@ -23,52 +22,52 @@ use crate::diagnose::simulate::flight_simulator::NotSimulated;
 use crate::plan::FlightEnvelope;
 use crate::plan::manoeuvres::{Manoeuvre, Room, library};
 
-/// Evidence against every rival that is plenty: models are never quite right, so that it is far
-/// beyond what simulation says is needed, nats.
+/// Plenty of evidence against every rival, nats. It is far beyond the need in simulation, because
+/// models are never quite right.
 const PLENTY: f64 = 100.0;
-/// Share of the most telling manoeuvre's evidence that a shorter one must have to be preferred.
+/// A shorter manoeuvre wins with this share of the best one's evidence.
 const COMPARABLE: f64 = 0.5;
-/// Share of the simulated evidence that counts: channels share what models are not right about.
+/// Share of the simulated evidence that counts: model errors are common to the channels.
 const INDEPENDENT: f64 = 0.25;
-/// Evidence that makes an effect visible, nats.
+/// Least evidence for an effect to be visible, nats.
 const VISIBLE: f64 = 20.0;
 
-/// What to choose from and how.
+/// The constraints of a proposal.
 #[derive(Clone, Copy, Debug)]
 pub struct Proposal<'a> {
-    /// The simulator's vehicle.
+    /// The vehicle as shipped.
     pub vehicle: &'a VehicleParams,
-    /// Whether the diagnosis looks at the leg from setpoints to outputs.
+    /// Whether the diagnosis compares the leg from setpoints to outputs.
     pub setpoint_leg: bool,
-    /// Noise of the reports.
+    /// Noise of the reported state.
     pub noise: ReportNoise,
-    /// Where the next flight may be.
+    /// Space of the next flight.
     pub room: Room,
-    /// What it may ask for.
+    /// Limits of its motion.
     pub envelope: FlightEnvelope,
     /// Seed of the simulated flights.
     pub seed: u64,
 }
 
-/// The flight that is suggested.
+/// The proposed flight.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct NextFlight {
     /// The manoeuvre's name.
     pub manoeuvre: &'static str,
     /// Length of its trajectory, s.
     pub seconds: f64,
-    /// Why it, in a sentence.
+    /// The reason for it, in a sentence.
     pub why: String,
-    /// What is expected of it, for each hypothesis that may be true.
+    /// The expected result, for each hypothesis that may be true.
     pub outlook: Vec<Outlook>,
     /// All manoeuvres that were tried, the best first.
     pub tried: Vec<Tried>,
-    /// The trajectory file.
+    /// Contents of the trajectory file.
     #[serde(skip)]
     pub file: String,
 }
 
-/// What a manoeuvre is expected to say if a hypothesis is true.
+/// The expected result of a manoeuvre if a hypothesis is true.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Outlook {
     /// Effects of the hypothesis; empty for none.
@@ -90,18 +89,18 @@ pub struct RivalEvidence {
     pub nats: f64,
 }
 
-/// A manoeuvre that was tried.
+/// A manoeuvre of the library that was tried.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Tried {
     /// Its name.
     pub manoeuvre: &'static str,
-    /// Length, s.
+    /// Length of its trajectory, s.
     pub seconds: f64,
-    /// Least expected evidence of a truth against a rival, nats; none where it would break a limit.
+    /// Least expected evidence of a truth against a rival, nats; missing where it breaks a limit.
     pub least_nats: Option<f64>,
 }
 
-/// The manoeuvre that best tells the hypotheses apart; `None` for fewer than two, or where none can
+/// The manoeuvre that best separates the hypotheses; `None` for fewer than two, or where none can
 /// be flown.
 ///
 /// # Errors
@@ -119,8 +118,8 @@ pub fn separating(
     Ok(choose(judged, hypotheses, PLENTY))
 }
 
-/// The manoeuvre that shows most of `effects`, each taken to act at its usual strength, against a
-/// vehicle without it; `None` where none shows any.
+/// The manoeuvre that shows the most of `effects`, each at its typical strength, against a vehicle
+/// without it; `None` where none shows any.
 ///
 /// # Errors
 /// [`NotSimulated`].
@@ -137,7 +136,7 @@ pub fn showing(
         let is_shown = |next: &NextFlight| next.tried[0].least_nats >= Some(VISIBLE);
         shown.extend(next.filter(is_shown));
     }
-    // The flight that the most of them would have; of equals, the first in the library.
+    // The choice of most effects; of equals, the first in the library.
     let votes = |name: &str| shown.iter().filter(|next| next.manoeuvre == name).count();
     let place = |name: &str| library.iter().position(|manoeuvre| manoeuvre.name == name);
     let most = shown
@@ -150,8 +149,8 @@ pub fn showing(
     }))
 }
 
-/// The next flight after a diagnosis: where explanations are left open, the one that tells them
-/// apart; else the one that shows most of what these logs cannot.
+/// The next flight after a diagnosis: one that separates open explanations, else one that shows the
+/// most of what these logs cannot.
 ///
 /// # Errors
 /// [`NotSimulated`].
@@ -165,7 +164,7 @@ pub fn next_flight(
     }
 }
 
-/// A manoeuvre with what it is expected to say for each truth; nothing where it breaks a limit.
+/// A manoeuvre with its expected result for each truth; `None` where it breaks a limit.
 struct Judged {
     manoeuvre: Manoeuvre,
     rehearsals: Option<Vec<Rehearsal>>,
@@ -178,7 +177,7 @@ impl Judged {
         Some(rehearsals.map(Rehearsal::least).fold(f64::INFINITY, f64::min))
     }
 
-    /// With enough evidence the shorter flight is the better one; without, the more telling.
+    /// With enough evidence the shorter flight is better; without, the one with more evidence.
     fn merit(&self, enough: f64) -> (u8, f64) {
         match self.least() {
             Some(nats) if nats >= enough => (2, -self.manoeuvre.trajectory.duration()),
@@ -226,7 +225,7 @@ fn choose(mut judged: Vec<Judged>, hypotheses: &[Live], plenty: f64) -> Option<N
 
 fn outlook(rehearsal: &Rehearsal, hypotheses: &[Live]) -> Outlook {
     let truth = &hypotheses[rehearsal.truth];
-    // Relative to the truth's own weight, fewer, for channels share noise.
+    // Odds relative to the truth. The evidence is reduced because channels share noise.
     let others: f64 = rehearsal
         .evidence
         .iter()
@@ -238,7 +237,7 @@ fn outlook(rehearsal: &Rehearsal, hypotheses: &[Live]) -> Outlook {
     Outlook {
         truth: truth.names(),
         now: truth.probability,
-        // A flight tells hypotheses apart; whether the catalogue has the cause it does not.
+        // A flight separates hypotheses, but cannot show whether the catalogue has the cause.
         expected: 1.0 / (1.0 + others),
         evidence: rehearsal
             .evidence

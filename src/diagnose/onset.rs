@@ -1,4 +1,4 @@
-//! When something changed in a flight that was logged.
+//! Finds when something changed during a logged flight.
 
 use vehicle::frame::{Attitude, Frd, Ned};
 use vehicle::{VehicleError, VehicleParams};
@@ -8,26 +8,26 @@ use crate::onset::cells::Sample;
 use crate::onset::change::Change;
 use crate::onset::detector::{Detector, Event, Look, Present, Settings};
 
-/// From one look at what the vehicle is to the next, s: so long is what a detector looks at.
+/// Time between looks at the vehicle's present state, s: the detector's window.
 const PRESENT_S: f64 = 30.0;
 
-/// What a detector saw of a flight.
+/// The detector's results on a flight.
 #[derive(Clone, Debug)]
 pub struct Seen {
-    /// Changes, in the order of time.
+    /// Detected changes, in order of time.
     pub changes: Vec<Change>,
-    /// Its looks.
+    /// The detector's looks, in order of time.
     pub looks: Vec<Look>,
-    /// What the vehicle was, each half minute.
+    /// The vehicle's state at each half minute.
     pub present: Vec<Present>,
-    /// Time examined, s.
+    /// Examined time, s.
     pub seconds: f64,
 }
 
-/// Looks for changes in the airborne time of a flight, from its first to its last.
+/// Looks for changes over the airborne time of a flight.
 ///
 /// # Errors
-/// A vehicle that the physics refuses.
+/// A vehicle that the physics rejects.
 pub fn changes(
     flight: &PreparedFlight,
     vehicle: &VehicleParams,
@@ -56,7 +56,7 @@ pub fn changes(
     Ok(seen)
 }
 
-/// The samples of a span, in the order of time.
+/// The samples of a span, in order of time.
 fn samples(flight: &PreparedFlight, span: &std::ops::Range<f64>) -> Vec<(f64, Sample)> {
     let mut all = Vec::new();
     let mut add = |times: &[f64], sample: &dyn Fn(usize) -> Sample| {

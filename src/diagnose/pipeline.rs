@@ -1,4 +1,4 @@
-//! From flights to an answer.
+//! The stages of a diagnosis, from flights to an answer.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -28,24 +28,24 @@ use crate::diagnose::simulate::metric::Metric;
 use crate::diagnose::verdict::evidence::Evidence;
 use crate::diagnose::verdict::{Decision, decide};
 
-/// Twins of the best explanation, which tell what its fit is off by itself.
+/// Twins of the best explanation, from which the bias of its fit is estimated.
 const TWINS_OF_BEST: u32 = 16;
 
-/// An answer and what follows from it.
+/// An answer and the data behind it.
 #[derive(Debug)]
 pub struct Diagnosis {
     /// The answer.
     pub answer: Answer,
-    /// What it rests on.
+    /// The evidence that the verdict rests on.
     pub evidence: Evidence,
-    /// The named effects with the vehicle's true values; with a law that is named, that and what acts
-    /// beside it.
+    /// The named effects with the values of the true vehicle; where a law is named, the law and the
+    /// effects that act beside it.
     pub effects: EffectSet,
-    /// What a next flight is for.
+    /// What the next flight should resolve.
     pub open: OpenQuestions,
     /// Whether the leg from setpoints to outputs was compared.
     pub setpoint_leg: bool,
-    /// Noise of the reports.
+    /// Noise of the reported state, per axis.
     pub noise: ReportNoise,
 }
 
@@ -119,13 +119,13 @@ pub fn diagnose(
 
 /// The stages of a diagnosis, as they begin.
 struct Stages<'a> {
-    /// Told the name of each.
+    /// Called with the name of each stage.
     progress: &'a dyn Fn(&str),
     stop: &'a AtomicBool,
 }
 
 impl Stages<'_> {
-    /// Begins one, if the answer is still wanted.
+    /// Begins a stage, unless the caller has stopped the diagnosis.
     fn begin(&self, stage: &str) -> Result<(), DiagnoseError> {
         if self.stop.load(Ordering::Relaxed) {
             return Err(DiagnoseError::Stopped);
@@ -135,7 +135,8 @@ impl Stages<'_> {
     }
 }
 
-/// What predictions are compared by.
+/// The metric of the predictions. Without a known on-board loop it depends on whether moments are
+/// usable about every axis.
 fn metric(leg: bool, turning: &[Turning; 3]) -> Metric {
     match leg {
         true => Metric::Mean,
@@ -145,7 +146,7 @@ fn metric(leg: bool, turning: &[Turning; 3]) -> Metric {
 }
 
 impl Inquiry<'_> {
-    /// Chance, and every explanation that is worth a fit.
+    /// Fits every explanation that is worth a fit, and measures what chance gives each hypothesis.
     fn explanations(&self, stages: &Stages<'_>) -> Result<Explanations, DiagnoseError> {
         let mut search = Search {
             fitted: &self.fitted,
@@ -167,14 +168,15 @@ impl Inquiry<'_> {
         stages.begin("which effect")?;
         let sets = search.explanations(&file, &about);
         let mut found = Explanations { file, sets, noise, twins };
-        // What an effect does is no noise: of the file alone and the best explanation, the lesser.
+        // The response to an effect is not noise: take the smaller residual of the file alone and
+        // of the best explanation.
         let power = found.file.fit.power.iter().zip(&found.best().fit.power);
         let power: Vec<f64> = power.map(|(file, best)| file.min(*best)).collect();
         found.noise = report_noise(self.fitted.flights, &power, counts);
         Ok(found)
     }
 
-    /// What chance gives the hypotheses.
+    /// Evidence that chance gives each hypothesis, measured with twins.
     fn chance(
         &self,
         search: &Search<'_>,
@@ -195,8 +197,8 @@ impl Inquiry<'_> {
         Ok(screened(search, file, about, &twins, self.settings.seed))
     }
 
-    /// The best explanation fitted again to all flights but those reported on, without what its
-    /// fit is off by itself.
+    /// The best explanation, fitted again to all flights except the held-out ones, with the bias of
+    /// its fit removed.
     fn refitted(&self, explanation: &Explanation, noise: &ReportNoise) -> Option<Explanation> {
         let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
         let values = &explanation.fit.values;
@@ -216,8 +218,8 @@ impl Inquiry<'_> {
                     let [low, high] = self.catalogue.numbers[number].bounds;
                     let value = &mut again.fit.values[number];
                     *value = (*value - twins.bias[number]).clamp(low, high);
-                    // Twins are of one draw of the file's numbers; what their tolerances leave open
-                    // is in the fit's own deviation.
+                    // Twins share one draw of the file's numbers. The fit's own deviation covers
+                    // their tolerances.
                     let own = again.fit.deviation[number];
                     again.fit.deviation[number] = twins.error(number).max(own);
                 }
@@ -227,7 +229,8 @@ impl Inquiry<'_> {
         Some(again)
     }
 
-    /// A command_delay that was chosen is as the outputs say, where they do.
+    /// Replaces a chosen `command_delay` with the delay measured from the outputs, where there is
+    /// one.
     fn take_up_delay(&self, best: &mut Explanation) {
         let number = self.catalogue.number_of(EffectId::CommandDelay, 0);
         let chosen = number.filter(|n| best.fit.active(self.catalogue).contains(n));
@@ -237,7 +240,7 @@ impl Inquiry<'_> {
         }
     }
 
-    /// The answer.
+    /// Assembles the answer.
     fn diagnosis(
         &self,
         found: Explanations,

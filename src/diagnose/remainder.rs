@@ -1,4 +1,5 @@
-//! What a fit leaves: where it lies, which force nothing explains, what a flexible learner still predicts.
+//! The residual of a fit: where it is, which force is unexplained, what a flexible learner
+//! predicts.
 
 pub mod learner;
 pub mod leftover;

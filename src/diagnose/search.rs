@@ -1,8 +1,8 @@
 //! The search: which sets of effects are worth a fit.
 //!
-//! Every hypothesis is screened in the linearised problem and the best are fitted; then all pairs
-//! of the best, for two effects may mask one another, and what the best set gains by one more. The
-//! search judges nothing: every set that was fitted goes into the evidence.
+//! Every hypothesis is screened in the linearised problem, and the best are fitted. Then come all
+//! pairs of the best, since two effects may mask each other, and additions to the best set. The
+//! search makes no judgement: every fitted set goes into the evidence.
 
 pub(super) mod explanation;
 pub mod explanations;
@@ -18,33 +18,33 @@ use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::search::explanation::Explanation;
 
-/// Most effects at once.
+/// Most effects in a set.
 const EFFECTS_MAX: usize = 3;
-/// Hypotheses that are fitted in full after a screening, alone and beside others.
+/// Hypotheses that are fitted in full after a screening: alone, and beside others.
 const SURVIVORS: usize = 8;
 const SURVIVORS_BESIDE: usize = 4;
 /// Single hypotheses whose pairs are all fitted.
 const PAIRED: usize = 5;
-/// Least gain of evidence that is worth a fit, nats.
+/// Least gain of evidence that justifies a fit, nats.
 const GAIN_MIN: f64 = 1.0;
-/// The file's numbers are fitted again, with derivatives where they ended, at most so often.
+/// Most refits of the file's numbers, each with derivatives at the previous result.
 const REFITS: usize = 3;
 
-/// The flights that are searched, and what is searched for.
+/// The flights to explain and the catalogue to explain them with.
 #[derive(Debug)]
 pub struct Search<'a> {
     /// Flights for fitting.
     pub fitted: &'a Observed<'a>,
     /// Flights for choosing.
     pub choosing: &'a Observed<'a>,
-    /// The catalogue.
+    /// The catalogue that the hypotheses come from.
     pub catalogue: &'a Catalogue,
     /// Evidence that chance gives each hypothesis, nats.
     pub chance: Vec<f64>,
 }
 
 impl<'a> Search<'a> {
-    /// A search in which chance gives nothing, on flights that choose nothing.
+    /// A search without evidence by chance and without separate flights for choosing.
     pub fn without_chance(fitted: &'a Observed<'a>, catalogue: &'a Catalogue) -> Self {
         Self { fitted, choosing: fitted, catalogue, chance: Vec::new() }
     }
@@ -63,14 +63,14 @@ impl<'a> Search<'a> {
         Explanation::new(fit, chance, self.fitted, self.choosing)
     }
 
-    /// The vehicle file's numbers within their tolerances, and the derivatives there.
+    /// The fit of the vehicle file's numbers within their tolerances, and the derivatives there.
     pub fn file(&self) -> Option<(Explanation, Linearised)> {
         let numbers = self.numbers();
         let first = Linearised::new(self.fitted, &self.catalogue.expected(), &numbers)?;
         let mut best = fit(self.fitted, &first, &[], &[])?;
         let mut about = Linearised::new(self.fitted, &best.values, &numbers)?;
-        // Where derivatives far from the start are others, a fit stops short; what it lacks, any
-        // effect would seem to explain.
+        // A fit stops short where derivatives change far from its start, and any effect would then
+        // seem to explain the rest.
         for _ in 0..REFITS {
             let again = fit(self.fitted, &about, &[], &[])?;
             if best.cost - again.cost < GAIN_MIN {
@@ -82,15 +82,15 @@ impl<'a> Search<'a> {
         Some((self.explanation(best)?, about))
     }
 
-    /// The sum of squares that the file's numbers and the hypothesis with the most evidence leave
-    /// at each place in the linearised problem.
+    /// The sum of squares at each place that the file's numbers and the hypothesis with the most
+    /// evidence leave, in the linearised problem.
     pub fn least_power(&self, about: &Linearised) -> Option<Vec<f64>> {
         let (best, _) = *self.screen(about, &[]).first()?;
         let numbers = &self.hypothesis(best).numbers;
         Some(about.solve(self.catalogue, self.fitted.counts(), numbers)?.power)
     }
 
-    /// The hypotheses by how much evidence each adds to `set` in the linearised problem, the best
+    /// The hypotheses with the evidence that each adds to `set` in the linearised problem, the best
     /// first.
     pub fn screen(&self, about: &Linearised, set: &[usize]) -> Vec<(usize, f64)> {
         let counts = self.fitted.counts();
@@ -115,7 +115,8 @@ impl<'a> Search<'a> {
         gains
     }
 
-    /// Whether a hypothesis can join a set: each effect once, and one of mass and thrust_scale.
+    /// Whether a hypothesis can join a set: effects that act alike occur once, such as mass and
+    /// thrust_scale.
     pub(in crate::diagnose) fn joins(&self, hypothesis: usize, set: &[usize]) -> bool {
         let class = |h: usize| self.hypothesis(h).effect.class();
         set.iter().all(|h| class(*h) != class(hypothesis))
@@ -130,8 +131,8 @@ impl<'a> Search<'a> {
         self.explanation(self.fitted_from(about, set, from)?)
     }
 
-    /// Fits a set. The active numbers start where `from` has them, and the newest hypothesis also
-    /// at its own starts.
+    /// Fits a set. The active numbers start at their values in `from`; the newest hypothesis also
+    /// starts at each of its own starts.
     pub(in crate::diagnose) fn fitted_from(
         &self,
         about: &Linearised,
@@ -157,7 +158,7 @@ impl<'a> Search<'a> {
         active.into_iter().map(|number| (number, explanation.fit.values[number])).collect()
     }
 
-    /// Hypotheses in addition to `set`, fitted together with it, the best first.
+    /// Fits of `set` with one more hypothesis each, the best first.
     fn additions(&self, about: &Linearised, set: &Explanation, count: usize) -> Vec<Explanation> {
         let from = self.numbers_of(set);
         let mut screened = self.screen(about, &set.fit.hypotheses);
@@ -166,7 +167,7 @@ impl<'a> Search<'a> {
         }
         screened.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         let found = screened.into_par_iter().enumerate();
-        // Alone, what the linearisation may not see at all is fitted as well.
+        // Alone, a hypothesis with several starts is always fitted: the linearisation may miss it.
         let worth = |rank: usize, h: usize, gain: f64| {
             let starts = set.fit.hypotheses.is_empty() && self.hypothesis(h).starts.len() > 1;
             rank < count && gain > GAIN_MIN || starts
@@ -183,7 +184,7 @@ impl<'a> Search<'a> {
         found
     }
 
-    /// All pairs of the best single hypotheses.
+    /// Fits of all pairs of the best single hypotheses.
     fn pairs(&self, about: &Linearised, singles: &[Explanation]) -> Vec<Explanation> {
         let top = &singles[..singles.len().min(PAIRED)];
         let pairs: Vec<(&Explanation, &Explanation)> = top
@@ -200,7 +201,8 @@ impl<'a> Search<'a> {
         fitted.collect()
     }
 
-    /// Every set that is worth a fit, beside the file's numbers alone; `about`: derivatives there.
+    /// Every set that is worth a fit, besides the file's numbers alone. `about` holds the
+    /// derivatives there.
     pub fn explanations(&self, file: &Explanation, about: &Linearised) -> Vec<Explanation> {
         let singles = self.additions(about, file, SURVIVORS);
         let mut all = singles.clone();
@@ -232,7 +234,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// The best first.
+/// Sorts by score, the best first.
 fn in_order(explanations: &mut [Explanation]) {
     explanations.sort_by(|a, b| {
         b.score().total_cmp(&a.score()).then(a.fit.hypotheses.cmp(&b.fit.hypotheses))

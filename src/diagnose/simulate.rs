@@ -1,4 +1,5 @@
-//! Flights by a vehicle's equations: replicas of what was logged, predictions, flights flown again.
+//! Simulation by a vehicle's equations: replicas of logged flights, predictions, flights flown
+//! again.
 
 pub mod flight_simulator;
 pub mod gap;

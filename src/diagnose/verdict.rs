@@ -1,9 +1,9 @@
-//! The decision: from the evidence to a verdict.
+//! The decision: turns the evidence into a verdict.
 //!
-//! Each explanation has a posterior mass. The one with the most, without what changes no
-//! prediction, is what the verdict rests on. It is `effect` where its effects close a substantial
-//! share of what the vehicle file's numbers leave open within their tolerances; else `none` where
-//! those numbers close the gap, or noise is all that is left; else `unknown`.
+//! Each explanation has a posterior mass. The verdict rests on the one with the most mass, without
+//! effects that change no prediction. It is `effect` where those effects close a substantial share
+//! of the gap that the vehicle file's numbers leave open within their tolerances. Otherwise it is
+//! `none` where those numbers close the gap or only noise remains, and else `unknown`.
 
 pub mod attribution;
 pub mod calibration;
@@ -29,14 +29,14 @@ use crate::diagnose::verdict::posterior::{OPEN, Posterior, RIVAL, class};
 pub enum Verdict {
     /// Effects of the catalogue explain the gap.
     Effect,
-    /// There is nothing beyond noise and tolerances.
+    /// Nothing stands out beyond noise and tolerances.
     None,
-    /// A gap that no effect of the catalogue explains.
+    /// No effect of the catalogue explains the gap.
     Unknown,
 }
 
 impl Verdict {
-    /// The word.
+    /// The verdict as a lower-case word, as in the JSON answer.
     pub fn name(self) -> &'static str {
         match self {
             Self::Effect => "effect",
@@ -46,63 +46,65 @@ impl Verdict {
     }
 }
 
-/// An effect is named from this probability on.
+/// Least probability at which an effect is named.
 pub(super) const NAMED: f64 = 0.5;
 
-/// Why what was seen counts as unexplained.
+/// Why a gap counts as unexplained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Unexplained {
-    /// What no explanation closes of the gap is the larger part of it.
+    /// No explanation closes the larger part of the gap.
     Remainder,
-    /// A force acts that two sensors agree on and nothing explains.
+    /// Two sensors agree on a force that nothing explains.
     Force,
-    /// The effects that come nearest are less likely than not to be the cause.
+    /// The nearest effects are less likely than not to be the cause.
     Doubt,
 }
 
-/// What is made of the evidence.
+/// The result of weighing the evidence.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decision {
     /// The verdict.
     pub verdict: Verdict,
-    /// Why it is unknown, where it is.
+    /// Why the verdict is unknown, where it is.
     pub because: Option<Unexplained>,
-    /// Which of the evidence's explanations it rests on.
+    /// Index of the explanation that the verdict rests on.
     pub explanation: usize,
-    /// Effects with their probabilities, the most probable first; none of a half or more but under `effect`.
+    /// Effects with their probabilities, the most probable first. Only the verdict `effect` has any
+    /// of a half or more.
     pub effects: Vec<(String, f64)>,
-    /// Effects that would explain the flights as well in the place of those named.
+    /// Effects that would explain the flights as well as the named ones.
     pub ambiguous_with: Vec<String>,
-    /// Whether a part of the gap stays open with what is named: its equation is not the catalogue's.
+    /// Whether a part of the gap stays open with the named effects: the equation is not the
+    /// catalogue's.
     pub is_inexact: bool,
     /// Posterior mass of each explanation.
     pub masses: Vec<f64>,
-    /// Signs that the cause is not in the catalogue: 1, and the share of what can be closed of the
-    /// squared gap that the explanation leaves.
+    /// Signs that the cause is outside the catalogue: the constant 1, and the share of the closable
+    /// squared gap that the explanation leaves open.
     pub signs: [f64; SIGNS],
-    /// Probability that it is not.
+    /// Probability that the cause is outside the catalogue.
     pub outside: f64,
-    /// The gap that noise leaves on the flights reported on, in units of what the sensors' noise
-    /// leaves: more than 1 where a flexible learner finds no way to predict the rest.
+    /// The gap from noise on the held-out flights, in units of the floor of simulated sensors:
+    /// above 1 where a flexible learner cannot predict the rest.
     pub noise: f64,
 }
 
-/// The same for all effects together to be a substantial part.
+/// Share of the open squared gap that all effects together must close to be substantial.
 const SUBSTANTIAL: f64 = 0.2;
-/// Probability of gusts where a force looks like turbulence, as other forces may.
+/// Probability of gusts where a force looks like turbulence, since other forces look like it too.
 const GUSTS: f64 = 0.7;
-/// A remainder that shows that an equation is not exact, as a share.
+/// Share of the closable gap above which the remainder shows that an equation is inexact.
 const INEXACT: f64 = 0.1;
 
-/// Effects that act alike where something is not measured, by class.
+/// Effects that act alike where some channel is missing, by class.
 struct Alike {
     effects: [&'static str; 3],
     are_told: fn(&Evidence) -> bool,
 }
 
-/// Near one throttle only a pack's voltage that falls tells apart what changes the thrust, and only
-/// motor outputs what changes a moment.
+/// Near one throttle, only a falling pack voltage separates effects on the thrust, and only motor
+/// outputs separate effects on a moment.
 const ALIKE: [Alike; 2] = [
     Alike {
         effects: ["battery_sag", "thrust_curve", "thrust_scale"],
@@ -113,15 +115,15 @@ const ALIKE: [Alike; 2] = [
         are_told: |evidence| evidence.outputs_logged,
     },
 ];
-/// The share of its probability that one of them keeps then.
+/// Share of its probability that an effect keeps when its class is not separated.
 const UNTOLD: f64 = 0.6;
 
-/// The verdict on the evidence.
+/// The verdict on the evidence, with the calibration that is compiled in.
 pub fn decide(evidence: &Evidence) -> Decision {
     decide_by(evidence, Calibration::shipped())
 }
 
-/// The verdict on the evidence by other numbers than those that are compiled in.
+/// The verdict on the evidence with another calibration.
 pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
     let posterior = Posterior::new(evidence, calibration);
     let best = posterior.best();
@@ -141,7 +143,7 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
     let Some(explained) = evidence.explanations.get(best) else { return decision };
     let practical: Vec<&String> =
         explained.effects.iter().filter(|effect| explained.is_practical(effect)).collect();
-    // What is within the file's tolerances is the file's to explain.
+    // The file explains whatever is within its tolerances.
     let is_files = practical.is_empty() && !explained.effects.is_empty();
     let mut rivals: Vec<String> = {
         let own: BTreeSet<&str> = explained.effects.iter().map(|effect| class(effect)).collect();
@@ -172,7 +174,7 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
         own
     };
     let Some((file, shipped)) = posterior.reported(0).zip(evidence.shipped[1]) else {
-        // Nothing is predicted: the equations alone tell.
+        // Without predictions, the equations alone decide.
         decision.effects = weighed(decision.outside);
         let surest = decision.effects.first().map_or(0.0, |(_, probability)| *probability);
         if surest >= NAMED {
@@ -197,7 +199,7 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
     let remainder = ((after - noise) / closable).clamp(0.0, 1.0);
     decision.signs = [1.0, remainder];
     decision.outside = calibration.discrepancy(&decision.signs);
-    // Of what is open, and more than noise moves the gap by.
+    // A share of the open gap, and more than noise scatters the gap by.
     let is_substantial = closed > SUBSTANTIAL * (file - 1.0).max(f64::MIN_POSITIVE)
         && closed > 0.1 + 4.0 * evidence.scatter;
     let file_gaps = evidence.explanations.first().and_then(|file| file.reported);
@@ -227,7 +229,7 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
         decision.explanation = 0;
         return decision;
     }
-    // However much of a gap the file's numbers close, what is twice the noise is open.
+    // A gap of twice the noise is open, however much the file's numbers close.
     let is_much = file - noise > SUBSTANTIAL * (shipped.powi(2) - noise) || file > 4.0 * noise;
     let is_left = file > noise * open && is_much;
     if is_open && is_left {
@@ -244,8 +246,8 @@ mod tests {
     use crate::diagnose::search::turning::Turning;
     use crate::diagnose::verdict::evidence::{Explained, Found, Gaps};
 
-    /// A set of effects with evidence over the file's in each of four blocks, and the gap with its
-    /// effects and with the file's numbers as well.
+    /// A set of effects with its evidence over the file's in each of four blocks, and its gaps:
+    /// with the effects alone, and with the file's numbers as well.
     fn explained(effects: &[&str], nats: f64, [of_effects, both]: [f64; 2]) -> Explained {
         let gaps = Gaps { effects: of_effects, file: both, both, ..Gaps::default() };
         let number = |effect: &&str| Found {
@@ -285,7 +287,7 @@ mod tests {
         }
     }
 
-    /// Numbers of the tests' own, so that a new calibration changes none of them.
+    /// A fixed calibration, so that a new one does not change these tests.
     fn decide(evidence: &Evidence) -> Decision {
         let calibration = Calibration { version: 0, law: 0.06, discrepancy: [-3.5, 8.0] };
         decide_by(evidence, &calibration)
@@ -328,7 +330,7 @@ mod tests {
         let beside = explained(&["rotor_drag", "motor_lag"], 330.0, [1.1, 1.05]);
         let sets = vec![file.clone(), beside.clone(), drag.clone()];
         assert_eq!(named(&decide(&evidence(8.0, sets))), ["rotor_drag"]);
-        // Unless it carries much of the evidence, or of the prediction.
+        // Unless it carries much of the evidence or of the prediction.
         let carries = explained(&["rotor_drag", "motor_lag"], 600.0, [1.1, 1.05]);
         let sets = vec![file.clone(), carries, drag];
         assert_eq!(named(&decide(&evidence(8.0, sets))), ["motor_lag", "rotor_drag"]);
@@ -356,7 +358,8 @@ mod tests {
         delay.numbers[0].unremarkable = 0.5;
         let sets = vec![file.clone(), both, delay.clone()];
         assert_eq!(named(&decide(&evidence(8.0, sets))), ["wind"]);
-        // A fit of the file that did not get there leaves no gap open that its numbers close.
+        // Where the file's numbers can close the gap, a fit of the file that missed it leaves no
+        // open gap.
         delay.reported = Some(Gaps { effects: 1.1, file: 8.0, both: 1.05, ..Gaps::default() });
         let decision = decide(&evidence(8.0, vec![file, delay]));
         assert_eq!((decision.verdict, decision.explanation), (Verdict::None, 0));
@@ -377,7 +380,7 @@ mod tests {
         let both = explained(&["battery_sag", "thrust_scale"], 400.0, [4.0, 4.0]);
         let sag = explained(&["battery_sag"], 320.0, [6.0, 6.0]);
         let level = explained(&["thrust_scale"], 340.0, [7.0, 7.0]);
-        // One that acts like a part, and was not predicted on the flights reported on.
+        // Acts like a part, but was not predicted on the held-out flights.
         let mut mass = explained(&["mass"], 330.0, [2.0, 2.0]);
         mass.reported = None;
         let sets = vec![file, both, level, sag, mass];
@@ -391,7 +394,7 @@ mod tests {
         far.numbers[0].is_at_bound = true;
         let decision = decide(&evidence(8.0, vec![file.clone(), far]));
         assert!(decision.effects.is_empty() && decision.verdict == Verdict::Unknown);
-        // Nor what makes predictions worse, and needs the file's numbers to make up for it.
+        // Neither is an effect that worsens predictions until the file's numbers compensate it.
         let worse = explained(&["battery_sag"], 900.0, [20.0, 1.05]);
         let decision = decide(&evidence(8.0, vec![file, worse]));
         assert!(decision.effects.is_empty(), "{decision:?}");
@@ -404,7 +407,7 @@ mod tests {
         let mut open = evidence(8.0, vec![file, drag]);
         let decision = decide(&open);
         assert_eq!(decision.because, Some(Unexplained::Remainder));
-        // Half explained by what is less likely than not the cause.
+        // Half is explained by an effect that is less likely than not the cause.
         let half = explained(&["rotor_drag"], 300.0, [6.6, 6.6]);
         let mut doubtful = open.clone();
         doubtful.explanations[1] = half;
@@ -415,7 +418,7 @@ mod tests {
         assert_eq!(decide(&open).because, Some(Unexplained::Remainder));
     }
 
-    /// Evidence of flights of the exam, with its best explanations and their parts.
+    /// Stored evidence of flights of the exam, with the best explanations and their parts.
     fn of_flights(text: &str) -> Decision {
         decide(&serde_json::from_str(text).expect("evidence"))
     }
@@ -428,9 +431,9 @@ mod tests {
         assert_eq!((null.verdict, null.explanation), (Verdict::None, 0));
         let pair = of_flights(include_str!("snapshots/pair.json"));
         assert_eq!(named(&pair), ["parasitic_drag", "rotor_gyroscopic"]);
-        // A gyroscopic moment without its effect: an inertia closes the gap, beside a delay within the
-        // file's tolerance, and what is left shows nothing. This is a miss: no sign tells yet that the
-        // cause is not among them.
+        // A gyroscopic moment whose effect was taken out: an inertia closes the gap, beside a delay
+        // within the file's tolerance, and the residual shows nothing. This is a miss: no sign yet
+        // shows that the cause is outside the catalogue.
         let left_out = of_flights(include_str!("snapshots/left_out.json"));
         assert_eq!(named(&left_out), ["inertia"]);
     }

@@ -1,21 +1,21 @@
-//! Vehicles: quadrotors from 25 g to 4 kg with the proportions of real ones.
+//! Random airframes: quadrotors from 25 g to 4 kg with the proportions of real ones.
 
 use vehicle::effects::EffectSet;
 use vehicle::{AttitudePd, BatteryParams, RotorParams, VehicleParams};
 
 use super::draw::{Draw, rounded};
 
-/// Mass, kg.
+/// Range of the mass, kg.
 const MASS: [f64; 2] = [0.025, 4.0];
-/// Arms grow with this power of the mass: 46 mm at 30 g, 19 cm at 1.2 kg.
+/// Power of the mass that arms grow with: 46 mm at 30 g, 19 cm at 1.2 kg.
 const ARM_POWER: f64 = 0.38;
 const ARM_AT_30_G_M: f64 = 0.046;
 /// Standard gravity, m/s^2.
 const GRAVITY: f64 = 9.80665;
-/// The loop's natural frequency times the lag of the rotors stays below this.
+/// Upper limit of the loop's natural frequency times the lag of the rotors.
 const LAG_SHARE: f64 = 0.7;
 
-/// A vehicle as its builder would describe it, without a name that says anything.
+/// A vehicle as its builder would describe it. `name` must not reveal anything about the case.
 pub fn vehicle(draw: &mut Draw, name: &str) -> VehicleParams {
     let mass = draw.log_within(MASS);
     let arm = ARM_AT_30_G_M * (mass / 0.03).powf(ARM_POWER) * draw.within([0.85, 1.2]);

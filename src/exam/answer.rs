@@ -1,15 +1,15 @@
-//! The answer to a case, as any diagnosis may write it: the schema of `diagnose --json`, of which
-//! everything but the verdict may be missing.
+//! The answer to a case, as any diagnosis may write it. The schema is that of `diagnose --json`,
+//! and everything except the verdict is optional.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use vehicle::effects::{EffectId, EffectSet, ParameterValue};
 
-/// Effects are named from this probability on.
+/// Least probability at which an effect counts as named.
 pub const NAMED: f64 = 0.5;
 
-/// An answer.
+/// An answer to a case.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Given {
     /// `effect`, `none` or `unknown`.
@@ -17,16 +17,16 @@ pub struct Given {
     /// Effects with their probabilities.
     #[serde(default)]
     pub effects: Vec<GivenEffect>,
-    /// The gap.
+    /// The gap on the held-out flights.
     #[serde(default)]
     pub gap: Option<GivenGap>,
-    /// Effects that cannot be told from the named ones.
+    /// Effects that the flights do not distinguish from the named ones.
     #[serde(default)]
     pub ambiguous_with: Vec<String>,
     /// Effects that the logs cannot show.
     #[serde(default)]
     pub not_testable: Vec<Untestable>,
-    /// The full verdict.
+    /// The full verdict with its sentence.
     #[serde(default)]
     pub finding: GivenFinding,
 }
@@ -34,10 +34,10 @@ pub struct Given {
 /// The full verdict of an answer.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct GivenFinding {
-    /// In a word.
+    /// Name of the full verdict, in snake case.
     #[serde(default)]
     pub verdict: String,
-    /// In a sentence or two.
+    /// The finding in a sentence or two.
     #[serde(default)]
     pub sentence: String,
 }
@@ -45,30 +45,30 @@ pub struct GivenFinding {
 /// An effect of an answer.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct GivenEffect {
-    /// Id.
+    /// Its id in the catalogue.
     pub id: String,
-    /// 0..1
+    /// Probability that the effect acts, 0..1.
     #[serde(default)]
     pub probability: f64,
-    /// Values.
+    /// Values of its parameters, by name.
     #[serde(default)]
     pub parameters: BTreeMap<String, ParameterValue>,
     /// 90 % intervals by parameter, with components in brackets.
     #[serde(default)]
     pub intervals: BTreeMap<String, [f64; 2]>,
-    /// Standard deviations of the fitted numbers, before what the file and the law add.
+    /// Standard deviations of the fitted numbers, without the errors of the file and the law.
     #[serde(default)]
     pub deviations: BTreeMap<String, f64>,
 }
 
-/// The gap of an answer.
+/// The gap of an answer, in units of the noise.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct GivenGap {
-    /// As shipped.
+    /// With the vehicle file as shipped.
     pub before: f64,
     /// With the named effects.
     pub after: f64,
-    /// Of noise alone.
+    /// With noise alone.
     #[serde(default)]
     pub floor: f64,
 }
@@ -76,12 +76,12 @@ pub struct GivenGap {
 /// An effect that the logs cannot show.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Untestable {
-    /// Id.
+    /// Its id in the catalogue.
     pub id: String,
 }
 
 impl Given {
-    /// Probability of each effect, those that cannot be told apart as one, the most probable first.
+    /// Probability of each class of effects that act alike, the most probable first.
     pub fn probabilities(&self) -> Vec<(String, f64)> {
         let mut by_class: BTreeMap<String, f64> = BTreeMap::new();
         for effect in &self.effects {
@@ -92,7 +92,7 @@ impl Given {
         all
     }
 
-    /// The effect of this id, or the most probable of those that cannot be told from it.
+    /// The effect with this id, else the first that acts alike.
     pub fn effect(&self, id: &str) -> Option<&GivenEffect> {
         let same = |effect: &&GivenEffect| class_of(&effect.id) == class_of(id);
         self.effects
@@ -101,7 +101,7 @@ impl Given {
             .or_else(|| self.effects.iter().find(same))
     }
 
-    /// The named effects as the simulator takes them; what it does not take is left out.
+    /// The named effects as an effect set; ids and values that the catalogue rejects are left out.
     pub fn effect_set(&self) -> EffectSet {
         let mut set = EffectSet::new();
         for effect in self.effects.iter().filter(|effect| effect.bounded() >= NAMED) {
@@ -115,21 +115,21 @@ impl Given {
 }
 
 impl GivenEffect {
-    /// Its probability, 0 where it is none.
+    /// Its probability, limited to 0..1; 0 if it is not finite.
     pub fn bounded(&self) -> f64 {
         if self.probability.is_finite() { self.probability.clamp(0.0, 1.0) } else { 0.0 }
     }
 }
 
 impl GivenGap {
-    /// (before - after) / (before - floor), where there is a gap.
+    /// (before - after) / (before - floor); `None` where nothing is closable.
     pub fn closure(&self) -> Option<f64> {
         let gap = self.before - self.floor;
         (gap > 0.05).then(|| (self.before - self.after) / gap)
     }
 }
 
-/// The id that stands for an effect's class.
+/// The id of an effect's class, under which effects that act alike are compared.
 pub fn class_of(id: &str) -> String {
     id.parse::<EffectId>().map_or_else(|_| id.to_owned(), |effect| effect.class().name().to_owned())
 }

@@ -1,4 +1,4 @@
-//! A case is drawn until one flies.
+//! Draws a case repeatedly until its flights succeed.
 
 use vehicle::VehicleError;
 
@@ -8,22 +8,22 @@ use super::draw::Draw;
 use super::flight::FlightError;
 use super::order::{Order, Settings};
 
-/// Draws until one flies.
+/// Most draws for a case.
 const ATTEMPTS: u64 = 8;
 
-/// Why there is no case.
+/// Reasons that a case cannot be flown.
 #[derive(Debug, thiserror::Error)]
 pub enum CaseError {
-    /// The vehicle is refused.
+    /// The physics rejects the vehicle.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
-    /// Every attempt at flying it was lost.
+    /// The vehicle was lost in every attempt.
     #[error("no flyable case after {ATTEMPTS} draws; the last: {0}")]
     Unflyable(FlightError),
 }
 
 impl Case {
-    /// Case `number` of the exam with this seed.
+    /// Draws and flies case `number` of the exam with this seed.
     ///
     /// # Errors
     /// [`CaseError`].

@@ -1,6 +1,6 @@
-//! What a case is flown on: a vehicle, its sensors, its link and the motions. `truth` is what the vehicle
-//! has beyond its file, `drawn` how it is chosen, `size` how strongly that shows, `answer_key` what a right
-//! answer says of it; a `sibling` is another vehicle of the type.
+//! The bench of a case: a vehicle, its sensors, its link and the motions. `truth` holds what the
+//! vehicle has beyond its file, `drawn` chooses it, `size` measures how strongly it shows, and
+//! `answer_key` writes the right answer. A `sibling` is another vehicle of the type.
 
 mod answer_key;
 mod drawn;
@@ -29,31 +29,31 @@ use super::trap::{STEADY_PACK, TRAPS, Trap};
 use super::world::{self, FileKind, Setting, World};
 use crate::diagnose::likelihood::noise::ReportNoise;
 
-/// Turns of a rotor at full speed where the file does not say, Hz.
+/// Rotor frequency at full speed where the file does not state it, Hz.
 const ROTOR_MAX_HZ: f64 = 150.0;
-/// Effects that act on the velocity relative to the air.
+/// Effects that depend on the velocity relative to the air.
 const DRAGS: [EffectId; 2] = [EffectId::RotorDrag, EffectId::ParasiticDrag];
-/// And those that act through them.
+/// Effects that act through a drag.
 const NEED_DRAG: [EffectId; 2] = [EffectId::Wind, EffectId::Gusts];
 
-/// A truth on the vehicle that is really there.
+/// The real vehicle with a truth.
 struct Real {
     body: VehicleParams,
     effects: EffectSet,
     foreign: Vec<Foreign>,
 }
 
-/// All of a case but what the vehicle has beyond its file.
+/// A case without its truth.
 pub(super) struct Bench {
     /// The vehicle file.
     pub nominal: VehicleParams,
-    /// The same with the loop that is on board.
+    /// The vehicle file with the loop that is on board.
     pub believed: VehicleParams,
-    /// What is off it.
+    /// Differences of the vehicle from its file.
     pub deviations: Deviations,
     pub setting: Setting,
     pub world: World,
-    /// By flight: pack and sensors.
+    /// Pack and sensors of each flight.
     pub configs: Vec<SitlConfig>,
     rates: Rates,
     link: Link,
@@ -66,7 +66,7 @@ pub(super) struct Bench {
 }
 
 impl Bench {
-    /// Everything about a case that chance decides but its truth.
+    /// Draws everything about a case except its truth.
     pub(super) fn draw(
         draw: &mut Draw,
         settings: &Settings,
@@ -180,7 +180,7 @@ impl Bench {
         })
     }
 
-    /// What is off the file beside a truth.
+    /// Differences from the file that remain beside a truth.
     pub(super) fn deviations_beside(&self, truth: &Truth) -> Deviations {
         self.deviations.beside(&truth.effects, truth.causes, truth.rotor)
     }
@@ -223,7 +223,7 @@ impl Bench {
         self.sorties(&real, true).map(|sortie| Ok(sortie.fly()?.track)).collect()
     }
 
-    /// As many flights more of another programme, after the others.
+    /// Adds `count` flights of another programme after the others.
     pub(super) fn also_fly(&mut self, draw: &mut Draw, count: usize) {
         let vigour = Vigour::draw(draw, self.nominal.rotor_radius_m);
         self.motions.extend(programme(draw, &vigour, Restriction::None, count, self.seconds));
@@ -235,7 +235,7 @@ impl Bench {
         self.configs.extend(more);
     }
 
-    /// Logs of all flights with a truth.
+    /// Logs of all flights of a vehicle with this truth.
     pub(super) fn logs(&self, truth: &Truth) -> Result<Vec<Vec<u8>>, FlightError> {
         self.logs_in(truth, Condition::Plain)
     }
@@ -249,7 +249,7 @@ impl Bench {
         self.sorties(&real, false).map(log).collect()
     }
 
-    /// Noise of the reports.
+    /// Noise of the reported state.
     pub(super) fn noise(&self) -> ReportNoise {
         let sensors = self.configs[0].sensors;
         ReportNoise {
@@ -261,7 +261,7 @@ impl Bench {
         }
     }
 
-    /// The file as it would be, were its numbers right and nothing lacking in it but a truth.
+    /// The file with the vehicle's numbers, lacking only the truth.
     pub(super) fn known(&self, truth: &Truth) -> VehicleParams {
         let beside = self.deviations_beside(truth);
         let mut known = beside.body(&self.nominal);
@@ -269,7 +269,7 @@ impl Bench {
         known
     }
 
-    /// Flies the case with a truth that `order` asks for.
+    /// Flies the case with a truth according to `order`.
     pub(super) fn case(self, draw: &mut Draw, order: &Order) -> Result<Case, FlightError> {
         let drawn = self.truth(draw, order)?;
         let condition = order.round_trip.as_ref().map_or(Condition::Plain, |trip| trip.condition);
@@ -288,7 +288,7 @@ impl Bench {
     }
 }
 
-/// The same sensors with so many times the noise.
+/// The same sensors with `factor` times the noise.
 fn noisier(sensors: SensorConfig, factor: f64) -> SensorConfig {
     let imu = |imu: ImuNoise| ImuNoise { noise: factor * imu.noise, ..imu };
     SensorConfig {
@@ -385,7 +385,7 @@ mod tests {
 
     #[test]
     fn size_is_what_the_file_cannot_explain() {
-        // Thrust that is 4 % off is within the tolerances of a load cell and a scale; 20 % is not.
+        // A thrust error of 4 % is within the tolerances of a load cell and a scale; 20 % is not.
         let exact = |number: &u64| {
             let bench = bench(*number);
             bench.setting.file == FileKind::Exact && bench.setting.on_board == LoopKind::Pd

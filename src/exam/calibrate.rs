@@ -1,5 +1,5 @@
-//! The calibration: the numbers of the decision that serve stored cases best, and how they fare on
-//! families of cases that they are not made on.
+//! Calibration: finds the numbers of the decision that score best on stored cases, and tests them
+//! on other families of cases.
 
 use std::fmt::{self, Display};
 
@@ -13,31 +13,31 @@ use super::summary::Summary;
 use crate::diagnose::verdict::calibration::{Calibration, SIGNS};
 use crate::diagnose::verdict::decide_by;
 
-/// What an answer that does not mention an effect gives it.
+/// Probability that counts for an effect that an answer does not mention.
 const UNMENTIONED: f64 = 0.02;
-/// Weight of the squared weights of the signs: few cases lie outside of the catalogue.
+/// Ridge penalty on the weights of the signs, since few cases are outside the catalogue.
 const RIDGE: f64 = 0.05;
-/// Values that are tried.
+/// Values of `law` that are tried.
 const LAWS: [f64; 6] = [0.02, 0.03, 0.04, 0.06, 0.1, 0.15];
-/// Log scores that differ by less do not tell laws apart: their intervals do.
+/// Smallest difference of log scores that separates laws; within it, interval coverage decides.
 const SAME: f64 = 0.002;
-/// Share of intervals that is to hold.
+/// Nominal coverage of the intervals.
 const HELD: f64 = 0.9;
 
-/// A calibration with what it was made on and tested on.
+/// A calibration with its scores.
 #[derive(Debug)]
 pub struct Calibrated {
-    /// The numbers.
+    /// The calibrated numbers.
     pub calibration: Calibration,
     fitted: Fared,
     tested: Fared,
-    /// How those that are compiled in fare on the same.
+    /// Scores of the shipped calibration on the same cases.
     before: [Fared; 2],
-    /// The log score on the cases that it was made on without each of the signs.
+    /// Log score on the fitted cases without each of the signs.
     without: [f64; SIGNS],
 }
 
-/// How cases fare.
+/// Scores on a set of cases.
 #[derive(Debug)]
 struct Fared {
     cases: usize,
@@ -62,7 +62,7 @@ fn is_counted(row: &Row) -> bool {
     (row.is_practical || row.kind == Kind::Null) && row.kind != Kind::Trap
 }
 
-/// Logarithm of what an answer gives to what is there, and to each thing that it names and is not.
+/// Log of the probability that an answer gives to the truth, and against each false effect.
 fn log_score(row: &Row) -> f64 {
     let within = |p: f64| p.clamp(UNMENTIONED, 1.0 - 0.5 * UNMENTIONED);
     let is_outside = matches!(row.kind, Kind::LeftOut | Kind::Foreign);
@@ -75,7 +75,7 @@ fn log_score(row: &Row) -> f64 {
     let names_one = row.probabilities.iter().any(|(id, _)| is_there(id));
     let is_due = !is_outside && row.kind != Kind::Null;
     let missed = (is_due && !names_one) || (is_outside && row.verdict == "none");
-    // What is unknown was at least noticed.
+    // At least, unknown shows that something was noticed.
     let noticed = if row.verdict == "unknown" { 0.5_f64.ln() } else { UNMENTIONED.ln() };
     given
         + match (missed, row.kind) {
@@ -85,7 +85,7 @@ fn log_score(row: &Row) -> f64 {
         }
 }
 
-/// Calibrates on the families of `cases` that are for it, and tests on the others.
+/// Calibrates on the families of `cases` for fitting, and tests on the others.
 pub fn calibrate(cases: &[StoredCase]) -> Calibrated {
     let (tested, fitted): (Vec<&StoredCase>, Vec<&StoredCase>) =
         cases.iter().partition(|case| case.is_for_testing());
@@ -114,8 +114,8 @@ pub fn calibrate(cases: &[StoredCase]) -> Calibrated {
     Calibrated { calibration, fitted, tested, before, without }
 }
 
-/// The calibration with the weights of the signs by logistic regression (Newton's method, none
-/// below 0 but the first), whose cause is in the catalogue or not.
+/// The calibration with weights of the signs from a logistic regression of whether the cause is
+/// outside the catalogue. It uses Newton's method, and only the first weight may be negative.
 fn with_discrepancy(
     cases: &[&StoredCase],
     calibration: &Calibration,

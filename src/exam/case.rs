@@ -1,4 +1,4 @@
-//! A case: a vehicle file and flights of a vehicle that differs from it in a known way.
+//! A case: a vehicle file, and flights of a vehicle that differs from it in a known way.
 
 use vehicle::VehicleParams;
 use vehicle::effects::EffectSet;
@@ -6,19 +6,18 @@ use vehicle::effects::EffectSet;
 use super::key::KeyEntry;
 use crate::diagnose::likelihood::noise::ReportNoise;
 
-/// A case that was flown.
+/// A case with its flown logs.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// The vehicle file.
+    /// The vehicle file as shipped.
     pub nominal: VehicleParams,
-    /// The file as it would be, were the builder's numbers right and nothing lacking in it but the
-    /// effects.
+    /// The file with the vehicle's numbers, lacking only the effects.
     pub known: VehicleParams,
-    /// The logs.
+    /// Contents of the logs.
     pub logs: Vec<Vec<u8>>,
-    /// The effects of the catalogue that it has.
+    /// The vehicle's effects of the catalogue.
     pub truth: EffectSet,
-    /// Noise of its reports.
+    /// Noise of the reported state.
     pub noise: ReportNoise,
     /// The right answer.
     pub key: KeyEntry,

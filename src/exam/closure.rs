@@ -1,4 +1,4 @@
-//! What an answer truly closes of the gap, whatever it claims.
+//! The true closure of an answer's effects, whatever the answer claims.
 
 use vehicle::effects::EffectSet;
 use vehicle::{VehicleError, VehicleParams};
@@ -7,14 +7,14 @@ use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::likelihood::noise::ReportNoise;
 use crate::diagnose::simulate::open_loop::Simulator;
 
-/// Least gap that can be closed, in units of the noise.
+/// Least closable gap, in units of the noise.
 const GAP_MIN: f64 = 0.05;
 
-/// (before - after) / (before - least): errors of the vehicle file as shipped, with the answer's
-/// effects, and with the true ones, by the metric `mean`. `None` where there is no gap.
+/// (before - after) / (before - least): prediction errors of the vehicle file as shipped, with the
+/// answer's effects, and with the true ones, by the metric `mean`. `None` where there is no gap.
 ///
 /// # Errors
-/// A vehicle that the physics refuses.
+/// A vehicle that the physics rejects.
 pub fn closure(
     nominal: &VehicleParams,
     truth: &EffectSet,

@@ -1,4 +1,4 @@
-//! What may have happened to a log: it was thinned, stamped badly, or has holes.
+//! Conditions of a log: thinned, with bad stamps, or with lost frames.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,27 +15,27 @@ const JITTER_US: f64 = 5_000.0;
 /// Share of frames that are lost.
 const LOST: f64 = 0.1;
 
-/// The state of a log.
+/// The condition of a log.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
 )]
 #[serde(rename_all = "kebab-case")]
 pub enum Condition {
-    /// As it was written.
+    /// As written.
     Plain,
-    /// Every other message of each kind.
+    /// Every other message of each kind is missing.
     HalfRate,
-    /// Stamps that are up to 5 ms off, evenly.
+    /// Stamps have uniform errors of up to 5 ms.
     Jitter,
-    /// One frame in ten lost.
+    /// One frame in ten is lost.
     Dropouts,
 }
 
 impl Condition {
-    /// Every one.
+    /// Every condition.
     pub const ALL: [Self; 4] = [Self::Plain, Self::HalfRate, Self::Jitter, Self::Dropouts];
 
-    /// In words.
+    /// Its name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Plain => "plain",
@@ -45,7 +45,7 @@ impl Condition {
         }
     }
 
-    /// The log in this state. Heartbeats stay.
+    /// The log in this condition. Heartbeats stay.
     pub fn apply(self, log: &[u8], seed: u64) -> Vec<u8> {
         if self == Self::Plain {
             return log.to_vec();
@@ -69,12 +69,12 @@ impl Condition {
     }
 }
 
-/// The log without the frames for which `keep` gives nothing; the others' stamps are off by what it
-/// gives, us.
+/// The log without the frames for which `keep` returns `None`. For the others it returns a shift of
+/// the stamp, us.
 pub fn rewritten(log: &[u8], mut keep: impl FnMut(&Frame) -> Option<i64>) -> Vec<u8> {
     let mut out = Writer::new(Vec::with_capacity(log.len()));
     let mut reader = Reader::new(log);
-    // Reading from memory cannot fail, nor can writing to it.
+    // Neither reading from memory nor writing to it can fail.
     while let Ok(Some(entry)) = reader.read() {
         let (Some(time_us), Some(frame)) = (entry.time_us, Frame::parse(&entry.frame)) else {
             continue;

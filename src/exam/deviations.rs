@@ -1,5 +1,5 @@
-//! The vehicle behind a builder's file: each number is off by what it was measured with, and a drag
-//! acts that nobody measured.
+//! The vehicle behind a builder's file: each number is off by its measurement error, and a drag
+//! acts that the builder did not measure.
 
 use std::collections::BTreeMap;
 
@@ -14,29 +14,29 @@ use super::tolerances::Tolerances;
 /// Values of an effect's parameters, by name.
 pub type Parameters = BTreeMap<String, ParameterValue>;
 
-/// The least delay that a command has, s.
+/// Least delay of a command, s.
 const DELAY_LEAST_S: f64 = 0.001;
-/// A typical drag over the mass, 1/s, and the share of it that is not in the file.
+/// Typical drag divided by the mass, 1/s, and the range of shares of it that a file may lack.
 const DRAG_TYPICAL: f64 = 0.3;
 const DRAG: [f64; 2] = [0.2, 0.5];
-/// The same along the thrust, over that across.
+/// Range of the drag along the thrust, as a share of that across.
 const DRAG_ALONG: [f64; 2] = [0.2, 0.6];
-/// Share of drags that follow another law, and the speed at which they are as strong, m/s.
+/// Share of drags that follow another law, and the speed at which they equal the linear one, m/s.
 const OTHER_DRAG: f64 = 0.3;
 const DRAG_AT_M_S: f64 = 3.0;
 
-/// What of a file is really off, in the words of the catalogue.
+/// A difference of the vehicle from its file, in terms of the catalogue.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Deviation {
-    /// The effect that says it.
+    /// Id of the effect that describes it.
     pub id: String,
     /// The vehicle's values.
     pub parameters: Parameters,
-    /// The file's.
+    /// The file's values.
     pub neutral: Parameters,
-    /// Values that no log can tell from the vehicle's.
+    /// Values that no log distinguishes from the vehicle's.
     pub alternatives: Vec<Parameters>,
-    /// How many claimed standard deviations it is off.
+    /// Its distance from the file in claimed standard deviations.
     pub tolerances: Option<f64>,
 }
 
@@ -45,23 +45,23 @@ pub struct Deviation {
 enum Drag {
     /// The catalogue's rotor_drag.
     Rotor(RotorDrag),
-    /// Another law.
+    /// A drag under another law.
     Other(Foreign),
 }
 
-/// How a vehicle differs from its file without any effect.
+/// Differences of a vehicle from its file without any effect.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Deviations {
-    /// The standard deviations that they were drawn by.
+    /// The standard deviations that the differences were drawn with.
     pub tolerances: Tolerances,
-    /// Shares by which the vehicle's numbers are above the file's.
+    /// Differences from the file's numbers, as shares.
     thrust_common: f64,
     thrust_each: [f64; ROTORS],
     mass: f64,
     inertia: [f64; 3],
     drag_torque: f64,
     lag: f64,
-    /// Where the centre of mass is, m.
+    /// Position of the centre of mass, m.
     centre_m: [f64; 2],
     delay_s: f64,
     trim_rad: [f64; 2],
@@ -70,7 +70,7 @@ pub struct Deviations {
 }
 
 impl Deviations {
-    /// Of a vehicle that is as its file says.
+    /// A vehicle that matches its file.
     pub fn none(file: &VehicleParams) -> Self {
         Self {
             tolerances: Tolerances::typical(file),
@@ -88,7 +88,7 @@ impl Deviations {
         }
     }
 
-    /// Those of a careful builder's file. A drag acts where the file models none.
+    /// Draws the differences of a careful builder's file. A drag acts where the file models none.
     pub fn draw(draw: &mut Draw, file: &VehicleParams) -> Self {
         let tolerances = Tolerances::draw(draw, file);
         let has_drag = file.modelled_effects.contains(EffectId::RotorDrag)
@@ -113,8 +113,8 @@ impl Deviations {
         Self { pose_s, drag, ..drawn }
     }
 
-    /// Those of another vehicle of the type: what one measurement for all of them is off by stays, and
-    /// what each build differs by is drawn.
+    /// Draws another vehicle of the type. The errors of measurements common to the type stay, and
+    /// those of each build are drawn again.
     pub fn of_sibling(&self, draw: &mut Draw) -> Self {
         let sigma = self.tolerances;
         let mut off = |sigma: f64| rounded(sigma * draw.normal());
@@ -128,8 +128,8 @@ impl Deviations {
         }
     }
 
-    /// The same except for what `effects`, or another law for one of `causes`, say themselves: an
-    /// effect's numbers are the vehicle's, whatever the builder measured.
+    /// Removes the differences that `effects`, or another law for one of `causes`, replace: the
+    /// numbers of an effect are the vehicle's, whatever the builder measured.
     pub fn beside(&self, effects: &EffectSet, causes: &[EffectId], rotor: Option<usize>) -> Self {
         let is = |id| effects.contains(id) || causes.contains(&id);
         let mut left = self.clone();
@@ -138,7 +138,7 @@ impl Deviations {
             *each = 0.0;
         }
         if is(EffectId::ThrustScale) || is(EffectId::Mass) {
-            // No log tells them apart.
+            // Logs do not distinguish the two.
             (left.thrust_common, left.mass) = (0.0, 0.0);
         }
         if is(EffectId::Inertia) {
@@ -168,7 +168,7 @@ impl Deviations {
         left
     }
 
-    /// The vehicle: what the file's numbers would be, were they right.
+    /// The vehicle: the file with the right numbers.
     pub fn body(&self, file: &VehicleParams) -> VehicleParams {
         let mut body = file.clone();
         body.mass *= 1.0 + self.mass;
@@ -186,11 +186,11 @@ impl Deviations {
         body
     }
 
-    /// What of the vehicle no number of the file stands for: trim, age of the pose, drag.
+    /// Differences for which the file has no number: trim, age of the pose, drag.
     pub fn effects(&self) -> EffectSet {
         let mut effects = EffectSet::new();
         let [roll, pitch] = self.trim_rad;
-        // Tolerances are far within what the catalogue accepts.
+        // The catalogue accepts values of this size.
         if self.trim_rad != [0.0; 2] {
             let _ = effects.insert(EffectId::AttitudeTrim, slots(&[roll, pitch]));
         }
@@ -203,7 +203,7 @@ impl Deviations {
         effects
     }
 
-    /// A drag that no law of the catalogue is.
+    /// A drag under a law outside the catalogue.
     pub fn foreign(&self) -> Option<&Foreign> {
         match &self.drag {
             Some(Drag::Other(foreign)) => Some(foreign),
@@ -211,7 +211,7 @@ impl Deviations {
         }
     }
 
-    /// Each thing that is off.
+    /// All differences, in terms of the catalogue.
     pub fn listed(&self, file: &VehicleParams) -> Vec<Deviation> {
         let sigma = &self.tolerances;
         let number = |name: &str, value: f64| {
@@ -310,7 +310,7 @@ impl Deviations {
                 list(EffectId::RotorDrag, drag(*d_xy, *d_z), drag(0.0, 0.0), Vec::new(), None);
             }
             Some(Drag::Other(foreign)) => {
-                // What each law of the catalogue would be to give as much at an ordinary speed.
+                // The drag of each law of the catalogue that is equal at an ordinary speed.
                 let linear = match foreign {
                     Foreign::DragPower { coefficient, exponent } => {
                         coefficient * DRAG_AT_M_S.powf(exponent - 1.0)
@@ -328,7 +328,7 @@ impl Deviations {
         all
     }
 
-    /// Where unequal rotors have their common centre, m.
+    /// The centre of thrust of unequal rotors, m.
     fn lean(&self, file: &VehicleParams) -> [f64; 2] {
         let each = self.thrust_each.map(|off| 1.0 + off);
         let total: f64 = each.iter().sum();
@@ -358,7 +358,7 @@ impl Drag {
     }
 }
 
-/// Slots that begin with these numbers.
+/// Slots that start with these values.
 fn slots(values: &[f64]) -> Slots {
     let mut slots = Slots::default();
     for (slot, value) in slots.iter_mut().zip(values) {
@@ -374,7 +374,7 @@ mod tests {
     use super::super::airframe;
     use super::*;
 
-    /// Files and what is off them.
+    /// Files with their drawn differences.
     fn drawn() -> impl Iterator<Item = (VehicleParams, Deviations)> {
         (0..400).map(|number| {
             let mut draw = Draw::new(8, number);
@@ -384,7 +384,7 @@ mod tests {
         })
     }
 
-    /// Root mean square of some numbers in standard deviations that should be 1.
+    /// Root mean square of values in standard deviations, which should be 1.
     fn spread(values: impl Iterator<Item = f64>) -> f64 {
         let (sum, count) = values.fold((0.0, 0.0), |(sum, n), z| (sum + z * z, n + 1.0));
         (sum / f64::max(count, 1.0)).sqrt()

@@ -1,11 +1,11 @@
-//! Draws of an exam: everything in a case follows from the exam's seed and the case's number.
+//! Random draws of an exam: its seed and a case's number determine everything about the case.
 
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 use vehicle::effects::Chance;
 
-/// A source of random draws.
+/// A random source.
 #[derive(Clone, Debug)]
 pub struct Draw(Pcg64Mcg);
 
@@ -16,53 +16,53 @@ impl Draw {
         Self(Pcg64Mcg::seed_from_u64(seed ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
     }
 
-    /// Evenly within a range.
+    /// A uniform draw from a range.
     pub fn within(&mut self, [low, high]: [f64; 2]) -> f64 {
         low + (high - low) * self.0.random::<f64>()
     }
 
-    /// Evenly in the logarithm within a range of positive numbers.
+    /// A log-uniform draw from a range of positive numbers.
     pub fn log_within(&mut self, [low, high]: [f64; 2]) -> f64 {
         self.within([low.ln(), high.ln()]).exp()
     }
 
-    /// From the standard normal distribution.
+    /// A draw from the standard normal distribution.
     pub fn normal(&mut self) -> f64 {
         self.0.sample(StandardNormal)
     }
 
-    /// Either sign.
+    /// -1 or 1 with equal probability.
     pub fn sign(&mut self) -> f64 {
         if self.chance(0.5) { 1.0 } else { -1.0 }
     }
 
-    /// Whether something of this probability happens.
+    /// True with this probability.
     pub fn chance(&mut self, probability: f64) -> bool {
         self.0.random::<f64>() < probability
     }
 
-    /// One of several, by their shares, which sum to 1.
+    /// A draw from several items with shares that sum to 1.
     pub fn one_of<T: Copy>(&mut self, shares: &[(T, f64)]) -> T {
         let mut left = self.0.random::<f64>();
         let found = shares.iter().find(|(_, share)| {
             left -= share;
             left < 0.0
         });
-        // Rounding may leave a rest, which is the last one's.
+        // Rounding may leave a rest, which goes to the last item.
         found.unwrap_or(&shares[shares.len() - 1]).0
     }
 
-    /// A whole number below `count`, which is at least 1.
+    /// A uniform integer below `count`; 0 if that is 0.
     pub fn below(&mut self, count: usize) -> usize {
         self.0.random_range(0..count.max(1))
     }
 
-    /// A seed for something else.
+    /// A seed for another generator.
     pub fn seed(&mut self) -> u64 {
         self.0.random()
     }
 
-    /// Puts items into a random order.
+    /// Shuffles items uniformly.
     pub fn shuffle<T>(&mut self, items: &mut [T]) {
         for last in (1..items.len()).rev() {
             items.swap(last, self.below(last + 1));
@@ -84,7 +84,7 @@ impl Chance for Draw {
     }
 }
 
-/// A number as vehicle files and keys state it, to five digits.
+/// A number to five digits, as vehicle files and keys state it.
 pub fn rounded(value: f64) -> f64 {
     if value == 0.0 || !value.is_finite() {
         return value;

@@ -1,4 +1,4 @@
-//! Numbers of an answer against those of the key.
+//! Compares an answer's numbers with the key's.
 
 use vehicle::effects::{EffectId, ParameterValue};
 
@@ -7,15 +7,14 @@ use super::deviations::Deviation;
 use super::deviations::Parameters;
 use super::key::{KeyEntry, TrueEffect};
 
-/// Relative errors count up to this.
+/// Limit of relative errors.
 const ERROR_MAX: f64 = 10.0;
 
-/// A deviation of the vehicle file is named rightly within this share of it, or where the answer's
-/// 90 % interval holds it when widened by this factor, to one of 99 %.
+/// A deviation of the vehicle file counts as right within this share of it, or if the answer's 90 %
+/// interval, widened by this factor to about 99 %, contains it.
 const RIGHT_SHARE: f64 = 0.35;
 const WIDER: f64 = 1.6;
-/// Whether an effect of an answer is a deviation of the vehicle file that is really there, with its
-/// value right.
+/// Whether an effect of an answer is a real deviation of the vehicle file with the right value.
 pub(super) fn is_deviation(given: &GivenEffect, key: &KeyEntry) -> bool {
     let class = class_of(&given.id);
     let same = |deviation: &&Deviation| class_of(&deviation.id) == class;
@@ -31,7 +30,7 @@ pub(super) fn is_deviation(given: &GivenEffect, key: &KeyEntry) -> bool {
     })
 }
 
-/// Whether the answer's intervals, widened, hold these values under their own name.
+/// Whether the answer's widened intervals contain these values under the same id.
 fn holds(given: &GivenEffect, id: &str, values: &Parameters) -> bool {
     if given.id != id || given.intervals.is_empty() {
         return false;
@@ -49,17 +48,17 @@ fn holds(given: &GivenEffect, id: &str, values: &Parameters) -> bool {
     })
 }
 
-/// The parameters that are compared, those of one group as one vector.
+/// The compared parameters; each group is one vector.
 fn judged(id: &str) -> Vec<Vec<&'static str>> {
     id.parse::<EffectId>().map_or_else(|_| Vec::new(), |id| id.spec().judged())
 }
 
-/// The answer's parameters of a true effect, under its true name.
+/// The answer's parameters of a true effect, converted to its id.
 pub(super) fn estimate(given: &Given, truth: &TrueEffect, nominal_mass: f64) -> Option<Parameters> {
     renamed(given.effect(&truth.id)?, &truth.id, nominal_mass)
 }
 
-/// The parameters of an effect of an answer under the name of one that no flight tells from it.
+/// An effect's parameters, converted to the id of an effect that acts alike.
 fn renamed(found: &GivenEffect, id: &str, nominal_mass: f64) -> Option<Parameters> {
     if found.id == id {
         return Some(found.parameters.clone());
@@ -111,13 +110,13 @@ pub(super) fn relative_errors(
             }
             let error = (off / size).sqrt();
             let error = if same_rotor { error } else { error.max(1.0) };
-            // A group that is not off its neutral value has no relative error.
+            // A group with a neutral true value has no relative error.
             (size > 0.0).then(|| if error.is_finite() { error.min(ERROR_MAX) } else { ERROR_MAX })
         })
         .collect()
 }
 
-/// The parameter and the component that an interval's name stands for.
+/// The parameter and the component that an interval's name refers to.
 fn component_of(name: &str) -> Option<(&str, usize)> {
     Some(match name.split_once('[') {
         Some((name, rest)) => (name, rest.trim_end_matches(']').parse().ok()?),
@@ -125,7 +124,7 @@ fn component_of(name: &str) -> Option<(&str, usize)> {
     })
 }
 
-/// Of the intervals that the answer gives for a true effect under its own name, which hold it.
+/// Whether each interval that the answer gives for a true effect under its id contains the truth.
 pub(super) fn coverage(given: &Given, truth: &TrueEffect) -> Vec<bool> {
     let Some(found) = given.effects.iter().find(|effect| effect.id == truth.id) else {
         return Vec::new();

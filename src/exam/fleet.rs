@@ -1,5 +1,5 @@
-//! Cases for the diagnosis of a fleet: vehicles of one type, with an effect that all have or none, and
-//! some with an effect of their own.
+//! Cases for the diagnosis of a fleet: vehicles of one type that share an effect or none, some with
+//! an effect of their own.
 
 use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet};
@@ -11,12 +11,12 @@ use super::flight::FlightError;
 use super::order::{Kind, Order, Settings};
 use super::world::{FileKind, LoopKind};
 
-/// Draws until a type flies, and until a vehicle does.
+/// Most draws for a type, and for a vehicle.
 const ATTEMPTS: u64 = 8;
-/// Signal-to-noise ratios with exact files, and sizes over the practical one.
+/// Ratios over noise with exact files, and sizes relative to the practical one.
 const RATIOS: [f64; 2] = [3.0, 12.0];
 const SIZES: [f64; 2] = [1.15, 5.0];
-/// Weather is no vehicle's.
+/// Effects of the weather, which belong to no vehicle.
 const WEATHER: [EffectId; 2] = [EffectId::Wind, EffectId::Gusts];
 
 /// A vehicle of a fleet.
@@ -24,38 +24,38 @@ const WEATHER: [EffectId; 2] = [EffectId::Wind, EffectId::Gusts];
 pub struct FleetVehicle {
     /// Its logs.
     pub logs: Vec<Vec<u8>>,
-    /// The effect of its own that it has.
+    /// The vehicle's own effect, if any.
     pub own: Option<EffectId>,
 }
 
-/// A fleet that was flown.
+/// A fleet with its flown logs.
 #[derive(Clone, Debug)]
 pub struct FleetCase {
     /// The file of the type.
     pub nominal: VehicleParams,
-    /// The effect that every vehicle has.
+    /// The effect that every vehicle has, if any.
     pub shared: Option<EffectSet>,
     /// The vehicles.
     pub vehicles: Vec<FleetVehicle>,
-    /// How good the file is, and which loop is on board.
+    /// Quality of the file, and the loop on board.
     pub file: FileKind,
     /// See [`file`](Self::file).
     pub on_board: LoopKind,
 }
 
-/// What a fleet is to be.
+/// The composition of a fleet.
 #[derive(Clone, Copy, Debug)]
 pub struct Shape {
-    /// How many vehicles.
+    /// Number of vehicles.
     pub vehicles: usize,
-    /// Share of them that have an effect of their own.
+    /// Share of the vehicles with an effect of their own.
     pub damaged: f64,
-    /// Whether all share an effect.
+    /// Whether all vehicles share an effect.
     pub shares: bool,
 }
 
 impl FleetCase {
-    /// Case `number` of the exam with this seed.
+    /// Draws and flies case `number` of the exam with this seed.
     ///
     /// # Errors
     /// [`CaseError`].

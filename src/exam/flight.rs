@@ -1,5 +1,5 @@
-//! One flight of a case: the simulated vehicle and the ground station in lockstep, over the bytes
-//! of a link with delays, into a telemetry log.
+//! One flight of a case: the simulated vehicle and the ground station run in lockstep, over the
+//! bytes of a link with delays, into a telemetry log.
 
 use std::collections::VecDeque;
 
@@ -21,50 +21,50 @@ use super::motion::Motion;
 
 /// Hover before the log begins, s.
 const SETTLING_S: f64 = 2.0;
-/// When OFFBOARD is asked for, us.
+/// Time of the request for OFFBOARD, us.
 const ENGAGE_US: u64 = 300_000;
-/// Between heartbeats of the ground station, us.
+/// Period of the ground station's heartbeats, us.
 const HEARTBEAT_US: u64 = 1_000_000;
 /// Period of the track, us.
 const TRACK_US: u64 = 1_000;
-/// The ground's clock when the vehicle boots: 2026-01-01 00:00 UTC, us. The date means nothing.
+/// The ground's clock when the vehicle boots: 2026-01-01 00:00 UTC, us. The date is arbitrary.
 const EPOCH_US: f64 = 1_767_225_600e6;
-/// Tilt and distance from the motion beyond which a flight is lost, rad and m.
+/// Limits of tilt and of distance from the motion, rad and m: beyond either, a flight is lost.
 const LOST_TILT: f64 = 1.3;
 const LOST_DISTANCE_M: f64 = 4.0;
 const STATION: Peer = Peer(0);
 
-/// The link between both ends.
+/// The link between vehicle and ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
     /// Least delay from the vehicle to the ground, s.
     pub delay_s: f64,
     /// Mean of the exponential delay beyond it, s.
     pub jitter_s: f64,
-    /// The ground's clock runs ahead by this, s.
+    /// Offset of the ground's clock, s; positive if it is ahead.
     pub offset_s: f64,
-    /// And this much faster.
+    /// Relative rate error of the ground's clock; positive if it is fast.
     pub skew: f64,
 }
 
-/// One flight.
+/// A flight to simulate.
 #[derive(Clone, Debug)]
 pub struct Sortie<'a> {
-    /// What the firmware and the ground station believe of the vehicle, its loop included.
+    /// The vehicle as the firmware and the ground station know it, its loop included.
     pub believed: &'a VehicleParams,
-    /// What its numbers are.
+    /// The vehicle's real numbers.
     pub body: &'a VehicleParams,
-    /// What the vehicle has beyond them.
+    /// Effects beyond those numbers.
     pub effects: &'a EffectSet,
-    /// And what the catalogue does not have.
+    /// Effects outside the catalogue.
     pub foreign: &'a [Foreign],
-    /// Pack, sensors, start; the start's place is the motion's.
+    /// Pack, sensors and start, whose position comes from the motion.
     pub config: SitlConfig,
-    /// Streams.
+    /// Requested rates of the streams.
     pub rates: Rates,
-    /// Link.
+    /// The link between vehicle and ground.
     pub link: Link,
-    /// What is flown.
+    /// The motion to fly.
     pub motion: &'a Motion,
     /// Length of the log, s.
     pub seconds: f64,
@@ -72,46 +72,46 @@ pub struct Sortie<'a> {
     pub seed: u64,
 }
 
-/// What truly happened, every millisecond of the log.
+/// The true course of a flight, every millisecond of the log.
 #[derive(Clone, Debug, Default)]
 pub struct Track {
     /// The vehicle's time at the first state, us.
     pub start_us: u64,
     /// True states.
     pub states: Vec<State>,
-    /// Motor outputs in force.
+    /// Motor outputs in force, 0..1.
     pub outputs: Vec<[f64; ROTORS]>,
     /// Terminal voltage, V.
     pub voltage: Vec<f64>,
-    /// Setpoints and when they were sent, us.
+    /// Setpoints with their send times, us.
     pub setpoints: Vec<(u64, AttitudeSetpoint)>,
 }
 
-/// A flight that was flown.
+/// The result of a flight.
 #[derive(Clone, Debug)]
 pub struct Flown {
     /// The telemetry log.
     pub tlog: Vec<u8>,
-    /// What truly happened.
+    /// The true course.
     pub track: Track,
 }
 
-/// Why there is no flight.
+/// Reasons that a flight fails.
 #[derive(Debug, thiserror::Error)]
 pub enum FlightError {
-    /// The vehicle does not fly.
+    /// The simulator rejects the vehicle.
     #[error(transparent)]
     Refused(#[from] VehicleRefused),
-    /// The ground station does not.
+    /// The ground station rejects the vehicle.
     #[error(transparent)]
     Ground(#[from] GroundError),
-    /// It touched the floor, turned over or flew away.
+    /// The vehicle touched the floor, turned over or flew away.
     #[error("the vehicle was lost {0:.1} s into the flight")]
     Lost(f64),
 }
 
 impl Sortie<'_> {
-    /// Flies.
+    /// Simulates the flight.
     ///
     /// # Errors
     /// [`FlightError`].
@@ -139,7 +139,7 @@ impl Sortie<'_> {
         loop {
             let now_us = vehicle.now_us();
             let recording = now_us >= track.start_us;
-            // Writing into memory cannot fail.
+            // Writing to memory cannot fail.
             let mut note = |now_us: u64, bytes: &[u8]| {
                 if recording {
                     let _ = log.write(self.ground_us(now_us), bytes);
@@ -205,7 +205,7 @@ impl Sortie<'_> {
         Ok(())
     }
 
-    /// The ground's clock, us.
+    /// Time of the ground's clock, us.
     fn ground_us(&self, vehicle_us: u64) -> u64 {
         let time = vehicle_us as f64 * (1.0 + self.link.skew);
         (EPOCH_US + self.link.offset_s * 1e6 + time).round() as u64

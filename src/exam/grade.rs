@@ -1,4 +1,4 @@
-//! How an answer stands to the key, in a word.
+//! Grades an answer against the key in one word.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,23 +6,22 @@ use serde::{Deserialize, Serialize};
 use super::key::KeyEntry;
 use super::order::Kind;
 
-/// How an answer stands to the key.
+/// The grade of an answer.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
 )]
 #[serde(rename_all = "kebab-case")]
 pub enum Grade {
-    /// What it is to say. Of a size below the practical one, also `none`.
+    /// The right answer. Below the practical size, also `none`.
     Right,
-    /// Something that is true, and nothing that is not: a deviation of the file that is really there
-    /// with its value right, one effect of a pair, the truth after a deviation or among at most two
-    /// that cannot be told apart.
+    /// True and nothing false: a real deviation of the file with the right value, one effect of a
+    /// pair, or the truth after a deviation or among at most two ambiguous effects.
     Acceptable,
-    /// The truth, and something that is not.
+    /// The truth, and something false.
     Mixed,
-    /// Nothing of the truth, and nothing that is not true.
+    /// Neither the truth nor anything false.
     Missed,
-    /// Something that is not true.
+    /// Something false.
     Wrong,
 }
 
@@ -38,26 +37,26 @@ impl Grade {
         }
     }
 
-    /// Whether nothing is held against the answer.
+    /// Whether the answer is right or acceptable.
     pub fn is_good(self) -> bool {
         matches!(self, Self::Right | Self::Acceptable)
     }
 }
 
-/// What an answer says, as far as its grade goes.
+/// The parts of an answer that its grade depends on.
 pub(super) struct Stated<'a> {
     pub key: &'a KeyEntry,
     pub verdict: &'a str,
     pub trap_right: bool,
-    /// True effects that are named, and how many there are.
+    /// Number of true effects that are named, and number of true effects.
     pub found: usize,
     pub wanted: usize,
-    /// Whether the first that is named is one.
+    /// Whether the first named effect is true.
     pub first: bool,
-    /// Whether something is named that is not there, and a deviation that is.
+    /// Whether a named effect is false, and whether one is a real deviation.
     pub is_false: bool,
     pub is_deviation: bool,
-    /// Whether the truth is among what cannot be told from what is named.
+    /// Whether the truth is among the ambiguous effects.
     pub admits: bool,
 }
 

@@ -1,5 +1,5 @@
-//! A ground station that does no more than fly a motion: it hears where the vehicle is and answers
-//! each position with a setpoint of the daemon's controller, designed for the nominal vehicle.
+//! A minimal ground station that flies a motion: it responds to each position with a setpoint from
+//! the daemon's controller, designed for the nominal vehicle.
 
 use mavlink::MessageData;
 use sitl::autopilot::Mode;
@@ -18,15 +18,15 @@ use crate::control::{
 use crate::plan::DesiredPoint;
 use crate::setpoint::{Reference, Setpoint, State};
 
-/// Identity of the ground station.
+/// MAVLink identity of the ground station.
 const SYSTEM: u8 = 255;
 const COMPONENT: u8 = 190;
-/// The desired tilt is bounded here, rad: the flights ask for more than a careful pilot.
+/// Limit of the desired tilt, rad: the flights are bolder than a careful pilot.
 const TILT_MAX: f64 = 0.9;
-/// Over this time the desired attitude's rate is taken, s.
+/// Time step for the rate of the desired attitude, s.
 const RATE_SPAN_S: f64 = 0.01;
 
-/// How often messages are asked for, Hz; 0 for never.
+/// Requested message rates, Hz; 0 for none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// ATTITUDE_QUATERNION.
@@ -43,13 +43,13 @@ pub struct Rates {
     pub rpm: f64,
 }
 
-/// Why a vehicle cannot be flown.
+/// Reasons that the ground station cannot fly a vehicle.
 #[derive(Debug, thiserror::Error)]
 pub enum GroundError {
-    /// Its file lacks the loop, or is refused.
+    /// The physics rejects the vehicle.
     #[error(transparent)]
     Vehicle(#[from] vehicle::VehicleError),
-    /// There is no control law for it.
+    /// The design of the controller fails.
     #[error(transparent)]
     Design(#[from] crate::control::DesignError),
     /// The file has no on-board loop.
@@ -57,7 +57,7 @@ pub enum GroundError {
     NoLoop(String),
 }
 
-/// The ground station.
+/// A ground station for one vehicle.
 pub struct Ground {
     controller: Controller,
     limits: Limits,
@@ -69,7 +69,7 @@ pub struct Ground {
 }
 
 impl Ground {
-    /// For a vehicle as its file describes it.
+    /// A ground station for the vehicle in a file.
     ///
     /// # Errors
     /// [`GroundError`].
@@ -109,7 +109,7 @@ impl Ground {
         })
     }
 
-    /// Its heartbeat.
+    /// Its HEARTBEAT frame.
     pub fn heartbeat(&mut self) -> Vec<u8> {
         self.encoded(&MavMessage::HEARTBEAT(HEARTBEAT_DATA {
             custom_mode: 0,
@@ -121,7 +121,7 @@ impl Ground {
         }))
     }
 
-    /// Requests for the streams; those that it does not name are switched off.
+    /// Requests for the streams in `rates`; other streams are switched off.
     pub fn requests(&mut self, rates: &Rates) -> Vec<Vec<u8>> {
         [
             (ATTITUDE_QUATERNION_DATA::ID, rates.attitude),
@@ -148,7 +148,7 @@ impl Ground {
         .collect()
     }
 
-    /// The request for OFFBOARD.
+    /// The request for OFFBOARD mode.
     pub fn offboard(&mut self) -> Vec<u8> {
         let [_, _, main, sub] = Mode::Offboard.custom_mode().to_le_bytes();
         let parameters = [1.0, f32::from(main), f32::from(sub)];
@@ -173,8 +173,8 @@ impl Ground {
         bytes
     }
 
-    /// Takes a frame of the vehicle; a position is answered with a setpoint towards `motion` at
-    /// `time` (s) into it: the frame, and what the vehicle will make of it.
+    /// Processes a frame of the vehicle. A position yields a setpoint towards `motion` at `time`
+    /// (s) into it: the frame, and the setpoint that the vehicle will decode from it.
     pub fn receive(
         &mut self,
         frame: &Frame,
@@ -228,8 +228,8 @@ impl Ground {
         Some((self.encoded(&MavMessage::SET_ATTITUDE_TARGET(data)), understood))
     }
 
-    /// A quadrotor is differentially flat: the thrust carries the weight and makes the
-    /// acceleration, which with the yaw gives the attitude.
+    /// A quadrotor is differentially flat: the thrust carries the weight and provides the
+    /// acceleration, which with the yaw determines the attitude.
     fn reference(&self, motion: &Motion, time: f64) -> Reference {
         let point = motion.sample(time);
         let (thrust_n, attitude) = self.carry(&point);

@@ -1,26 +1,26 @@
-//! Rates with what chance leaves open.
+//! Rates with confidence intervals.
 
 use schemars::JsonSchema;
 use serde::Serialize;
 
-/// Quantile of the normal distribution for 95 % intervals.
+/// Normal quantile for 95 % intervals.
 const Z95: f64 = 1.959_964;
 
-/// So many of so many, with Wilson's 95 % interval.
+/// A rate with Wilson's 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Rate {
-    /// How many.
+    /// Number of successes.
     pub count: usize,
-    /// Of how many.
+    /// Number of cases.
     pub of: usize,
-    /// count / of; missing of none.
+    /// count / of; missing for no cases.
     pub rate: Option<f64>,
-    /// Where the true rate lies.
+    /// 95 % interval of the true rate.
     pub interval: [f64; 2],
 }
 
 impl Rate {
-    /// How many are true.
+    /// The rate of true outcomes.
     pub fn of(outcomes: impl IntoIterator<Item = bool>) -> Self {
         let (mut count, mut of) = (0, 0);
         for outcome in outcomes {
@@ -30,7 +30,7 @@ impl Rate {
         Self::new(count, of)
     }
 
-    /// `count` of `of`.
+    /// The rate of `count` successes among `of` cases.
     pub fn new(count: usize, of: usize) -> Self {
         Self {
             count,
@@ -55,7 +55,7 @@ fn wilson(count: usize, of: usize) -> [f64; 2] {
     [middle - half, middle + half].map(|bound| (bound / (1.0 + z2)).clamp(0.0, 1.0))
 }
 
-/// The middle of some numbers; `None` of none.
+/// The median; `None` without a value.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     if values.is_empty() {
         return None;
@@ -69,7 +69,7 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     })
 }
 
-/// Ranges between borders; the last has no end.
+/// Ranges between consecutive borders; the last range has no upper end.
 pub(super) fn ranges(borders: &[f64]) -> impl Iterator<Item = [f64; 2]> + '_ {
     let ends = borders.iter().skip(1).copied().chain([f64::INFINITY]);
     borders.iter().copied().zip(ends).map(|(low, high)| [low, high])

@@ -1,4 +1,4 @@
-//! The key of an exam, and the commitment to it: its hash is published before the first diagnosis,
+//! The key of an exam and the commitment to it. Its hash is published before the first diagnosis,
 //! the key after the last.
 
 use std::collections::BTreeMap;
@@ -17,85 +17,85 @@ use super::world::{FileKind, LoopKind};
 /// An effect that the vehicle has beyond its file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrueEffect {
-    /// Id.
+    /// Its id in the catalogue.
     pub id: String,
     /// The vehicle's values.
     pub parameters: Parameters,
-    /// What the vehicle file says, or the neutral values.
+    /// The vehicle file's values, or the neutral ones.
     pub neutral: Parameters,
-    /// How strongly it shows by itself.
+    /// Its strength alone, as a ratio over noise.
     pub ratio: f64,
 }
 
-/// The right answer to a case, and what was flown.
+/// The right answer to a case, with the conditions of its flights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeyEntry {
-    /// What it asks.
+    /// The kind of question that the case asks.
     pub kind: Kind,
-    /// State of the logs.
+    /// Condition of the logs.
     pub condition: Condition,
-    /// How good the vehicle file is.
+    /// Quality of the vehicle file.
     pub file: FileKind,
-    /// Which loop is on board.
+    /// The loop on board.
     pub on_board: LoopKind,
     /// Rate of the logged outputs, Hz.
     pub outputs_hz: f64,
     /// The right verdict.
     pub verdict: String,
-    /// The effects that the vehicle has beyond its file, by their causes' ids.
+    /// The vehicle's effects beyond its file, by their causes' ids.
     pub effects: Vec<TrueEffect>,
-    /// Further ids that name the cause as well.
+    /// Other ids that also name the cause.
     pub also_right: Vec<String>,
-    /// What these flights cannot tell apart; none of a trap that hides its effect.
+    /// Effects that these flights do not distinguish; empty for a trap that hides its effect.
     pub candidates: Vec<String>,
-    /// What the catalogue does not have.
+    /// The disturbance or law outside the catalogue.
     pub foreign: Option<Foreign>,
-    /// Effects that the diagnosis is to do without.
+    /// Effects taken out of the catalogue.
     pub without: Vec<String>,
-    /// What of the vehicle file is off by its tolerances, which is never the answer.
+    /// Differences of the vehicle from its file within tolerances, which are never the answer.
     pub deviations: Vec<Deviation>,
-    /// How many claimed standard deviations each effect is off the file; none of one that no number
-    /// of the file is.
+    /// Distance of each effect from the file in claimed standard deviations; `None` for an effect
+    /// that the file has no number for.
     pub beyond_tolerances: Vec<Option<f64>>,
-    /// How strongly all of it shows when every number of the file has moved by up to three
+    /// Ratio over noise of the whole truth after every number of the file has moved by up to three
     /// tolerances to explain it.
     pub ratio_beyond_file: Option<f64>,
-    /// Whether each effect is of practical size: at least three tolerances off the file, and as
-    /// strong as three times noise when its numbers have moved. Of an exact file with an exact
-    /// world about it, whether it shows twice as much as noise.
+    /// Whether the truth is of practical size: each effect at least three tolerances off the file,
+    /// and a ratio over noise of at least three after the file's numbers have moved. In an exact
+    /// world, a ratio over noise of at least two.
     pub is_practical: bool,
-    /// How strongly all of it shows.
+    /// Strength of the whole truth, as a ratio over noise.
     pub snr: Strength,
-    /// Whether it shows less than noise.
+    /// Whether the truth shows less than noise.
     pub is_weak: bool,
     /// Mass in the vehicle file, kg.
     pub nominal_mass_kg: f64,
-    /// Kind and notes.
+    /// The case's kind and notes on its conditions.
     pub tags: Vec<String>,
 }
 
 impl KeyEntry {
-    /// Whether the flights do not show the effect at all, so that nothing must be named.
+    /// Whether the flights do not show the effect at all, and a right answer names nothing.
     pub fn hides_its_effect(&self) -> bool {
         self.kind.is_trap() && self.candidates.is_empty()
     }
 }
 
-/// The key: by case.
+/// The key of an exam.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Key {
     /// Seed of the exam.
     pub seed: u64,
-    /// A number that nobody can guess, so that the hash gives nothing away.
+    /// A nonce, so that the hash reveals nothing.
     pub nonce: String,
-    /// Effects that no flight can tell apart.
+    /// Classes of effects that no flight distinguishes.
     pub equivalence_classes: Vec<Vec<String>>,
-    /// By the case's name.
+    /// Entries by the name of the case.
     pub cases: BTreeMap<String, KeyEntry>,
 }
 
 impl Key {
-    /// The key of `cases`, with a nonce from the system.
+    /// The key of `cases`, with a nonce from the system's entropy.
     pub fn new(seed: u64, cases: BTreeMap<String, KeyEntry>) -> Self {
         let nonce = format!("{:016x}{:016x}", entropy(), entropy());
         let class = ["thrust_scale", "mass"].map(str::to_owned).to_vec();
@@ -105,13 +105,13 @@ impl Key {
     /// The bytes of key.json.
     ///
     /// # Errors
-    /// None that a key can cause.
+    /// A serialisation error, which a key cannot cause.
     pub fn bytes(&self) -> serde_json::Result<Vec<u8>> {
         serde_json::to_vec(self)
     }
 }
 
-/// What is published beforehand: the SHA-256 of key.json, in hexadecimal digits.
+/// The commitment: the SHA-256 of key.json in hexadecimal digits.
 pub fn commitment(key: &[u8]) -> String {
     Sha256::digest(key).iter().map(|byte| format!("{byte:02x}")).collect()
 }
@@ -134,7 +134,7 @@ mod tests {
         let key = Key::new(1, BTreeMap::new());
         let bytes = key.bytes().expect("JSON");
         assert_eq!(serde_json::from_slice::<Key>(&bytes).expect("a key"), key);
-        // Even an empty key with the same seed hashes differently every time.
+        // Two empty keys with the same seed have different hashes.
         let other = Key::new(1, BTreeMap::new()).bytes().expect("JSON");
         assert_ne!(commitment(&bytes), commitment(&other));
     }

@@ -1,5 +1,5 @@
-//! Cases for the search of laws: vehicles with a law that the catalogue does not have, or with none,
-//! flown by the exam's programme and on another mission.
+//! Cases for the search for laws: vehicles with a law outside the catalogue or with none, on
+//! flights of the exam's programme and on another mission.
 
 use std::collections::BTreeMap;
 
@@ -13,16 +13,16 @@ use super::draw::{Draw, rounded};
 use super::order::{Kind, Order, Settings};
 use crate::diagnose::likelihood::noise::ReportNoise;
 
-/// Draws until one flies.
+/// Most draws for a case.
 const ATTEMPTS: u64 = 8;
-/// Flights of the mission that no law is made from.
+/// Flights of the other mission, which no law is fitted to.
 const MISSION: usize = 2;
-/// Force of a law at 2 m/s over the weight, least and most; a moment, over what as much makes at the
-/// rotors' arm.
+/// Range of a law's force at 2 m/s, as a share of the weight; and its moment, as a share of that of
+/// the same force at the rotors' arm.
 const SHARES: [f64; 2] = [0.03, 0.15];
 const MOMENT: f64 = 0.02;
 
-/// Kinds of laws, each with what it depends on. The last three are not of the search's grammar.
+/// Kinds of laws with the variables of each. The last three are outside the grammar of the search.
 const KINDS: [(&str, &[&str]); 14] = [
     ("drag to a power", &["air"]),
     ("drag of plates", &["air"]),
@@ -40,18 +40,18 @@ const KINDS: [(&str, &[&str]); 14] = [
     ("drag that grows as an exponential", &["air"]),
 ];
 
-/// A law that was drawn.
+/// A drawn law.
 #[derive(Clone, Debug)]
 pub struct DrawnLaw {
-    /// Its kind.
+    /// The kind's name.
     pub kind: &'static str,
-    /// What it depends on, by [`variables`].
+    /// The variables that it depends on, in terms of [`variables`].
     pub variables: &'static [&'static str],
-    /// The law.
+    /// The law's formulas.
     pub law: Law,
 }
 
-/// What quantities of a law are, for a comparison: each velocity is the air's.
+/// The variables behind a law's quantities, for comparison: every velocity counts as the air's.
 pub fn variables<'a>(quantities: impl IntoIterator<Item = &'a str>) -> Vec<&'static str> {
     let of = |name: &str| match name {
         "rate_z" => "yaw rate",
@@ -135,27 +135,27 @@ fn draw_law(draw: &mut Draw, vehicle: &VehicleParams) -> Option<DrawnLaw> {
     Some(DrawnLaw { kind, variables, law: Law::new("hidden", text).ok()? })
 }
 
-/// A case that was flown.
+/// A case with its flown logs.
 #[derive(Clone, Debug)]
 pub struct LawCase {
     /// The vehicle file.
     pub nominal: VehicleParams,
-    /// The file as it would be, were the builder's numbers right.
+    /// The file with the vehicle's numbers.
     pub known: VehicleParams,
-    /// The logs to make a law from.
+    /// Logs to fit a law to.
     pub logs: Vec<Vec<u8>>,
-    /// Those of the other mission.
+    /// Logs of the other mission.
     pub mission: Vec<Vec<u8>>,
-    /// The law; none of a null.
+    /// The law; `None` for a null.
     pub law: Option<DrawnLaw>,
-    /// The same as a set.
+    /// The law as an effect set.
     pub truth: EffectSet,
-    /// Noise of the reports.
+    /// Noise of the reported state.
     pub noise: ReportNoise,
 }
 
 impl LawCase {
-    /// Case `number` of the exam with this seed, with a law or without.
+    /// Draws and flies case `number` of the exam with this seed, with a law or without.
     ///
     /// # Errors
     /// [`CaseError`].
@@ -175,7 +175,7 @@ impl LawCase {
             let law = if has_law { draw_law(&mut draw, &bench.nominal) } else { None };
             let mut effects = EffectSet::new();
             if let Some(drawn) = &law {
-                // The set is empty.
+                // The set is empty, so the law fits.
                 let _ = effects.insert_law(drawn.law.clone());
             }
             let truth = Truth::from(effects.clone());

@@ -1,5 +1,5 @@
-//! Effects with a direction and a size: one number that grows from nothing to as much as a vehicle
-//! may sensibly have, so that a wanted strength can be searched for.
+//! Effects with a direction and a size: a single number scales an effect from zero to the largest
+//! sensible one, to search for a wanted strength.
 
 use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet, Growth};
@@ -7,10 +7,10 @@ use vehicle::effects::{EffectId, EffectSet, Growth};
 use super::draw::{Draw, rounded};
 use crate::diagnose::catalogue::hypothesis::reference;
 
-/// An effect along a drawn direction.
+/// An effect with a drawn direction.
 #[derive(Clone, Debug)]
 pub struct Direction {
-    /// Which.
+    /// The effect's id.
     pub effect: EffectId,
     growth: Growth,
     /// Whether the effect grows with the square of its size.
@@ -18,7 +18,7 @@ pub struct Direction {
 }
 
 impl Direction {
-    /// Draws a direction. An effect that the vehicle file models goes off from there.
+    /// Draws a direction. An effect that the vehicle file models starts at the file's values.
     pub fn draw(draw: &mut Draw, vehicle: &VehicleParams, effect: EffectId) -> Self {
         let spec = effect.spec();
         let mut growth = Growth::default();
@@ -27,7 +27,7 @@ impl Direction {
         }
         (spec.strong)(vehicle, draw, &mut growth);
         let modelled = vehicle.modelled_effects.contains(effect);
-        // Off a modelled value in either direction, but never to the other side of nothing.
+        // A modelled value may grow or shrink, but does not change sign.
         if modelled && draw.chance(0.5) {
             for (by, from) in growth.by.iter_mut().zip(growth.from) {
                 *by = if from > 0.0 { -by.abs().min(from) } else { -*by };
@@ -36,7 +36,7 @@ impl Direction {
         Self { effect, growth, quadratic: spec.is_quadratic && !modelled }
     }
 
-    /// The effect at a size.
+    /// The effect at `size`, where 1 is the largest sensible one.
     pub fn at(&self, size: f64) -> EffectSet {
         let mut slots = self.growth.from;
         for slot in self.effect.spec().slots() {
@@ -44,7 +44,7 @@ impl Direction {
             slots[slot.index] = rounded(value.clamp(slot.parameter.min, slot.parameter.max));
         }
         let mut set = EffectSet::new();
-        // Clamped and of its own kind: it is accepted.
+        // The values are clamped, so the catalogue accepts them.
         let _ = set.insert(self.effect, slots);
         set
     }

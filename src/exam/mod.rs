@@ -1,5 +1,5 @@
-//! The blind check of the diagnosis: vehicles, effects and flights drawn from a seed, flown in
-//! simulation, diagnosed without the key, and scored.
+//! The blind exam of the diagnosis: draws vehicles, effects and flights from a seed, simulates the
+//! flights, diagnoses them without the key, and scores the answers.
 
 pub mod airframe;
 pub mod answer;

@@ -1,4 +1,4 @@
-//! A flight's desired motion: legs from hover to hover, with exact derivatives.
+//! The desired motion of a flight: legs between hovers, with exact derivatives.
 
 use std::f64::consts::TAU;
 
@@ -11,61 +11,61 @@ pub type Place = [f64; 4];
 
 /// Coordinates of a [`Place`].
 const AXES: usize = 4;
-/// Peak of the speed of a move over its mean, and of its acceleration over distance / time^2.
+/// Ratio of a move's peak speed to its mean, and of its peak acceleration to distance / time^2.
 const PEAK_SPEED: f64 = 1.875;
 const PEAK_ACCELERATION: f64 = 5.774;
-/// Time in which a wave swells and fades, s.
+/// Time in which a wave fades in and out, s.
 const RAMP_S: f64 = 1.5;
 
 /// A sinusoid along one coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tone {
-    /// Which coordinate.
+    /// Index of the coordinate in a [`Place`].
     pub axis: usize,
-    /// m or rad.
+    /// Amplitude, m or rad.
     pub amplitude: f64,
-    /// s
+    /// Period, s.
     pub period_s: f64,
-    /// rad
+    /// Phase at the start of the wave, rad.
     pub phase: f64,
 }
 
-/// Where to, and how.
+/// A segment of a motion.
 #[derive(Clone, Debug, PartialEq)]
 enum Leg {
-    /// Straight with least jerk, from rest to rest; without time a jump.
+    /// A straight move with minimum jerk, from rest to rest; in no time, a jump.
     Move { from: Place, to: Place },
-    /// Sinusoids about a place, which swell and fade.
+    /// Sinusoids about a place, which fade in and out.
     Wave { about: Place, tones: Vec<Tone> },
 }
 
-/// A motion that begins in hover.
+/// A motion that starts in hover.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Motion {
     start: Place,
-    /// End of each leg, s, and the leg.
+    /// The legs with the end time of each, s.
     legs: Vec<(f64, Leg)>,
     here: Place,
     duration: f64,
 }
 
 impl Motion {
-    /// In hover at a place.
+    /// A motion that starts in hover at a place.
     pub fn at(start: Place) -> Self {
         Self { start, legs: Vec::new(), here: start, duration: 0.0 }
     }
 
-    /// Where it begins.
+    /// The place where it starts.
     pub fn start(&self) -> Place {
         self.start
     }
 
-    /// Where it has come to.
+    /// The place where it ends so far.
     pub fn here(&self) -> Place {
         self.here
     }
 
-    /// Length, s.
+    /// Its length so far, s.
     pub fn duration(&self) -> f64 {
         self.duration
     }
@@ -75,19 +75,19 @@ impl Motion {
         self.legs.push((self.duration, leg));
     }
 
-    /// Stays.
+    /// Adds a hover at the present place.
     pub fn hold(&mut self, seconds: f64) {
         self.go_to(self.here, seconds);
     }
 
-    /// Goes to a place within a time.
+    /// Adds a move to a place in a given time.
     pub fn go_to(&mut self, to: Place, seconds: f64) {
         let from = std::mem::replace(&mut self.here, to);
         self.push(seconds, Leg::Move { from, to });
     }
 
-    /// Goes to a place as fast as a peak speed [m/s] and a peak acceleration [m/s^2] allow. Yaw
-    /// takes part in it.
+    /// Adds a move to a place as fast as a peak speed [m/s] and a peak acceleration [m/s^2] allow.
+    /// Yaw turns with the move, at up to 2.5 rad/s.
     pub fn hurry_to(&mut self, to: Place, speed: f64, acceleration: f64) {
         let distance = (0..3).map(|i| (to[i] - self.here[i]).powi(2)).sum::<f64>().sqrt();
         let turn = (to[3] - self.here[3]).abs();
@@ -98,18 +98,18 @@ impl Motion {
         self.go_to(to, seconds);
     }
 
-    /// Asks for another place at once, and stays there.
+    /// Adds a jump to a place, and a hover there.
     pub fn jump_to(&mut self, to: Place, seconds: f64) {
         self.here = to;
         self.hold(seconds);
     }
 
-    /// Swings about where it is.
+    /// Adds sinusoids about the present place.
     pub fn wave(&mut self, tones: Vec<Tone>, seconds: f64) {
         self.push(seconds, Leg::Wave { about: self.here, tones });
     }
 
-    /// What is wanted at a time; before the start and after the end to stay.
+    /// The desired point at a time; at rest before the start and after the end.
     pub fn sample(&self, time: f64) -> DesiredPoint {
         let index = self.legs.partition_point(|(end, _)| *end <= time);
         let begin = index.checked_sub(1).map_or(0.0, |before| self.legs[before].0);
@@ -167,7 +167,7 @@ impl Leg {
     }
 }
 
-/// Least jerk from 0 to 1 within `seconds`, with its derivatives.
+/// Minimum-jerk profile from 0 to 1 within `seconds`, with its two derivatives.
 fn smooth(time: f64, seconds: f64) -> [f64; 3] {
     let x = (time / seconds).clamp(0.0, 1.0);
     let (x2, x3) = (x * x, x * x * x);

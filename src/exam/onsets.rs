@@ -1,5 +1,5 @@
-//! Cases for the search of change points: flights in which something changes at an instant, and
-//! flights in which nothing does, of vehicles whose files are off as builders' are.
+//! Cases for the search for change points: flights with a change at one instant, and flights
+//! without, of vehicles that differ from their files within builders' tolerances.
 
 use sitl::config::{Autopilot, SitlConfig};
 use vehicle::effects::{EffectError, EffectSet, Schedule};
@@ -12,58 +12,58 @@ use vehicle::{ROTORS, VehicleError, VehicleParams};
 use super::draw::{Draw, rounded};
 use crate::onset::columns::Cause;
 
-/// From this strength on a change is to be found.
+/// Least strength of a change that should be found.
 pub const DETECTABLE: f64 = 3.0;
 /// Time after a change over which its strength is measured, s.
 const OVER_S: f64 = 5.0;
-/// Time before it from which the noise is.
+/// Time before a change over which the noise is measured, s.
 const NOISE_S: f64 = 10.0;
 /// Horizon of predictions, s.
 const HORIZON_S: f64 = 1.0;
-/// From one prediction to the next, and the steps of each, s.
+/// Time between predictions, and the step of each, s.
 const SPACING_S: f64 = 0.25;
 const STEP_S: f64 = 0.01;
-/// Length of a flight with a change, and when that is, s.
+/// Length of a flight with a change, and the range of its time, s.
 const FLIGHT_S: f64 = 60.0;
 const AT_S: [f64; 2] = [32.0, 48.0];
-/// Length of a flight without one, s.
+/// Length of a flight without a change, s.
 const NULL_S: f64 = 600.0;
-/// Directions, rad: nearly all round.
+/// Range of directions, rad: almost a full circle.
 #[allow(clippy::approx_constant)] // the end of a range
 const ANGLES: [f64; 2] = [0.0, 6.28];
-/// A pack that lasts.
+/// Capacity of a pack that lasts, mAh.
 const CAPACITY_MAH: f64 = 1e5;
 
-/// A change that was drawn.
+/// A drawn change.
 #[derive(Clone, Debug)]
 pub struct Drawn {
-    /// What changes.
+    /// The cause that changes.
     pub cause: Cause,
-    /// As `--effect` has it.
+    /// The change in the syntax of `--effect`.
     pub effect: String,
-    /// s of the vehicle's clock.
+    /// Time of the change on the vehicle's clock, s.
     pub at_s: f64,
 }
 
-/// A flight that was drawn.
+/// A drawn flight.
 #[derive(Clone, Debug)]
 pub struct OnsetCase {
-    /// A shipped vehicle.
+    /// Name of a shipped vehicle.
     pub vehicle: &'static str,
-    /// Who it behaves as.
+    /// The autopilot that the vehicle emulates.
     pub autopilot: Autopilot,
-    /// Its trajectory file.
+    /// Contents of its trajectory file.
     pub trajectory: String,
-    /// How the vehicle differs from its file all along, as `--effect` has it.
+    /// Differences of the vehicle from its file throughout, in the syntax of `--effect`.
     pub file: Vec<String>,
-    /// The change; none of a null.
+    /// The change; `None` for a null.
     pub change: Option<Drawn>,
     /// Seed of the flight.
     pub seed: u64,
 }
 
 impl OnsetCase {
-    /// Case `number` of the exam with this seed.
+    /// Draws case `number` of the exam with this seed.
     pub fn draw(seed: u64, number: u64, changes: bool) -> Self {
         let mut draw = Draw::new(seed, number + 1);
         let autopilot =
@@ -76,7 +76,7 @@ impl OnsetCase {
             Cause::Wind,
             Cause::Drag,
         ][draw.below(6)];
-        // Wind acts by the drag that a file has.
+        // Wind acts through the drag in the file.
         let is_large = changes && cause == Cause::Wind || draw.chance(0.5);
         let vehicle = if is_large { "quad1200" } else { "crazyflie" };
         let (weight, arm, drag) =
@@ -133,10 +133,10 @@ impl OnsetCase {
         Self { vehicle, autopilot, trajectory, file, change, seed: draw.seed() >> 32 }
     }
 
-    /// What acts, and what sets in.
+    /// The effects that act throughout, and the one that sets in.
     ///
     /// # Errors
-    /// None but of a mistake in what is drawn.
+    /// An error of the syntax, which a drawn effect cannot cause.
     pub fn schedule(&self) -> Result<Schedule, EffectError> {
         let mut schedule = Schedule::default();
         for effect in &self.file {
@@ -148,7 +148,7 @@ impl OnsetCase {
         Ok(schedule)
     }
 
-    /// A configuration of the simulated vehicle, from one for its autopilot.
+    /// `config` with a pack that lasts for the flight.
     pub fn configured(config: SitlConfig) -> SitlConfig {
         let mut config = config;
         config.battery.capacity_mah = Some(CAPACITY_MAH);
@@ -156,7 +156,7 @@ impl OnsetCase {
     }
 }
 
-/// A trajectory of some kind, about so long, s.
+/// A random trajectory of about this length, s.
 fn trajectory(draw: &mut Draw, length_s: f64) -> String {
     match draw.below(4) {
         0 => format!("family = \"hover\"\naltitude_m = 1.5\nduration_s = {length_s}\n"),
@@ -168,7 +168,7 @@ fn trajectory(draw: &mut Draw, length_s: f64) -> String {
         kind => {
             let speed = rounded(draw.within([0.6, 1.8]));
             let hold = if kind == 2 { 0.3 } else { 2.0 };
-            // A leg is some 1.8 m in the mean.
+            // A leg is about 1.8 m long on average.
             let count = (length_s / (1.8 / speed + speed / 2.0 + hold)).ceil() as usize;
             format!(
                 "family = \"random-waypoints\"\naltitude_m = 1.5\nseed = {}\ncount = {count}\n\
@@ -180,14 +180,14 @@ fn trajectory(draw: &mut Draw, length_s: f64) -> String {
     }
 }
 
-/// What a flight's records hold of its motion, as its strength needs it.
+/// The recorded motion of a flight, to measure its change's strength.
 #[derive(Clone, Debug, Default)]
 pub struct Recorded {
-    /// Reported states by the vehicle's clock, s.
+    /// Reported states with their times on the vehicle's clock, s.
     pub reports: Vec<(f64, State)>,
-    /// True states with the rotors' thrusts, N.
+    /// True states with their times and the rotors' thrusts, N.
     pub truth: Vec<(f64, State, [f64; ROTORS])>,
-    /// Motor outputs, 0..1.
+    /// Motor outputs, 0..1, with their times.
     pub outputs: Vec<(f64, [f64; ROTORS])>,
 }
 
@@ -195,12 +195,13 @@ pub struct Recorded {
 type Errors = [f64; 12];
 
 impl Recorded {
-    /// How strongly a change shows: the RMS error that it alone causes in predictions of a second
-    /// over the 5 s after it, over the one that predictions along the reported outputs and attitude by
-    /// the true vehicle have before it; the largest of position, velocity, angle and body rate.
+    /// The strength of a change: its RMS effect on predictions of a second over the 5 s after it,
+    /// divided by the RMS error of the true vehicle's predictions before it, which follow the
+    /// reported outputs and attitude. It is the largest ratio of position, velocity, angle and body
+    /// rate.
     ///
     /// # Errors
-    /// A vehicle that the physics refuses.
+    /// A vehicle that the physics rejects.
     pub fn strength(
         &self,
         vehicle: &VehicleParams,
@@ -225,7 +226,7 @@ impl Recorded {
         Ok((0..12).map(ratio).fold(0.0, f64::max))
     }
 
-    /// What a change alone makes of a prediction.
+    /// The effect of the change alone on a prediction.
     fn due(&self, start: f64, before: &Physics, after: &Physics) -> Errors {
         let from = self.truth.partition_point(|(time, ..)| *time < start);
         let to = self.truth.partition_point(|(time, ..)| *time < start + HORIZON_S);
@@ -240,7 +241,7 @@ impl Recorded {
         sum.0
     }
 
-    /// What a prediction by the true vehicle misses of what is reported.
+    /// The error of the true vehicle's prediction against the reports.
     fn missed(&self, start: f64, physics: &Physics) -> Option<Errors> {
         let at = |time: f64| {
             let index = self.reports.partition_point(|(t, _)| *t < time);

@@ -1,4 +1,4 @@
-//! What cases are to be flown.
+//! Orders for cases: what to fly.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,7 +8,7 @@ use vehicle::effects::EffectId;
 use super::condition::Condition;
 use super::world::World;
 
-/// What a case asks.
+/// The kind of question that a case asks.
 #[derive(
     Clone,
     Copy,
@@ -24,23 +24,23 @@ use super::world::World;
 )]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// Nothing beyond noise.
+    /// No effect beyond noise and tolerances.
     Null,
     /// One effect of the catalogue.
     Single,
-    /// Two.
+    /// Two effects of the catalogue.
     Pair,
     /// An effect that the vehicle file models with wrong values, or that needs a modelled one.
     Modelled,
     /// One effect, diagnosed with a catalogue that lacks it.
     LeftOut,
-    /// A disturbance from outside that no effect of the catalogue is.
+    /// A disturbance from outside that matches no effect of the catalogue.
     Foreign,
-    /// A cause that the catalogue knows, by another law.
+    /// A cause of the catalogue under another law.
     OtherLaw,
-    /// One effect on flights that cannot tell it from another, or cannot show it.
+    /// One effect on flights that confuse it with another or do not show it.
     Trap,
-    /// One effect on a shipped vehicle, at one of three strengths, with logs in some state.
+    /// One effect on a shipped vehicle, at one of three strengths, with logs in one condition.
     #[value(skip)]
     RoundTrip,
 }
@@ -61,12 +61,12 @@ impl Kind {
         }
     }
 
-    /// Whether its flights hide or confound the effect.
+    /// Whether its flights hide or confuse the effect.
     pub fn is_trap(self) -> bool {
         self == Self::Trap
     }
 
-    /// Every kind but nulls, with its share of the cases.
+    /// Every kind except nulls, with its share of the cases.
     pub const SHARES: [(Kind, f64); 7] = [
         (Kind::Single, 0.4),
         (Kind::Pair, 0.12),
@@ -78,12 +78,12 @@ impl Kind {
     ];
 }
 
-/// A case to be flown.
+/// An order for one case.
 #[derive(Clone, Debug)]
 pub struct Order {
-    /// What it asks.
+    /// The kind of question.
     pub kind: Kind,
-    /// Of a round trip: which.
+    /// The parameters of a round trip.
     pub round_trip: Option<RoundTrip>,
 }
 
@@ -96,21 +96,22 @@ impl From<Kind> for Order {
 /// A case of the round trip.
 #[derive(Clone, Debug)]
 pub struct RoundTrip {
-    /// The vehicle, without the name that it has.
+    /// The vehicle; the case replaces its name.
     pub vehicle: VehicleParams,
-    /// Its effect.
+    /// The effect that it has.
     pub effect: EffectId,
-    /// How strongly it is to show.
+    /// The wanted ratio over noise.
     pub ratio: f64,
-    /// State of its logs.
+    /// Condition of its logs.
     pub condition: Condition,
 }
 
 impl RoundTrip {
-    /// Strengths of a round trip.
+    /// Ratios over noise in a round trip.
     pub const RATIOS: [f64; 3] = [3.0, 6.0, 12.0];
 
-    /// Every effect of the catalogue at every strength on every vehicle with logs in every state.
+    /// Every effect of the catalogue at every strength on every vehicle with logs in every
+    /// condition.
     pub fn all(vehicles: &[VehicleParams]) -> Vec<Order> {
         let mut orders = Vec::new();
         for vehicle in vehicles {
@@ -128,16 +129,16 @@ impl RoundTrip {
     }
 }
 
-/// What is the same in every case.
+/// Settings that all cases share.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
-    /// Flights of a case.
+    /// Flights per case.
     pub flights: usize,
     /// Length of a log, s.
     pub seconds: f64,
-    /// Signal-to-noise ratios of single effects, where files are exact.
+    /// Range of ratios over noise of single effects, with exact files.
     pub ratios: [f64; 2],
-    /// Which vehicles.
+    /// The kind of vehicles.
     pub world: World,
 }
 

@@ -1,11 +1,11 @@
-//! The flights of a case: the same kinds in every case, with other numbers.
+//! The flights of a case: the same kinds in each case, with other numbers.
 
 use std::f64::consts::TAU;
 
 use super::draw::Draw;
 use super::motion::{Motion, Place, Tone};
 
-/// How boldly, and how near the floor.
+/// How boldly flights move, and how low.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vigour {
     /// Peak speed, m/s.
@@ -16,24 +16,24 @@ pub struct Vigour {
     pub low: f64,
 }
 
-/// What may be kept out of a programme.
+/// Limits of a programme's manoeuvres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Restriction {
-    /// Nothing.
+    /// No limit.
     #[default]
     None,
-    /// Hover with small steps, always at one heading.
+    /// Hover with small steps at one heading.
     OneHeadingHover,
-    /// Everything, but far above the floor.
+    /// Every manoeuvre, far above the floor.
     High,
-    /// Everything, but the heading stays.
+    /// Every manoeuvre, at one heading.
     NoYaw,
-    /// Hover, height kept, with headings all around.
+    /// Hover at a constant height, with headings all around.
     SteadyThrust,
 }
 
 impl Vigour {
-    /// A draw for a vehicle with rotors of this radius, m.
+    /// Draws for a vehicle with rotors of this radius, m.
     pub fn draw(draw: &mut Draw, rotor_radius_m: f64) -> Self {
         Self {
             speed: draw.within([2.0, 4.0]),
@@ -43,7 +43,7 @@ impl Vigour {
     }
 }
 
-/// `count` flights of about `seconds`, each beginning in hover.
+/// `count` flights of about `seconds` each, which start in hover.
 pub fn programme(
     draw: &mut Draw,
     vigour: &Vigour,
@@ -96,7 +96,7 @@ impl Composer<'_> {
         !matches!(self.restriction, Restriction::NoYaw | Restriction::OneHeadingHover)
     }
 
-    /// A sinusoid with peak speed and acceleration within shares of the vigour's.
+    /// A sinusoid with peak speed and acceleration within shares of the limits.
     fn tone(&mut self, axis: usize, share: [f64; 2]) -> Tone {
         let (speed, acceleration) = if axis == 3 {
             (self.draw.within([0.6, 1.8]), self.draw.within([1.5, 4.0]))
@@ -131,7 +131,7 @@ impl Composer<'_> {
         self.motion.wave(tones, left);
     }
 
-    /// Yaw spins, steps, low passes, climbs and descents, in any order.
+    /// Yaw spins, steps, low passes, climbs and descents, in random order.
     fn technique(&mut self, seconds: f64) {
         let mut order = [0, 1, 2, 3];
         self.draw.shuffle(&mut order);

@@ -1,4 +1,4 @@
-//! Whether stated probabilities are as often true as they say.
+//! Compares stated probabilities with observed frequencies.
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -9,29 +9,30 @@ use super::score::Row;
 
 /// Borders between probabilities in the reliability table.
 pub const PROBABILITIES: [f64; 9] = [0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];
-/// Bins of the reliability table count from so many cases on.
+/// Fewest cases for a bin of the reliability table to count.
 const BIN_MIN: usize = 30;
 
-/// How often what is given this probability is true.
+/// Observed frequency in a bin of stated probabilities.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Reliability {
-    /// Probabilities from and to.
+    /// Lower and upper limit of the bin.
     pub probabilities: [f64; 2],
-    /// Mean of those given.
+    /// Mean of the stated probabilities.
     pub mean: f64,
-    /// Share that is true.
+    /// Rate of true effects.
     pub is_true: Rate,
 }
 
 impl Reliability {
-    /// Whether the mean that was given lies where the true rate may; a bin of few counts as such.
+    /// Whether the mean stated probability is within the interval of the true rate, or the bin is
+    /// small.
     pub fn holds(&self) -> bool {
         let [low, high] = self.is_true.interval;
         self.is_true.of < BIN_MIN || (low..=high).contains(&self.mean)
     }
 }
 
-/// Every bin of stated probabilities in which an answer of `rows` lies.
+/// Every non-empty bin of the stated probabilities in `rows`.
 pub fn reliability(rows: &[Row]) -> Vec<Reliability> {
     let given: Vec<(f64, bool)> = rows
         .iter()
@@ -55,7 +56,7 @@ pub fn reliability(rows: &[Row]) -> Vec<Reliability> {
         .collect()
 }
 
-/// Mean distance between what was given and what is true, by how many are in each bin.
+/// Mean distance between stated and observed probabilities, weighted by the size of each bin.
 pub fn calibration_error(bins: &[Reliability]) -> Option<f64> {
     let total: usize = bins.iter().map(|bin| bin.is_true.of).sum();
     let off = bins

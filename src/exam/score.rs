@@ -1,4 +1,4 @@
-//! One answer against the key.
+//! Scores one answer against the key.
 
 use std::collections::BTreeMap;
 
@@ -13,21 +13,21 @@ use super::key::{KeyEntry, TrueEffect};
 use super::order::Kind;
 use super::world::{FileKind, LoopKind};
 
-/// A wrong name beyond this probability does harm, whatever stands beside it.
+/// Probability above which a wrong effect is harmful.
 const CONFIDENT: f64 = 0.8;
-/// By which law the truth of a case acts.
+/// The law of a case's truth.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
 )]
 #[serde(rename_all = "kebab-case")]
 pub enum Law {
-    /// There is none.
+    /// No truth.
     Null,
-    /// The catalogue's.
+    /// A law of the catalogue.
     Catalogue,
-    /// Another, for a cause that the catalogue has.
+    /// Another law, for a cause in the catalogue.
     Other,
-    /// One that the diagnosis does not have.
+    /// A law that the diagnosis lacks.
     Unknown,
 }
 
@@ -52,80 +52,81 @@ impl Law {
     }
 }
 
-/// How one case went.
+/// The score of one case.
 #[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
 pub struct Row {
-    /// Its name.
+    /// The case's name.
     pub case: String,
-    /// What it asked.
+    /// The kind of question that it asks.
     pub kind: Kind,
-    /// State of its logs.
+    /// Condition of its logs.
     pub condition: Condition,
-    /// By which law its truth acts.
+    /// The law of its truth.
     pub law: Law,
-    /// How good its vehicle file is.
+    /// Quality of its vehicle file.
     pub file: FileKind,
-    /// Which loop is on board.
+    /// The loop on board.
     pub on_board: LoopKind,
     /// Rate of the logged outputs, Hz.
     pub outputs_hz: f64,
-    /// Whether its effects are of practical size, and are to be named.
+    /// Whether its effects are of practical size, so that an answer should name them.
     pub is_practical: bool,
-    /// How the answer stands to the key.
+    /// Grade of the answer against the key.
     pub grade: Grade,
-    /// Deviations of the vehicle file that are named with their values right.
+    /// Named deviations of the vehicle file with the right values.
     pub deviations_named: Vec<String>,
-    /// What is named and is not there.
+    /// Named effects that are false.
     pub false_named: Vec<String>,
-    /// The true effects.
+    /// Ids of the true effects; in parentheses, a disturbance or law outside the catalogue.
     pub truth: Vec<String>,
     /// Classes of effects that are right to name.
     pub right: Vec<String>,
-    /// Classes of the answer's effects that are deviations of the vehicle file, values right.
+    /// Classes of the answer's effects that are real deviations of the vehicle file with the right
+    /// values.
     pub deviations: Vec<String>,
-    /// How strongly they show.
+    /// Strength of the true effects, as a ratio over noise.
     pub ratio: f64,
     /// The right verdict.
     pub right_verdict: String,
-    /// The verdict given; `missing` without an answer.
+    /// The verdict of the answer; `missing` without an answer.
     pub verdict: String,
-    /// Every effect of the answer with its probability.
+    /// Every class of effects in the answer, with its probability.
     pub probabilities: Vec<(String, f64)>,
-    /// What cannot be told from it, by the answer.
+    /// Classes that the answer calls ambiguous with the named ones.
     pub ambiguous_with: Vec<String>,
-    /// Whether the most probable effect is true.
+    /// Whether the most probable effect is true, apart from deviations of the file.
     pub top_right: bool,
-    /// Whether a true effect is named or among at most two that cannot be told apart.
+    /// Whether the most probable effect and the ambiguous ones are at most two, one of them true.
     pub in_set: bool,
-    /// Whether it names a true effect alone, without ambiguity.
+    /// Whether the most probable effect is true, and none is ambiguous with it.
     pub is_definite: bool,
-    /// Whether every true effect, and whether nothing else, is named.
+    /// Whether every true effect is named.
     pub all_named: bool,
-    /// Nothing else is named.
+    /// Whether every true effect is named, and nothing false.
     pub exact: bool,
-    /// In a trap: whether the answer admits what the flights cannot tell.
+    /// For a trap: whether the answer admits what the flights do not distinguish.
     pub trap_right: bool,
-    /// An effect that is named and is not there, unless the answer admits that it may be the truth
-    /// in its place.
+    /// A false effect that is named with a probability above 0.8, or without the truth among the
+    /// ambiguous effects.
     pub confidently_wrong: Option<String>,
     /// Sum over effects of (probability - truth)^2.
     pub brier: f64,
-    /// Relative errors of the true effects' parameters.
+    /// Relative errors of the true effects' parameters, by effect.
     pub errors: BTreeMap<String, Vec<f64>>,
-    /// Of the 90 % intervals of true effects, which hold the truth.
+    /// Whether each 90 % interval of the true effects contains the truth, by effect.
     pub covered: BTreeMap<String, Vec<bool>>,
     /// The closure that the answer claims.
     pub claimed_closure: Option<f64>,
-    /// What the named effects that are there close of what the true ones do.
+    /// The closure of the truth that the real named effects reach.
     pub true_closure: Option<f64>,
-    /// The finding, or what went wrong.
+    /// The finding, or the reason that there is none.
     pub finding: String,
-    /// Time that the diagnosis took, s.
+    /// Duration of the diagnosis, s.
     pub seconds: f64,
 }
 
 impl Row {
-    /// Scores an answer; an error stands for none.
+    /// Scores an answer, or the error in its place.
     pub fn new(
         case: &str,
         key: &KeyEntry,
@@ -139,7 +140,7 @@ impl Row {
             |_| Vec::new(),
             |given| given.ambiguous_with.iter().map(|id| class_of(id)).collect(),
         );
-        // What the catalogue lacks is not to be found.
+        // Effects outside the catalogue cannot be found.
         let findable: &[TrueEffect] = if key.without.is_empty() { &key.effects } else { &[] };
         let truth: Vec<String> = findable.iter().map(|effect| class_of(&effect.id)).collect();
         let also: Vec<String> = key.also_right.iter().map(|id| class_of(id)).collect();
@@ -158,7 +159,7 @@ impl Row {
         let is_there = |id: &String| is_true(id) || deviations.contains(id);
         let named: Vec<&String> =
             probabilities.iter().filter(|(_, p)| *p >= NAMED).map(|(id, _)| id).collect();
-        // Of an answer that names nothing though it says `effect`, the first stands.
+        // An answer `effect` that names nothing asserts its first effect.
         let first = probabilities.first().map(|(id, _)| id).filter(|_| named.is_empty());
         let asserted: Vec<&String> =
             named.iter().copied().chain(first).filter(|_| says_effect).collect();
@@ -247,18 +248,18 @@ impl Row {
         }
     }
 
-    /// Whether an effect of the answer is there: a true one, or a deviation of the vehicle file.
+    /// Whether an effect of the answer is real: a true one, or a deviation of the vehicle file.
     pub fn is_right(&self, id: &str) -> bool {
         self.right.iter().chain(&self.deviations).any(|right| right == id)
     }
 
-    /// Whether the verdict is the right one.
+    /// Whether the verdict is right.
     pub fn verdict_right(&self) -> bool {
         self.verdict == self.right_verdict || self.kind == Kind::Null && self.grade.is_good()
     }
 
-    /// Whether the answer admits that it does not know: unknown, or several that cannot be told
-    /// apart and none with confidence.
+    /// Whether the answer admits ignorance: unknown, or several ambiguous effects and none with
+    /// confidence.
     pub fn admits_ignorance(&self) -> bool {
         let unsure = self.probabilities.iter().all(|(_, p)| *p <= CONFIDENT);
         self.verdict == "unknown" || !self.ambiguous_with.is_empty() && unsure
@@ -270,9 +271,9 @@ fn truth_in_words(key: &KeyEntry) -> Vec<String> {
     key.effects.iter().map(|effect| effect.id.clone()).chain(foreign).collect()
 }
 
-/// In a trap that confounds, the right answer is a set that holds the truth and what looks like it,
-/// or that these logs cannot show it. Where the effect is hidden the right answer is none, and to
-/// name it by luck is no harm.
+/// For a trap that confuses effects, a right answer lists the truth with an effect that looks like
+/// it, or says that these logs cannot show it. For a trap that hides its effect, the right answer
+/// is none, and naming the effect by luck does no harm.
 fn trap_right(key: &KeyEntry, given: Option<&Given>, set: &[&String], named: &[&String]) -> bool {
     let Some(given) = given else { return false };
     let truth: Vec<String> = key.effects.iter().map(|effect| class_of(&effect.id)).collect();
@@ -290,9 +291,8 @@ fn trap_right(key: &KeyEntry, given: Option<&Given>, set: &[&String], named: &[&
     }
 }
 
-/// Where an effect has several right names, the best of them counts; to name what is right `also`
-/// where nothing must be named is no harm.
-/// Nor is a deviation of the vehicle file that is there.
+/// Where an effect has several right names, they count together. Naming an effect of `also`, or a
+/// real deviation of the vehicle file, costs nothing.
 fn brier(
     probabilities: &[(String, f64)],
     truth: &[String],
@@ -445,7 +445,7 @@ mod tests {
         ));
     }
 
-    /// A mass that is 10 % above a file of which thrust and inertia are off.
+    /// A mass 10 % above a file whose thrust and inertia are off.
     fn off_file(kind: Kind) -> KeyEntry {
         let deviation = |id: &str, is: &str, said: &str| Deviation {
             id: id.to_owned(),

@@ -1,5 +1,5 @@
-//! A case's evidence with its key and its answer, so that another decision can be scored without
-//! flying or fitting anything again.
+//! Stored evidence of a case with its key and answer, to score another decision without new flights
+//! or fits.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,29 +16,30 @@ use crate::diagnose::verdict::evidence::{Evidence, Explained};
 /// A case as `exam --evidence` writes it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct StoredCase {
-    /// Its name.
+    /// The case's name.
     pub case: String,
     /// The right answer.
     pub key: KeyEntry,
-    /// What the verdict rests on; none where there was no diagnosis, or the data were at fault.
+    /// The evidence of the verdict; `None` without a diagnosis, or with data at fault.
     pub evidence: Option<Evidence>,
-    /// The answer that was given, or why there is none.
+    /// The answer, or the reason that there is none.
     pub answer: Result<Given, String>,
-    /// What the answer truly closes.
+    /// The true closure of the answer.
     pub true_closure: Option<f64>,
-    /// Time that the diagnosis took, s.
+    /// Duration of the diagnosis, s.
     pub seconds: f64,
 }
 
 impl StoredCase {
-    /// Whether it is of the families that a calibration is tested on, and not made on: cascades on
-    /// board with logged setpoints, outputs at 250 Hz, and other laws for the same cause.
+    /// Whether it belongs to the families for testing a calibration rather than fitting it:
+    /// cascades on board with logged setpoints, outputs at 250 Hz, and other laws for the same
+    /// cause.
     pub fn is_for_testing(&self) -> bool {
         let KeyEntry { kind, on_board, outputs_hz, .. } = &self.key;
         *kind == Kind::OtherLaw || *on_board == LoopKind::Cascade || *outputs_hz > 200.0
     }
 
-    /// The case decided anew and scored.
+    /// The case with a new decision, scored.
     pub fn row(&self, calibration: &Calibration) -> Row {
         let answer = self.answer.as_ref().map_err(String::as_str);
         let decided = answer
@@ -56,8 +57,8 @@ impl StoredCase {
     }
 }
 
-/// The answer by a new decision on the evidence. Numbers and intervals are as they were given where
-/// the effect was named before, else as fitted to the flights for fitting.
+/// The answer after a new decision on the evidence. An effect that was named before keeps its
+/// numbers and intervals; others have those of the fit to the flights for fitting.
 fn decided(given: &Given, evidence: &Evidence, calibration: &Calibration) -> Given {
     let decision = decide_by(evidence, calibration);
     let explained = evidence.explanations.get(decision.explanation);

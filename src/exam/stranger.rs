@@ -1,5 +1,5 @@
-//! What the catalogue does not have, with a direction and a size: disturbances from outside, and
-//! other laws for causes that it knows.
+//! Truths outside the catalogue, with a direction and a size: disturbances from outside, and other
+//! laws for known causes.
 
 use std::f64::consts::TAU;
 
@@ -9,49 +9,49 @@ use vehicle::{ROTORS, VehicleParams};
 
 use super::draw::{Draw, rounded};
 
-/// A foreign thing at size 1: as much as a vehicle may sensibly meet.
+/// A truth outside the catalogue; size 1 is the largest that a vehicle may sensibly meet.
 #[derive(Clone, Debug)]
 pub struct Stranger {
     full: Foreign,
-    /// What the catalogue has of it, at size 1.
+    /// The part that the catalogue can describe, at size 1.
     beside: Option<Payload>,
     /// Lag of the rotors in the vehicle file, s.
     lag_s: f64,
-    /// The effects whose cause it is; none of a disturbance from outside.
+    /// Effects of the catalogue with the same cause; empty for a disturbance from outside.
     pub causes: &'static [EffectId],
 }
 
 /// A payload at size 1.
 #[derive(Clone, Copy, Debug)]
 struct Payload {
-    /// Mass of the vehicle without it, kg.
+    /// Mass of the vehicle without the payload, kg.
     vehicle_kg: f64,
-    /// Its own mass over that.
+    /// Mass of the payload, as a share of the vehicle's.
     share: f64,
-    /// What it adds to the moments of inertia about roll and pitch, as a share.
+    /// Increase of the moments of inertia about roll and pitch, as a share.
     inertia: f64,
 }
 
 /// Share of the thrust that an exponential ground effect adds on the floor at size 1: a rotor half
 /// a radius above it gains a third (Cheeseman and Bennett 1955), four side by side more.
 const GROUND_GAIN: f64 = 0.6;
-/// Kinds of disturbances from outside.
+/// Number of kinds of disturbances from outside.
 const DISTURBANCES: usize = 7;
-/// Kinds of other laws without a modelled drag, and how many of them are drags.
+/// Number of kinds of other laws without a modelled drag, and how many of them are drags.
 const LAWS: usize = 15;
 const DRAGS: usize = 3;
-/// And with one: winds.
+/// Number of further kinds with a modelled drag: winds.
 const WINDS: usize = 2;
-/// Lag that is added at size 1, s.
+/// Lag added at size 1, s.
 const LAG_S: f64 = 0.06;
-/// A payload at size 1: its mass over the vehicle's, how far below, in arms, and what it adds to
-/// the inertia.
+/// A payload at size 1: its mass relative to the vehicle's, its distance below in arms, and the
+/// increase of the inertia.
 const PAYLOAD: f64 = 0.2;
 const PAYLOAD_BELOW: f64 = 0.3;
 const PAYLOAD_INERTIA: f64 = 0.07;
 
 impl Stranger {
-    /// A disturbance from outside.
+    /// Draws a disturbance from outside.
     pub fn disturbance(draw: &mut Draw, vehicle: &VehicleParams) -> Self {
         let weight = vehicle.mass * vehicle.gravity;
         let push = |draw: &mut Draw, share: f64| -> [f64; 3] {
@@ -102,8 +102,8 @@ impl Stranger {
         Self { full, causes: &[], beside: None, lag_s: vehicle.motor_time_constant_s }
     }
 
-    /// Another law for a cause that the catalogue has. Wind needs a drag in the vehicle file;
-    /// beside that drag no other is drawn.
+    /// Draws another law for a cause of the catalogue. Winds need a drag in the vehicle file; with
+    /// such a drag, no other drag is drawn.
     pub fn law(draw: &mut Draw, vehicle: &VehicleParams, has_drag: bool) -> Self {
         use EffectId::*;
         let weight = vehicle.mass * vehicle.gravity;
@@ -209,7 +209,7 @@ impl Stranger {
         Self { full, causes, beside, lag_s: vehicle.motor_time_constant_s }
     }
 
-    /// What the catalogue has of it at a size.
+    /// The part that the catalogue can describe, at a size.
     pub fn effects(&self, size: f64) -> EffectSet {
         let mut effects = EffectSet::new();
         if let Some(Payload { vehicle_kg, share, inertia }) = self.beside {
@@ -217,7 +217,7 @@ impl Stranger {
             let tilting = rounded(1.0 + size * inertia);
             let mut slots = Slots::default();
             slots[0] = mass_kg;
-            // As small as they are, both are accepted.
+            // Values this small are accepted.
             let _ = effects.insert(EffectId::Mass, slots);
             let mut slots = Slots::default();
             slots[..3].copy_from_slice(&[tilting, tilting, 1.0]);
@@ -226,7 +226,7 @@ impl Stranger {
         effects
     }
 
-    /// The rotor that it acts on, if it is one.
+    /// The rotor that it acts on, if it acts on a single one.
     pub fn rotor(&self) -> Option<usize> {
         match self.full {
             Foreign::RotorWear { rotor, .. } => Some(rotor),
@@ -234,7 +234,7 @@ impl Stranger {
         }
     }
 
-    /// The thing at a size.
+    /// The disturbance or law at a size.
     pub fn at(&self, size: f64) -> Foreign {
         let by = |value: f64| rounded(size * value);
         let mut sized = self.full.clone();

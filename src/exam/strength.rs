@@ -1,9 +1,9 @@
-//! How strongly a difference between the true and the nominal vehicle shows: the error that it
-//! causes in the nominal simulator's predictions, over the error that noise alone causes when a
-//! prediction starts from single samples.
+//! The strength of a difference between the true and the nominal vehicle: the prediction error of
+//! the nominal simulator due to it, divided by the error from noise alone for predictions that
+//! start from single samples.
 //!
-//! This is the signal-to-noise ratio by which detection is judged. It is computed from true states
-//! and never from a log, with the plant alone and with none of what the diagnosis is made of.
+//! This is the signal-to-noise ratio for judging detection. It is computed from true states, never
+//! from a log, with the plant alone and without any code of the diagnosis.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -23,13 +23,13 @@ use super::flight::Track;
 
 /// Horizons, in steps of a millisecond.
 const HORIZONS: [usize; 3] = [100, 500, 1000];
-/// Steps between the starts of windows, and before the first.
+/// Steps between the starts of windows.
 const SPACING: usize = 500;
-/// The same where a file's numbers are moved, one after the other.
+/// As above where a file's numbers are moved, one after the other.
 const SPARSE: usize = 1_000;
-/// Steps from one reading of the pack's voltage to the next.
+/// Steps between readings of the pack's voltage.
 const VOLTAGE_STEPS: usize = 20;
-/// Rounds of coordinate descent: columns that are alike converge slowly.
+/// Most rounds of coordinate descent: similar columns converge slowly.
 const SWEEPS: usize = 500;
 const MARGIN: usize = 400;
 /// Position, velocity, attitude and body rate, three axes each.
@@ -39,42 +39,42 @@ const NAMES: [&str; CHANNELS] = [
     "rate_y", "rate_z",
 ];
 
-/// An effect is to be named from this strength on, where the vehicle file is exact.
+/// Least strength at which an answer should name an effect, with an exact vehicle file.
 pub const DETECTABLE: f64 = 2.0;
 
-/// Errors, or sums of their squares, by horizon and channel.
+/// Errors or sums of their squares, by horizon and channel.
 type Table = [[f64; CHANNELS]; HORIZONS.len()];
 
-/// The ratio and where it is largest.
+/// A strength with the channel where it is largest.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Strength {
-    /// RMS error due to the difference over that due to noise.
+    /// RMS error from the difference, relative to that from noise.
     pub ratio: f64,
-    /// Channel and horizon.
+    /// Channel and horizon of the largest ratio.
     pub channel: String,
 }
 
 impl Strength {
-    /// Of nothing.
+    /// The strength of no difference.
     pub fn none() -> Self {
         Self { ratio: 0.0, channel: String::new() }
     }
 }
 
-/// What a simulator is off by over some flights.
+/// Prediction errors of a simulator over some flights.
 #[derive(Clone, Debug, Default)]
 pub struct Errors {
-    /// Of each window.
+    /// Errors of each window.
     due: Vec<Table>,
     noise: Table,
 }
 
-/// A table by its elements.
+/// A table from a function of horizon and channel.
 fn each(element: impl Fn(usize, usize) -> f64) -> Table {
     std::array::from_fn(|place| std::array::from_fn(|channel| element(place, channel)))
 }
 
-/// Means of the squares of some errors.
+/// Mean squares of errors over windows.
 fn mean_squares(errors: &[Table]) -> Table {
     each(|place, channel| {
         let squares = errors.iter().map(|error| error[place][channel].powi(2));
@@ -82,7 +82,7 @@ fn mean_squares(errors: &[Table]) -> Table {
     })
 }
 
-/// The largest RMS error beyond `without`'s over the noise; all three are mean squares.
+/// The largest RMS error beyond `without`, relative to the noise; all three are mean squares.
 fn strongest(due: &Table, without: &Table, noise: &Table) -> Strength {
     let mut best = Strength::none();
     for (place, horizon) in HORIZONS.iter().enumerate() {
@@ -105,78 +105,77 @@ impl Errors {
         each(|place, channel| self.noise[place][channel] / count)
     }
 
-    /// How much larger these errors are than those of the vehicle without the difference, which
-    /// come of the link's jitter and of outputs that are logged slowly.
+    /// The strength of these errors beyond those of the vehicle without the difference, which come
+    /// from the link's jitter and slowly logged outputs.
     pub fn strength(&self, without: &Errors) -> Strength {
         strongest(&mean_squares(&self.due), &mean_squares(&without.due), &self.noise())
     }
 }
 
-/// What predictions are made with.
+/// The vehicle that makes predictions.
 #[derive(Clone, Copy, Debug)]
 pub struct Model<'a> {
-    /// What the firmware believes: loop and mixer.
+    /// The vehicle as the firmware knows it: loop and mixer.
     pub believed: &'a VehicleParams,
-    /// The vehicle's numbers.
+    /// The vehicle's real numbers.
     pub body: &'a VehicleParams,
-    /// What it has beyond them.
+    /// Effects beyond those numbers.
     pub effects: &'a EffectSet,
-    /// And beyond the catalogue.
+    /// Effects outside the catalogue.
     pub foreign: &'a [Foreign],
-    /// The turn of the attitude that the loop flies by.
+    /// Trim of the attitude that the loop flies with.
     pub trim: Attitude,
-    /// Where the loop is not known and predictions follow the logged outputs: how often these are
-    /// logged, Hz.
+    /// Rate of the logged outputs that predictions follow, Hz; `None` with a known loop.
     pub outputs_hz: Option<f64>,
 }
 
-/// Predicts.
+/// Predicts with a model of the vehicle.
 #[derive(Clone, Debug)]
 pub struct Predictor {
     plant: Plant,
-    /// The loop and its rate, Hz.
+    /// The loop with its rate, Hz.
     law: Option<(AttitudeLoop, f64)>,
     trim: Attitude,
-    /// Steps from one logged output to the next.
+    /// Steps between logged outputs.
     outputs_steps: usize,
     delay_s: f64,
     lag: Lag,
     noise: SensorConfig,
 }
 
-/// A number of a vehicle file that is moved by one tolerance.
+/// A number of a vehicle file, moved by one tolerance.
 #[derive(Clone, Debug)]
 pub struct Moved {
     predictor: Predictor,
-    /// Turn of the reported attitude and age of the pose that come with it.
+    /// Trim and pose latency that belong to the move.
     trim: Attitude,
     latency_s: f64,
-    /// How many tolerances it may move by.
+    /// Most tolerances that it may move by.
     most: f64,
 }
 
 impl Moved {
-    /// A number of which the prediction is `predictor`'s; it may move by `most` tolerances.
+    /// A move whose predictions are those of `predictor`, by `most` tolerances at most.
     pub fn of(predictor: Predictor, most: f64) -> Self {
         Self { predictor, trim: Attitude::default(), latency_s: 0.0, most }
     }
 
-    /// A trim of the reported attitude.
+    /// The move with a trim of the reported attitude.
     pub fn trim(self, trim: Attitude) -> Self {
         Self { trim, ..self }
     }
 
-    /// An age of the reported pose, s.
+    /// The move with a latency of the reported pose, s.
     pub fn latency(self, latency_s: f64) -> Self {
         Self { latency_s, ..self }
     }
 }
 
 impl Predictor {
-    /// For a model, and sensors of this noise.
+    /// A predictor with a model, and with this noise of the sensors.
     ///
     /// # Errors
-    /// A vehicle that the physics refuses.
+    /// A vehicle that the physics rejects.
     pub fn new(model: &Model<'_>, noise: SensorConfig) -> Result<Self, VehicleError> {
         let Model { believed, body, effects, foreign, trim, outputs_hz } = *model;
         let all = body.modelled_effects.overlay(effects);
@@ -200,7 +199,7 @@ impl Predictor {
         })
     }
 
-    /// The errors over flights of a vehicle with `truth`, flown without sensor noise.
+    /// Prediction errors over flights of a vehicle with `truth`, without sensor noise.
     pub fn errors(&self, tracks: &[Track], truth: &EffectSet, seed: u64) -> Errors {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         let mut errors = Errors::default();
@@ -217,10 +216,9 @@ impl Predictor {
         errors
     }
 
-    /// How strongly the difference shows where the numbers of a file move, each within its bound, so
-    /// that as little as possible of it is left: with e the errors and e_j those with number j moved
-    /// by a tolerance, |e + sum_j b_j (e_j - e)|^2 in units of the noise is made least over
-    /// |b_j| <= most_j.
+    /// The strength that remains after the file's numbers have moved to explain the difference,
+    /// each within its bound. With e the errors and e_j those with number j moved by a tolerance,
+    /// this minimises |e + sum_j b_j (e_j - e)|^2 in units of the noise over |b_j| <= most_j.
     pub fn beyond(
         &self,
         tracks: &[Track],
@@ -276,8 +274,9 @@ impl Predictor {
         plant
     }
 
-    /// Along the logged outputs. Where these turn the body is one prediction; where it goes is
-    /// another, in which it turns as it was reported to, as a small moment would hide every force.
+    /// Predicts along the logged outputs. One prediction yields attitude and body rate. Another
+    /// yields position and velocity with the reported rotation, since a small moment would hide
+    /// every force.
     fn by_outputs(&self, track: &Track, start: usize, state: &State) -> [State; HORIZONS.len()] {
         let mut plant = self.set_off(track, start, state);
         let mut turned = plant.clone();
@@ -302,7 +301,7 @@ impl Predictor {
         ahead
     }
 
-    /// By the loop, along the setpoints.
+    /// Predicts with the loop along the setpoints.
     fn by_setpoints(
         &self,
         law: &AttitudeLoop,
@@ -353,7 +352,7 @@ impl Predictor {
         us as f64 * 1e-6 + self.delay_s <= self.seconds(track, step) + 1e-9
     }
 
-    /// The nominal rotors' states at a step: their lag over the outputs before.
+    /// The nominal rotors' states at a step, from their lag over the outputs before.
     fn rotors(&self, track: &Track, start: usize) -> [f64; ROTORS] {
         if self.lag.is_none() {
             return self.logged(track, start);
@@ -364,7 +363,7 @@ impl Predictor {
         })
     }
 
-    /// The outputs at a step as a log has them: held from one message to the next.
+    /// The logged outputs at a step, held between messages.
     fn logged(&self, track: &Track, step: usize) -> [f64; ROTORS] {
         track.outputs[step - step % self.outputs_steps]
     }
@@ -385,7 +384,7 @@ impl Predictor {
     }
 }
 
-/// What the true vehicle reports, without noise.
+/// The true vehicle's reports, without noise.
 struct Reporter {
     trim: Attitude,
     latency_s: f64,
@@ -399,7 +398,7 @@ impl Reporter {
         }
     }
 
-    /// The same with a number of the file moved.
+    /// The reports with a number of the file moved.
     fn moved(&self, moved: &Moved) -> Self {
         Self { trim: self.trim.compose(moved.trim), latency_s: self.latency_s + moved.latency_s }
     }
@@ -415,7 +414,7 @@ impl Reporter {
     }
 }
 
-/// Starts of windows in flights, so many steps from one to the next.
+/// Starts of windows in flights, `spacing` steps apart.
 fn windows(tracks: &[Track], spacing: usize) -> impl Iterator<Item = (&Track, usize)> {
     tracks.iter().flat_map(move |track| {
         let last = track.states.len().saturating_sub(HORIZONS[2] + 1);
@@ -423,7 +422,7 @@ fn windows(tracks: &[Track], spacing: usize) -> impl Iterator<Item = (&Track, us
     })
 }
 
-/// Reported minus predicted.
+/// Reported minus predicted states.
 fn apart(reports: &[State; HORIZONS.len()], predicted: &[State; HORIZONS.len()]) -> Table {
     std::array::from_fn(|place| {
         let (a, b) = (&reports[place], &predicted[place]);
@@ -436,8 +435,8 @@ fn apart(reports: &[State; HORIZONS.len()], predicted: &[State; HORIZONS.len()])
     })
 }
 
-/// Adds to `left` each column, times what makes the sum of squares least within the columns'
-/// bounds: coordinate descent, which converges as the problem is convex.
+/// Adds each column to `left` with the factor, within its bound, that minimises the sum of squares.
+/// Coordinate descent converges since the problem is convex.
 fn shrink(left: &mut [Table], columns: &[Vec<Table>], moved: &[Moved]) {
     let product = |a: &[Table], b: &[Table]| -> f64 {
         a.iter()
@@ -472,7 +471,7 @@ fn shrink(left: &mut [Table], columns: &[Vec<Table>], moved: &[Moved]) {
     }
 }
 
-/// An attitude turned by a small rotation vector in body axes, rad.
+/// An attitude rotated by a small rotation vector in body axes, rad.
 fn turned(attitude: Attitude, [x, y, z]: [f64; 3]) -> Attitude {
     attitude.compose(Attitude { w: 1.0, x: 0.5 * x, y: 0.5 * y, z: 0.5 * z }.normalized())
 }
@@ -492,7 +491,7 @@ mod tests {
     fn nominal_vehicle_is_predicted_and_an_effect_is_not() {
         let mut draw = Draw::new(2, 0);
         let mut nominal = airframe::vehicle(&mut draw, "quad");
-        // Without a delay there is no jitter, and nothing is left to chance.
+        // Without a delay there is no jitter, so the test is deterministic.
         nominal.command_delay_s = 0.0;
         let vigour = Vigour::draw(&mut draw, nominal.rotor_radius_m);
         let motions = programme(&mut draw, &vigour, Restriction::None, 2, 8.0);

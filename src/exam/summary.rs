@@ -1,4 +1,4 @@
-//! All answers of an exam against its key.
+//! Summarises all answers of an exam.
 
 use std::collections::BTreeMap;
 
@@ -13,53 +13,53 @@ use super::reliability::{Reliability, calibration_error, reliability};
 use super::score::{Law, Row};
 use super::world::{FileKind, LoopKind};
 
-/// Borders between strengths in detection curves.
+/// Borders between strengths in the detection curves.
 pub const STRENGTHS: [f64; 9] = [0.0, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0, 8.0, 15.0];
 
-/// The Brier score is to be at most this.
+/// Upper limit of the Brier score.
 pub const BRIER_MAX: f64 = 0.05;
-/// And the expected calibration error.
+/// Upper limit of the expected calibration error.
 pub const CALIBRATION_MAX: f64 = 0.03;
 
 /// A rate with a target.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Measure {
-    /// What is counted.
+    /// Name of the measure.
     pub name: &'static str,
-    /// The rate.
+    /// The measured rate.
     #[serde(flatten)]
     pub rate: Rate,
-    /// What it is to be at least, or at most.
+    /// Target of the rate, if any.
     pub wanted: Option<Bound>,
 }
 
-/// A bound on a rate.
+/// A target of a rate.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Bound {
-    /// No less.
+    /// The rate must be at least this.
     AtLeast(f64),
-    /// No more.
+    /// The rate must be at most this.
     AtMost(f64),
 }
 
-/// How a rate stands to its target.
+/// The result of comparing a rate with its target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// It keeps its bound as counted, or has none.
+    /// The rate meets its target, or has none.
     Kept,
-    /// It misses its bound, but of so few cases one alone decides that, and chance may have.
+    /// The rate misses its target, but a single case decides that, and chance may have.
     TooFew,
-    /// It misses its bound.
+    /// The rate misses its target.
     Missed,
 }
 
 impl Bound {
-    /// Fewest cases of which one alone does not decide whether the bound is kept.
+    /// Fewest cases at which a single one does not decide the result.
     fn cases_min(self) -> f64 {
         let (Self::AtLeast(bound) | Self::AtMost(bound)) = self;
         let share = bound.min(1.0 - bound);
-        // Where none may fail, every number of cases tells.
+        // With a target of 0 or 1, any number of cases decides.
         if share > 0.0 { 1.0 / share } else { 0.0 }
     }
 
@@ -72,7 +72,7 @@ impl Bound {
 }
 
 impl Measure {
-    /// How the rate stands to its bound.
+    /// Compares the rate with its target.
     pub fn standing(&self) -> Standing {
         let (Some(rate), Some(bound)) = (self.rate.rate, self.wanted) else {
             return Standing::Kept;
@@ -88,32 +88,32 @@ impl Measure {
     }
 }
 
-/// Share named at one strength.
+/// Detection within a range of strengths.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Detection {
-    /// Strengths from and to.
+    /// Lower and upper strength.
     pub strengths: [f64; 2],
-    /// Share named rightly.
+    /// Share of right names.
     pub named: Rate,
-    /// Share with any verdict other than none.
+    /// Share of verdicts other than none.
     pub noticed: Rate,
 }
 
-/// How a family of cases fared: those of one law on one loop with one kind of file, or of all in
-/// the place of what is missing.
+/// Scores of a family of cases: those with the given law, loop and kind of file. A missing field
+/// means any.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct FamilySummary {
-    /// By which law the truth acts.
+    /// The law of the truth.
     pub law: Option<Law>,
-    /// Which loop is on board.
+    /// The loop on board.
     pub on_board: Option<LoopKind>,
-    /// How good the vehicle files are.
+    /// Quality of the vehicle files.
     pub file: Option<FileKind>,
-    /// How many are right or acceptable.
+    /// Share that is right or acceptable.
     pub good: Rate,
-    /// How many name their effect first, of those of practical size.
+    /// Share that names its effect first, among those of practical size.
     pub named: Rate,
-    /// How many name what is not there.
+    /// Share that names a false effect.
     pub confidently_wrong: Rate,
     /// Mean Brier score of causes of practical size and of nulls.
     pub brier: Option<f64>,
@@ -146,7 +146,7 @@ impl FamilySummary {
     }
 }
 
-/// Every law, loop and kind of file by itself, then every one that was met of all three together.
+/// Every law, loop and kind of file alone, then every combination of all three that occurs.
 fn families(rows: &[Row]) -> Vec<FamilySummary> {
     let mut laws: Vec<Law> = rows.iter().map(|row| row.law).collect();
     let mut loops: Vec<LoopKind> = rows.iter().map(|row| row.on_board).collect();
@@ -179,77 +179,77 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (count > 0).then(|| sum / count as f64)
 }
 
-/// How one effect fared where it shows.
+/// Scores of one effect.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct EffectSummary {
-    /// Id.
+    /// The effect's id.
     pub id: String,
-    /// Detectable singles of it that were named.
+    /// Share of its detectable singles that are named.
     pub named: Rate,
     /// Median relative error of its parameters where it is detectable.
     pub error: Option<f64>,
-    /// 90 % intervals that hold the truth.
+    /// Share of the 90 % intervals that contain the truth.
     pub covered: Rate,
-    /// By strength.
+    /// Detection by strength.
     pub detection: Vec<Detection>,
 }
 
-/// What stands for all effects together.
+/// The id for all effects together.
 const EVERY_EFFECT: &str = "every effect";
 
-/// How one effect, or all of them together, fared with logs in one state.
+/// Scores of one effect, or of all together, with logs in one condition.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct ConditionSummary {
-    /// Id; `every effect` for all together.
+    /// The effect's id; `every effect` for all together.
     pub id: String,
-    /// State of the logs.
+    /// Condition of the logs.
     pub condition: Condition,
-    /// Share named first.
+    /// Share that is named first.
     pub named: Rate,
-    /// 90 % intervals that hold the truth.
+    /// Share of the 90 % intervals that contain the truth.
     pub covered: Rate,
 }
 
-/// The whole result.
+/// The scores of an exam.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Summary {
-    /// How many cases.
+    /// Number of cases.
     #[serde(skip)]
     pub count: usize,
-    /// Rates.
+    /// Rates with their targets.
     pub measures: Vec<Measure>,
-    /// Mean Brier score of causes of practical size and of nulls; at most 0.05. No
-    /// answer can be sure of what hardly shows.
+    /// Mean Brier score of causes of practical size and of nulls; at most 0.05. No answer can be
+    /// sure of a truth that hardly shows.
     pub brier: Option<f64>,
-    /// The same of every case.
+    /// Mean Brier score of every case.
     pub brier_of_all: Option<f64>,
-    /// Mean difference between the probabilities that were given and the shares that are true, over
-    /// the bins of the reliability table; at most 0.03.
+    /// Mean difference between stated probabilities and true shares over the bins of the
+    /// reliability table; at most 0.03.
     pub calibration_error: Option<f64>,
     /// Median relative error of parameters.
     pub error: Option<f64>,
-    /// 90 % intervals that hold the truth.
+    /// Share of the 90 % intervals that contain the truth.
     pub covered: Rate,
-    /// Median closure as claimed, and as it is.
+    /// Median closure: as claimed, and true.
     pub closure: [Option<f64>; 2],
-    /// Median of the difference between both.
+    /// Median difference between the two.
     pub closure_off: Option<f64>,
-    /// Reliability.
+    /// Reliability of stated probabilities, by bin.
     pub reliability: Vec<Reliability>,
-    /// By law, loop and file.
+    /// Scores by law, loop and file.
     pub families: Vec<FamilySummary>,
-    /// Detection, all effects together.
+    /// Detection by strength, all effects together.
     pub detection: Vec<Detection>,
-    /// By effect.
+    /// Scores by effect.
     pub effects: Vec<EffectSummary>,
-    /// By effect and state of the logs, in a round trip.
+    /// Scores by effect and condition of the logs, in a round trip.
     pub conditions: Vec<ConditionSummary>,
-    /// Median time of a diagnosis, s.
+    /// Median duration of a diagnosis, s.
     pub seconds: Option<f64>,
 }
 
 impl Summary {
-    /// Of all rows.
+    /// Summarises all rows.
     pub fn new(rows: &[Row]) -> Self {
         let of = |kind: Kind| rows.iter().filter(move |row| row.kind == kind);
         let detectable = |row: &&Row| row.is_practical;
@@ -378,7 +378,7 @@ impl Summary {
         let covered = |rows: &mut dyn Iterator<Item = &Row>| {
             Rate::of(rows.flat_map(|row| row.covered.values().flatten().copied()))
         };
-        // Of the same cases, so that they can be compared.
+        // Both over the same cases, to be comparable.
         let closed = || known().filter_map(|row| Some([row.claimed_closure?, row.true_closure?]));
         let closure = |i: usize| median(closed().map(|both| both[i]).collect());
         let shows = |row: &&Row| row.is_practical || row.kind == Kind::Null;
@@ -403,7 +403,7 @@ impl Summary {
         }
     }
 
-    /// How the Brier score stands to its bound, which one case that is surely wrong may miss alone.
+    /// Compares the Brier score with its limit, which a single confident mistake may exceed.
     pub fn brier_standing(&self) -> Standing {
         match self.brier {
             Some(brier) if brier > BRIER_MAX && self.is_of_few() => Standing::TooFew,
@@ -412,12 +412,12 @@ impl Summary {
         }
     }
 
-    /// Whether so few cases were held that one alone decides what they show.
+    /// Whether the exam has so few cases that a single one decides the result.
     pub fn is_of_few(&self) -> bool {
         (self.count as f64) < 1.0 / BRIER_MAX
     }
 
-    /// How the expected calibration error stands to its bound.
+    /// Compares the expected calibration error with its limit.
     pub fn calibration_standing(&self) -> Standing {
         match self.calibration_error {
             Some(error) if error > CALIBRATION_MAX && self.is_of_few() => Standing::TooFew,
@@ -426,7 +426,7 @@ impl Summary {
         }
     }
 
-    /// Whether no measure misses its bound, nor the Brier score, nor the calibration.
+    /// Whether no measure misses its target, and the Brier score and the calibration meet theirs.
     pub fn holds(&self) -> bool {
         self.brier_standing() != Standing::Missed
             && self.calibration_standing() != Standing::Missed
@@ -434,7 +434,7 @@ impl Summary {
             && self.of(Standing::Missed).next().is_none()
     }
 
-    /// The measures that stand so.
+    /// The measures with this result.
     pub fn of(&self, standing: Standing) -> impl Iterator<Item = &Measure> {
         self.measures.iter().filter(move |measure| measure.standing() == standing)
     }
@@ -468,7 +468,7 @@ fn effects(rows: &[Row]) -> Vec<EffectSummary> {
         .collect()
 }
 
-/// Of every effect together first, then of each.
+/// All effects together first, then each.
 fn conditions(rows: &[Row]) -> Vec<ConditionSummary> {
     let mut pooled: BTreeMap<(&str, Condition), Vec<&Row>> = BTreeMap::new();
     let mut single = pooled.clone();
@@ -514,7 +514,7 @@ mod tests {
         assert!(summary.holds());
         summary.brier = Some(2.0 * BRIER_MAX);
         assert!(!summary.holds());
-        // One case of six that is surely wrong does as much.
+        // With six cases, a single confident mistake does as much.
         summary.count = 6;
         assert_eq!(summary.brier_standing(), Standing::TooFew);
         assert!(summary.holds());
@@ -532,7 +532,7 @@ mod tests {
         assert_eq!(standing(40, 60, nine_tenths), Standing::Missed);
         assert_eq!(standing(1, 6, none), Standing::Missed);
         assert_eq!(standing(1, 10, Bound::AtMost(0.03)), Standing::TooFew);
-        // All of two hold, and 95 % may at most: twenty are needed to tell.
+        // Both of two, where at most 95 % may: deciding takes twenty cases.
         assert_eq!(standing(2, 2, Bound::AtMost(0.95)), Standing::TooFew);
         assert_eq!(standing(60, 60, Bound::AtMost(0.95)), Standing::Missed);
         assert_eq!(standing(0, 0, nine_tenths), Standing::Kept);

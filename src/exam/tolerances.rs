@@ -1,4 +1,4 @@
-//! What a builder knows a vehicle file's numbers to: standard deviations, as `provenance` claims them.
+//! A builder's tolerances of a vehicle file's numbers: standard deviations, as in `provenance`.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,51 +11,50 @@ use vehicle::effects::{
 
 use super::draw::{Draw, rounded};
 
-/// Standard deviations that are the same for every builder, as shares of the number: a load cell's
-/// scale, a kitchen scale, a torque stand, a step on the bench.
+/// Standard deviations common to all builders, as shares of the number: a load cell's scale, a
+/// kitchen scale, a torque stand, a step on the bench.
 const THRUST_COMMON: f64 = 0.02;
 const MASS: f64 = 0.005;
 const DRAG_TORQUE: f64 = 0.05;
 const LAG: f64 = 0.1;
-/// A centre of mass that is balanced on an edge, as a share of the arm.
+/// A centre of mass balanced on an edge, as a share of the arm.
 const CENTRE_OF_MASS: f64 = 0.01;
-/// A delay by ping, s.
+/// A delay measured by ping, s.
 const DELAY_S: f64 = 0.002;
-/// Half a degree of the attitude in roll and pitch, levelled by eye, rad.
+/// Half a degree of roll and pitch, levelled by eye, rad.
 const TRIM_RAD: f64 = 0.0087;
-/// How old a reported pose is, s, by the data sheet.
+/// Range of a reported pose's age according to its data sheet, s.
 const POSE_S: [f64; 2] = [0.001, 0.002];
-/// What differs from builder to builder: thrust from rotor to rotor, and a bifilar pendulum, as
-/// shares.
+/// Ranges over builders, as shares: thrust from rotor to rotor, and inertia by a bifilar pendulum.
 const THRUST_EACH: [f64; 2] = [0.01, 0.02];
 const INERTIA: [f64; 2] = [0.05, 0.1];
-/// Standard deviations of a vehicle file's numbers, in their own units or as shares of them.
+/// Standard deviations of a vehicle file's numbers, in their own units or as shares.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Tolerances {
-    /// Thrust, common to all rotors; a share.
+    /// Thrust common to all rotors, a share.
     pub thrust_common: f64,
-    /// Thrust, from rotor to rotor; a share.
+    /// Thrust from rotor to rotor, a share.
     pub thrust_each: f64,
-    /// A share.
+    /// Mass, a share.
     pub mass: f64,
-    /// About each axis; a share.
+    /// Moment of inertia about each axis, a share.
     pub inertia: f64,
-    /// Along each axis, m.
+    /// Centre of mass along each axis, m.
     pub centre_m: f64,
-    /// A share.
+    /// Drag torque per thrust, a share.
     pub drag_torque: f64,
-    /// A share.
+    /// Time constant of the rotors, a share.
     pub lag: f64,
-    /// s
+    /// Delay of commands, s.
     pub delay_s: f64,
-    /// Roll and pitch, rad.
+    /// Trim of roll and pitch, rad.
     pub trim_rad: f64,
     /// Least and largest age of a reported pose, s.
     pub pose_s: [f64; 2],
 }
 
 impl Tolerances {
-    /// A builder's, with what differs from one to the next in the middle of its range.
+    /// A typical builder's: the middle of each range.
     pub fn typical(file: &VehicleParams) -> Self {
         let middle = |[low, high]: [f64; 2]| 0.5 * (low + high);
         Self::of(file, middle(THRUST_EACH), middle(INERTIA))
@@ -76,14 +75,14 @@ impl Tolerances {
         }
     }
 
-    /// A builder's, drawn.
+    /// A random builder's.
     pub fn draw(draw: &mut Draw, file: &VehicleParams) -> Self {
         let thousandths = |value: f64| (value * 1e3).round() * 1e-3;
         let thrust_each = thousandths(draw.within(THRUST_EACH));
         Self::of(file, thrust_each, thousandths(draw.within(INERTIA)))
     }
 
-    /// What a vehicle file's `provenance` says of them.
+    /// The `provenance` of a vehicle file with these tolerances.
     pub fn provenance(&self) -> Map<String, Value> {
         let entries = json!({
             "mass": {"from": "kitchen scale", "sigma_share": self.mass},
@@ -113,14 +112,14 @@ impl Tolerances {
         }
     }
 
-    /// How many standard deviations an effect's numbers are from the file's, the largest of its
-    /// components; `None` of an effect that no number of the file is.
+    /// Distance of an effect's numbers from the file's in standard deviations, the largest of its
+    /// components; `None` for an effect that the file has no number for.
     pub fn beyond(&self, file: &VehicleParams, effects: &EffectSet, id: EffectId) -> Option<f64> {
         let largest = |values: &[f64]| values.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
         Some(match id {
             EffectId::Mass => {
                 let mass = effects.get::<Mass>()?.mass_kg;
-                // A log shows the thrust over the mass.
+                // A log shows the ratio of thrust to mass.
                 let share = self.mass.hypot(self.thrust_common);
                 (mass / file.mass - 1.0).abs() / share
             }

@@ -1,29 +1,29 @@
-//! Traps: flights on which one effect looks like another, or like nothing.
+//! Traps: flights on which one effect looks like another, or does not show.
 
 use sitl::config::BatteryConfig;
 use vehicle::effects::EffectId;
 
 use super::programme::Restriction;
 
-/// A trap.
+/// An effect with flights that mislead about it.
 #[derive(Debug)]
 pub struct Trap {
-    /// What the vehicle has.
+    /// The vehicle's effect.
     pub effect: EffectId,
-    /// What these flights cannot tell apart, the effect itself among them; none where they do not
+    /// Effects that these flights do not distinguish, including the vehicle's; empty if they do not
     /// show the effect.
     pub candidates: &'static [EffectId],
-    /// What the flights keep out.
+    /// Limits of the flights' manoeuvres.
     pub restriction: Restriction,
     /// Whether the vehicle file models a drag.
     pub models_drag: bool,
-    /// Whether the log has an accelerometer, by which wind and trim part at any heading.
+    /// Whether the log has an accelerometer, which separates wind from trim at any heading.
     pub has_imu: bool,
-    /// Whether the pack's voltage stays where it is.
+    /// Whether the pack's voltage stays constant.
     pub steady_pack: bool,
 }
 
-/// A pack below its full voltage that neither empties nor gives way.
+/// A pack below its full voltage that neither discharges nor sags.
 pub const STEADY_PACK: BatteryConfig =
     BatteryConfig { capacity_mah: Some(1e9), resistance_ohm: Some(0.0), charge: 0.6 };
 

@@ -1,5 +1,5 @@
-//! What a case is flown with beside its vehicle and its truth: how good the vehicle file is, which
-//! loop is on board and what of it is known, and what else real logs come with.
+//! Conditions of a case beside its vehicle and its truth: the quality of the vehicle file, the loop
+//! on board, and the imperfections of real logs.
 
 use mavlink::MessageData;
 use schemars::JsonSchema;
@@ -14,55 +14,55 @@ use super::condition::rewritten;
 use super::draw::{Draw, rounded};
 use super::flight::Link;
 
-/// Stream of a flight's seed that lost frames are drawn from.
+/// Stream of a flight's seed that selects the lost frames.
 const LOSS: u64 = 0x105e;
 
-/// Which vehicles an exam flies.
+/// The kind of vehicles that an exam flies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum World {
-    /// As their files say, with the bundled loop: what differs is the effect and noise.
+    /// Vehicles that match their files, with the bundled loop: only the effect and noise differ.
     #[default]
     Exact,
-    /// As builders have them.
+    /// Vehicles that differ from their files like builders' do.
     Builders,
 }
 
-/// How good a vehicle file is.
+/// The quality of a vehicle file.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
 )]
 #[serde(rename_all = "kebab-case")]
 pub enum FileKind {
-    /// Every number is the vehicle's.
+    /// Every number matches the vehicle.
     Exact,
-    /// Off by a builder's tolerances, which it states.
+    /// Off by a builder's tolerances, which the file states.
     Claimed,
-    /// Off by them, and it does not say so.
+    /// Off by a builder's tolerances, which the file does not state.
     Unclaimed,
 }
 
-/// Which loop is on board, and what the diagnosis sees of it.
+/// The loop on board, and what the log shows of it.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize,
 )]
 #[serde(rename_all = "kebab-case")]
 pub enum LoopKind {
-    /// A PD that the file states.
+    /// A PD loop that the file states.
     Pd,
-    /// A cascade that it does not; setpoints are logged.
+    /// A cascade that the file does not state; setpoints are logged.
     Cascade,
-    /// The same without logged setpoints.
+    /// The same cascade without logged setpoints.
     CascadeUnlogged,
 }
 
-/// Shares of each.
+/// Shares of the kinds of files and of loops.
 const FILES: [(FileKind, f64); 3] =
     [(FileKind::Exact, 0.2), (FileKind::Claimed, 0.6), (FileKind::Unclaimed, 0.2)];
 const LOOPS: [(LoopKind, f64); 3] =
     [(LoopKind::Pd, 0.5), (LoopKind::Cascade, 0.3), (LoopKind::CascadeUnlogged, 0.2)];
-/// Rates at which outputs are logged, Hz.
+/// Rates of the logged outputs, Hz, with their shares.
 const OUTPUTS_HZ: [(f64, f64); 4] = [(250.0, 0.1), (100.0, 0.45), (50.0, 0.3), (10.0, 0.15)];
-/// Shares of the other nuisances.
+/// Shares of cases with each of the other nuisances.
 const VIBRATION: f64 = 0.25;
 const WANDER: f64 = 0.3;
 const DRIFT: f64 = 0.2;
@@ -96,31 +96,31 @@ impl LoopKind {
     }
 }
 
-/// What a case is flown with.
+/// The conditions of a case.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setting {
-    /// The file.
+    /// Quality of the vehicle file.
     pub file: FileKind,
-    /// The loop.
+    /// The loop on board.
     pub on_board: LoopKind,
     /// Rate of the logged outputs, Hz.
     pub outputs_hz: f64,
-    /// Lines in the inertial unit.
+    /// Spectral lines of the rotors in the inertial unit.
     pub vibration: Vibration,
-    /// Wander of the estimate.
+    /// Wander of the state estimate.
     pub estimator: EstimatorConfig,
-    /// How long the attitude's error lasts, s.
+    /// Correlation time of the attitude's error, s.
     pub attitude_correlation_s: Option<f64>,
-    /// Rate by which the ground's clock is off; none where it is a good one.
+    /// Relative rate error of the ground's clock; `None` for a good one.
     pub drift: Option<f64>,
-    /// Mean delay of the link beyond the least, s; none where it is a good one.
+    /// Mean delay of the link beyond the least, s; `None` for a good one.
     pub jitter_s: Option<f64>,
     /// Share of the vehicle's frames that the log lacks.
     pub lost: f64,
 }
 
 impl Setting {
-    /// One of [`World::Exact`].
+    /// The conditions of [`World::Exact`].
     pub fn exact(outputs_hz: f64) -> Self {
         Self {
             file: FileKind::Exact,
@@ -135,7 +135,7 @@ impl Setting {
         }
     }
 
-    /// One of [`World::Builders`], for rotors that turn so fast at full speed, Hz.
+    /// Draws conditions of [`World::Builders`], for rotors with this frequency at full speed, Hz.
     pub fn draw(draw: &mut Draw, rotor_max_hz: f64) -> Self {
         let (file, on_board) = (draw.one_of(&FILES), draw.one_of(&LOOPS));
         let outputs_hz = draw.one_of(&OUTPUTS_HZ);
@@ -148,7 +148,7 @@ impl Setting {
             };
         }
         if draw.chance(WANDER) {
-            // An estimator's velocity is off by this, whatever its position is.
+            // Error of the estimated velocity, whatever the position.
             let velocity_m_s = draw.log_within([0.01, 0.1]);
             let wander_time_s = rounded(draw.within([2.0, 6.0]));
             setting.estimator.wander_time_s = wander_time_s;
@@ -164,7 +164,7 @@ impl Setting {
         setting
     }
 
-    /// The link, a good one where nothing else is said.
+    /// The link `good`, with these conditions.
     pub fn link(&self, good: Link) -> Link {
         Link {
             skew: self.drift.unwrap_or(good.skew),
@@ -173,8 +173,8 @@ impl Setting {
         }
     }
 
-    /// What a log of a flight holds of it: frames are lost, and no setpoint is logged where it is
-    /// not to be. Heartbeats stay.
+    /// The log under these conditions: without lost frames, and without setpoints where none are
+    /// logged. Heartbeats stay.
     pub fn logged(&self, log: Vec<u8>, seed: u64) -> Vec<u8> {
         let is_unlogged = self.on_board == LoopKind::CascadeUnlogged;
         if self.lost == 0.0 && !is_unlogged {
@@ -189,7 +189,7 @@ impl Setting {
         })
     }
 
-    /// In words, what is not as in a good log.
+    /// Notes on every imperfection of the log.
     pub fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         let mut note = |holds: bool, what: String| notes.extend(holds.then_some(what));
@@ -203,16 +203,16 @@ impl Setting {
     }
 }
 
-/// How much slower a cascade's attitude loop is than the PD's, and how much softer its rate loop: the
-/// filters and the integral take of what the rotors' lag leaves.
+/// Ratio of a cascade's attitude bandwidth to the PD's, and of its rate gain: the filters and the
+/// integral use up margin that the rotors' lag leaves.
 const ANGLE_SHARE: f64 = 0.6;
 const RATE_SHARE: f64 = 0.85;
 
-/// A cascade with the PD's proportions: an attitude loop around a rate loop with an integral, behind
-/// filters.
+/// A cascade with the PD's proportions: an attitude loop around a rate loop with an integral,
+/// behind filters.
 pub fn cascade(draw: &mut Draw, vehicle: &VehicleParams, pd: &AttitudePd) -> AttitudeCascade {
     let arm = vehicle.rotors[0].position_m[0].hypot(vehicle.rotors[0].position_m[1]);
-    // As much as half of the weight on one side gives.
+    // The moment of half of the weight on one side.
     let tilting = 0.25 * vehicle.mass * vehicle.gravity * arm;
     let turning =
         0.25 * vehicle.mass * vehicle.gravity * vehicle.rotors[0].drag_torque_per_thrust_m;

@@ -1,4 +1,4 @@
-//! What is added to an answer after the diagnosis: a law, and what the audit found.
+//! Additions to an answer after the diagnosis: a law, and the audit's findings.
 
 use vehicle::effects::EffectId;
 
@@ -8,13 +8,14 @@ use crate::diagnose::discovery::law::LawAnswer;
 use crate::diagnose::verdict::untestable::Untestable;
 
 impl Answer {
-    /// Takes up a law.
+    /// Adds a law, and a sentence about it to the finding.
     pub fn take_up_law(&mut self, law: LawAnswer) {
         self.finding.sentence += &format!(" {}", law_sentence(&law));
         self.law = Some(law);
     }
 
-    /// Takes up what the audit found: faults of some logs, and what no channel of any log shows.
+    /// Adds the audit's findings: the faults of logs, and the effects that no log's channels can
+    /// show.
     pub fn take_up(&mut self, logs: Vec<LogAnswer>) {
         let sound: Vec<&LogAnswer> = logs.iter().filter(|log| !log.is_faulty()).collect();
         let untestable =

@@ -1,4 +1,4 @@
-//! The answer, put together from what was found and what was decided.
+//! Assembles the answer from the explanations and the decision.
 
 use std::collections::BTreeMap;
 
@@ -26,27 +26,27 @@ use crate::diagnose::verdict::calibration::Calibration;
 use crate::diagnose::verdict::evidence::Evidence;
 use crate::diagnose::verdict::parameter::parameters;
 
-/// Beyond the floor by less, in units of it, there is no gap that could be closed.
+/// Least excess over the floor that counts as a gap, as a share of the floor.
 const GAP_MIN: f64 = 0.05;
-/// Least distance from the file of a number of it that the answer mentions, in tolerances.
+/// Least distance, in tolerances, of a number of the file that the answer mentions.
 const FILE_NUMBER_MIN: f64 = 1.0;
 /// Least probability of an effect that the answer mentions.
 const MENTIONED: f64 = 0.01;
-/// Share of a typical magnitude that a number must be known to for its effect to be testable.
+/// An effect is testable if its numbers are known to this share of their typical magnitude.
 const TESTABLE: f64 = 0.5;
 
-/// What an answer is made of.
+/// The inputs of an answer.
 pub(in crate::diagnose) struct Assembly<'a> {
     pub inquiry: &'a Inquiry<'a>,
     pub found: &'a Explanations,
-    /// The explanation that the verdict rests on, fitted to all flights but those reported on.
+    /// The explanation that the verdict rests on, fitted to all flights except the held-out ones.
     pub best: &'a Explanation,
     pub evidence: &'a Evidence,
     pub decision: &'a Decision,
 }
 
 impl Assembly<'_> {
-    /// The answer, and the named effects with the vehicle's true values.
+    /// The answer, and the named effects with the true vehicle's values.
     pub fn answer(self) -> Result<(Answer, EffectSet), DiagnoseError> {
         let Self { inquiry, decision, evidence, .. } = &self;
         let named: Vec<EffectId> = inquiry.effects_of(self.best);
@@ -56,7 +56,7 @@ impl Assembly<'_> {
         let flights = self.flights()?;
         let has_gusts = decision.effects.iter().any(|(id, _)| id == EffectId::Gusts.name());
         if let Some(slots) = self.gusts().filter(|_| has_gusts) {
-            // Slots within the effect's ranges, as `turbulence` makes them.
+            // `turbulence` keeps the slots within the effect's ranges.
             let _ = effects.insert(EffectId::Gusts, slots);
         }
         let (closed_loop, closed_loop_missing) =
@@ -126,7 +126,7 @@ impl Assembly<'_> {
         answers.collect()
     }
 
-    /// Gusts of the strength that the force left over takes, of the usual shape.
+    /// Gusts whose strength accounts for the residual force, with default shape.
     fn gusts(&self) -> Option<Slots> {
         let mut slots = Slots::default();
         for slot in EffectId::Gusts.spec().slots() {
@@ -143,14 +143,14 @@ impl Assembly<'_> {
         hypotheses.filter(move |h| h.effect == id).flat_map(|h| &h.numbers)
     }
 
-    /// Standard deviations of an effect's fitted numbers, as its fit has them.
+    /// Standard deviations of an effect's fitted numbers, from the fit alone.
     fn deviations(&self, id: EffectId) -> BTreeMap<String, f64> {
         let catalogue = self.inquiry.catalogue;
         let named = |n: &usize| (catalogue.numbers[*n].target.name(), self.best.fit.deviation[*n]);
         self.numbers(id).map(named).collect()
     }
 
-    /// 90 % intervals of an effect's fitted numbers.
+    /// 90 % intervals of an effect's fitted numbers, with the inexactness of its law.
     fn intervals(&self, id: EffectId) -> BTreeMap<String, [f64; 2]> {
         let catalogue = self.inquiry.catalogue;
         let (fit, calibration) = (&self.best.fit, Calibration::shipped());
@@ -163,7 +163,7 @@ impl Assembly<'_> {
         self.numbers(id).map(of_number).collect()
     }
 
-    /// The gap on the flights held out without and with `effects`.
+    /// The gap on the held-out flights without and with `effects`.
     fn gap(&self, effects: &EffectSet) -> Result<Option<Gap>, DiagnoseError> {
         let Self { inquiry, best, found, .. } = self;
         let held_out = inquiry.case.held_out;
@@ -197,7 +197,7 @@ impl Assembly<'_> {
         }))
     }
 
-    /// Shares of the squared gap as shipped, on the flights held out.
+    /// Shares of the squared gap as shipped, on the held-out flights.
     fn attribution(
         &self,
         gap: Option<&Gap>,
@@ -225,7 +225,7 @@ impl Assembly<'_> {
         Ok(shares(&names, all[0].len(), squares, noise).unwrap_or_default())
     }
 
-    /// The flights, with the gap of each as shipped.
+    /// The flights, each with its gap as shipped.
     fn flights(&self) -> Result<Vec<FlightAnswer>, DiagnoseError> {
         let Self { inquiry, found, .. } = self;
         let shipped = inquiry.simulator(&EffectSet::new())?;
@@ -234,7 +234,7 @@ impl Assembly<'_> {
         Ok(FlightAnswer::all(inquiry.case, gap))
     }
 
-    /// Where the gap lies.
+    /// The location of the gap.
     fn map(&self) -> Result<ResidualMap, DiagnoseError> {
         let Self { inquiry, best, .. } = self;
         let references = inquiry.catalogue.references();
@@ -246,7 +246,7 @@ impl Assembly<'_> {
         Ok(map(&inquiry.all, inquiry.evaluator, [&shipped, &explained], &before, &after))
     }
 
-    /// Forces that are left, before and after.
+    /// Residual force with the file alone and with the best explanation.
     fn force(&self) -> Option<[UnmodelledForce; 2]> {
         let Self { inquiry, best, found, .. } = self;
         let force = |explanation: &Explanation| {
@@ -279,7 +279,7 @@ impl Assembly<'_> {
         })
     }
 
-    /// Effects that these logs could not have shown, and why.
+    /// Effects that these logs could not have shown, with the reason.
     fn not_testable(&self) -> Vec<NotTestable> {
         let Self { inquiry, evidence, found, .. } = self;
         let catalogue = inquiry.catalogue;

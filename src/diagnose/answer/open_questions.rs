@@ -1,4 +1,4 @@
-//! What an answer leaves open, as hypotheses that the next flight may tell apart.
+//! The hypotheses that an answer leaves open, for the next flight to distinguish.
 
 use std::collections::BTreeSet;
 
@@ -9,7 +9,7 @@ use crate::diagnose::catalogue::hypothesis::Catalogue;
 use crate::diagnose::next_flight::{Live, OpenQuestions, typical};
 use crate::diagnose::search::explanation::Explanation;
 
-/// What an answer leaves open of what was found.
+/// The explanations and the untested effects that an answer leaves open.
 pub fn open_questions(
     catalogue: &Catalogue,
     found: &[Explanation],
@@ -21,9 +21,8 @@ pub fn open_questions(
     }
 }
 
-/// The explanations that an answer leaves open: the chosen set, and for each effect that it cannot
-/// be told from the set with that effect in the place of the one it stands for. Probabilities are
-/// in the proportion of those in the answer.
+/// The open explanations of an answer: fitted sets of effects that the answer mentions, and each
+/// ambiguous effect that no such set contains. Probabilities are in proportion to the answer's.
 fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -> Vec<Live> {
     if answer.ambiguous_with.is_empty() {
         return Vec::new();
@@ -56,7 +55,7 @@ fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -
             seen.extend(ids);
         }
     }
-    // What was not fitted in full is taken at its usual strength.
+    // Effects without a full fit are taken at their typical strength.
     for effect in EffectId::ALL.into_iter().filter(|id| answer.ambiguous_with.contains(id)) {
         if !seen.contains(&effect) {
             let usual = typical(catalogue, effect, 1.0);
@@ -68,7 +67,7 @@ fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -
     live
 }
 
-/// Effects that an answer calls not testable for want of motion, each at its usual strength.
+/// Effects that these flights cannot show, each at its typical strength.
 fn untested(catalogue: &Catalogue, answer: &Answer) -> Vec<Live> {
     let is_untested = |id: &EffectId| answer.not_testable.iter().any(|effect| effect.id == *id);
     let ids = EffectId::ALL.into_iter().filter(is_untested);

@@ -1,4 +1,4 @@
-//! The finding as a person would say it.
+//! The answer in words.
 
 use vehicle::effects::EffectId;
 
@@ -11,7 +11,7 @@ use crate::diagnose::verdict::Verdict;
 use crate::diagnose::verdict::evidence::FileNumber;
 use crate::diagnose::verdict::parameter::Parameter;
 
-/// The full verdict of an answer, in a sentence or two.
+/// The finding of an answer in a sentence or two.
 pub fn finding(answer: &Answer) -> String {
     match answer.verdict {
         Verdict::None => none(answer),
@@ -20,13 +20,12 @@ pub fn finding(answer: &Answer) -> String {
     }
 }
 
-/// Beyond this many times the noise there is a gap, and the file's numbers close it or do not.
+/// Least multiple of the floor that counts as a gap for the file's numbers to close.
 const WIDE: f64 = 1.5;
-/// Numbers of the vehicle file that are listed.
+/// Most numbers of the vehicle file in a sentence.
 const LISTED: usize = 3;
 
-/// That nothing stands out, how well the simulator predicts, and what the file's numbers have to do
-/// with it.
+/// For the verdict `none`: how well the simulator predicts, and how the file's numbers contribute.
 fn none(answer: &Answer) -> String {
     let Some(gap) = &answer.gap else {
         return "No effect stands out in what these logs can show.".to_owned();
@@ -54,7 +53,7 @@ fn none(answer: &Answer) -> String {
     text
 }
 
-/// The numbers of the vehicle file that are furthest off.
+/// The vehicle file's numbers that are furthest off.
 fn furthest_off(numbers: &[FileNumber]) -> String {
     let one = |number: &FileNumber| {
         let FileNumber { name, value, expected, tolerances } = number;
@@ -64,7 +63,7 @@ fn furthest_off(numbers: &[FileNumber]) -> String {
     numbers.iter().take(LISTED).map(one).collect::<Vec<_>>().join(", ")
 }
 
-/// Why what was seen counts as unexplained.
+/// For the verdict `unknown`: why the gap counts as unexplained.
 fn unknown(answer: &Answer) -> String {
     let head = "Something acts that no listed effect explains";
     let gap = answer.gap.as_ref();
@@ -96,7 +95,7 @@ fn unknown(answer: &Answer) -> String {
     why.map_or_else(|| format!("{head}."), |why| format!("{head}: {why}."))
 }
 
-/// Least probability of an effect that is worth a word where none is named.
+/// Least probability of an effect that is mentioned where none is named.
 const LIKELY: f64 = 0.1;
 
 fn effect(answer: &Answer) -> String {
@@ -121,7 +120,7 @@ fn effect(answer: &Answer) -> String {
     text
 }
 
-/// What the effects make of the gap, before and after, in units of the noise.
+/// The gap before and after the effects, in units of the floor.
 fn shrinks(gaps: [f64; 2], closure: Option<f64>) -> String {
     let Some(closure) = closure else { return String::new() };
     let [before, after] = gaps.map(|gap| format!("{gap:.2}"));
@@ -138,7 +137,7 @@ fn shrinks(gaps: [f64; 2], closure: Option<f64>) -> String {
     )
 }
 
-/// How flights that are flown again in simulation differ from their logs: as shipped, and with an
+/// The differences of flights flown again in simulation from their logs: as shipped, and with an
 /// [`explanation`].
 pub fn closed_loop(closed_loop: &ClosedLoop, explanation: &str) -> String {
     let ClosedLoop { position_m, thrust_n, moment_nm, .. } = closed_loop;
@@ -158,7 +157,7 @@ pub fn closed_loop(closed_loop: &ClosedLoop, explanation: &str) -> String {
     )
 }
 
-/// Which flight to fly next, why, and what is expected of it.
+/// The next flight, its reason, and the expected result.
 pub fn next_flight(next: &NextFlight) -> String {
     let mut text = format!("Fly {} ({:.0} s), {}.", next.manoeuvre, next.seconds, next.why);
     let in_words =
@@ -181,7 +180,7 @@ pub fn next_flight(next: &NextFlight) -> String {
     text
 }
 
-/// A law that was found, in a sentence.
+/// A sentence about a law.
 pub fn law_sentence(law: &LawAnswer) -> String {
     let formulas: Vec<String> =
         law.formulas.iter().map(|(at, formula)| format!("{at} = {formula}")).collect();
@@ -199,7 +198,7 @@ pub fn law_sentence(law: &LawAnswer) -> String {
     )
 }
 
-/// The law, its terms, where it is known, and what comes near it.
+/// Report lines of a law: its terms, its range of validity, and the nearest effects.
 fn law(law: &LawAnswer) -> String {
     let mut text = String::new();
     for (line, term) in law.terms.iter().enumerate() {
@@ -232,7 +231,7 @@ fn law(law: &LawAnswer) -> String {
     text
 }
 
-/// Effects by their ids.
+/// Ids of effects, separated by commas.
 pub(in crate::diagnose) fn listed(effects: impl Iterator<Item = EffectId>) -> String {
     let ids: Vec<&str> = effects.map(EffectId::name).collect();
     ids.join(", ")
@@ -255,7 +254,7 @@ pub fn one(effect: &EffectAnswer) -> String {
     format!("{} ({})", effect.id, numbers.join(", "))
 }
 
-/// Four significant digits.
+/// A number to four significant digits.
 fn short(number: f64) -> String {
     if number == 0.0 {
         return "0".to_owned();
@@ -264,7 +263,7 @@ fn short(number: f64) -> String {
     format!("{number:.*}", usize::try_from(digits.clamp(0, 12)).unwrap_or(0))
 }
 
-/// The words before a gap after the search: effects are only named where they explain it.
+/// The phrase for a gap after the search: effects are named only where they explain it.
 pub fn explanation(finding: FullVerdict) -> &'static str {
     match finding {
         FullVerdict::Named | FullVerdict::Ambiguous | FullVerdict::OtherLaw => "with the effects",
@@ -272,8 +271,8 @@ pub fn explanation(finding: FullVerdict) -> &'static str {
     }
 }
 
-/// The answer for a terminal: verdict first, then where, which, how far, and what these logs
-/// cannot tell.
+/// The answer for a terminal: the finding first, then where, which, how far, and what these logs
+/// cannot show.
 pub fn report(answer: &Answer) -> String {
     let mut text = format!("{}\n", answer.finding.sentence);
     if !answer.map.sentence.is_empty() {
@@ -395,7 +394,7 @@ mod tests {
         let text = finding(&answer);
         assert!(text.contains("from 8.00 to 1.20 times"), "{text}");
         assert!(text.contains("inertia scale[0] 1.120 for 1.000 (+1.6 tolerances)"), "{text}");
-        // What those numbers leave open is not said to be closed.
+        // A gap that those numbers leave open is not reported as closed.
         answer.gap.as_mut().unwrap().nuisances_only = Some(7.0);
         assert!(finding(&answer).contains("to 8.00 times"));
     }

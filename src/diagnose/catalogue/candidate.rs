@@ -1,4 +1,4 @@
-//! Values of a catalogue's numbers as a vehicle: what flies, what drives it and how it reports.
+//! Turns values of a catalogue's numbers into a vehicle: its physics, its inputs and its reports.
 
 use vehicle::effects::{
     AttitudeTrim, CommandDelay, EffectId, EffectSet, EstimatorLatency, PdGain, Slots,
@@ -14,25 +14,25 @@ use crate::diagnose::catalogue::term::{law_of, name_of};
 /// A vehicle to explain flights with.
 #[derive(Clone, Debug)]
 pub struct Candidate {
-    /// Forces and moments.
+    /// Forces and moments on the body.
     pub physics: Physics,
-    /// From a logged output to when it acts, s.
+    /// Delay from a logged output to its action, s.
     pub output_delay: f64,
-    /// First-order lag behind it, s.
+    /// Time constant of the first-order lag after that delay, s.
     pub lag: f64,
-    /// How late pose is reported, s.
+    /// Latency of the reported pose, s.
     pub latency: f64,
-    /// How attitude is reported.
+    /// Trim of the reported attitude.
     pub trim: Option<AttitudeTrim>,
-    /// From sending a setpoint to its use, s.
+    /// Delay from sending a setpoint to its use, s.
     pub command_delay: f64,
-    /// The on-board gains' scales.
+    /// Scales of the on-board gains.
     pub gains: Option<PdGain>,
 }
 
 impl Catalogue {
-    /// The effects that `values` stand for beyond the vehicle file, restricted to `which` if
-    /// given: those with a number off its reference.
+    /// The effects in `values` beyond the vehicle file, limited to `which` if given: those with a
+    /// number off its reference.
     pub fn effects(&self, values: &[f64], which: Option<&[EffectId]>) -> EffectSet {
         let mut set = EffectSet::new();
         for effect in EffectId::ALL {
@@ -66,14 +66,14 @@ impl Catalogue {
                 }
             }
             if off {
-                // A number outside of the accepted range leaves the file's in force.
+                // A number outside the accepted range leaves the file's value in force.
                 let _ = set.insert(effect, slots);
             }
         }
         set
     }
 
-    /// The law that `values` stand for, where a term of one acts.
+    /// The law in `values`; `None` where no term has a coefficient.
     pub fn law(&self, values: &[f64]) -> Option<LawText> {
         let terms = self.numbers.iter().zip(values).filter_map(|(number, value)| {
             let Target::Term(index) = number.target else { return None };
@@ -82,7 +82,7 @@ impl Catalogue {
         law_of(terms)
     }
 
-    /// The vehicle file that `values` stand for, and the effects to put over it.
+    /// The vehicle file according to `values`, and the effects to put over it.
     pub fn vehicle_of(&self, values: &[f64]) -> (VehicleParams, EffectSet) {
         let mut vehicle = self.vehicle.clone();
         for (number, value) in self.numbers.iter().zip(values) {
@@ -103,16 +103,17 @@ impl Catalogue {
             .law(values)
             .and_then(|text| Law::new(&name_of(&vehicle.modelled_effects), text).ok())
         {
-            // One more than the vehicle file has is no candidate, and leaves the file's in force.
+            // A law beyond the most that a vehicle may have is rejected, which leaves the file's
+            // laws in force.
             let _ = effects.insert_law(law);
         }
         (vehicle, effects)
     }
 
-    /// The vehicle that `values` stand for, as what drives and reports it.
+    /// The vehicle according to `values`, with its inputs and its reports.
     ///
     /// # Errors
-    /// A vehicle that the physics refuses.
+    /// A vehicle that the physics rejects.
     pub fn candidate(&self, values: &[f64]) -> Result<Candidate, VehicleError> {
         let delays = self.numbers.iter().zip(values);
         let output_delay = delays
@@ -136,7 +137,7 @@ impl Catalogue {
     }
 }
 
-/// The slots of an effect as the vehicle file or the neutral values have them.
+/// The slots of an effect from the vehicle file, or else neutral.
 fn base_slots(vehicle: &VehicleParams, effect: EffectId) -> Slots {
     let mut slots = Slots::default();
     for slot in effect.spec().slots() {

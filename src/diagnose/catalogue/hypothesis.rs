@@ -1,9 +1,9 @@
-//! The catalogue as hypotheses, and the nuisances that are free in every one of them.
+//! The catalogue as hypotheses, and the nuisances that are free in each of them.
 //!
-//! Every number of the physics that a vehicle file states is known to within a *tolerance*: what a
-//! careful builder or a good identification leaves. Within it a number is a nuisance, free in
-//! every hypothesis and held by a prior of that width. An effect is named when its numbers must
-//! lie further off; its hypothesis takes them out of the tolerance and gives them a wide prior.
+//! A vehicle file states each number of the physics to within a *tolerance*: the error of a careful
+//! builder or a good identification. Within it the number is a nuisance, free in every hypothesis
+//! under a prior of that width. An effect is named if its numbers must be further off; its
+//! hypothesis replaces their tolerance by a wide prior.
 
 use vehicle::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLoss};
 use vehicle::{ROTORS, VehicleParams};
@@ -13,44 +13,44 @@ use crate::diagnose::catalogue::term::Term;
 use crate::diagnose::catalogue::tolerances::{DAMPING_RATE, DAMPING_TIME_S, Scales, Tolerances};
 use crate::diagnose::flights::arrival::Delay;
 
-/// A nuisance stays within so many tolerances: what asks for more is an effect.
+/// Limit of a nuisance, in tolerances: anything further off is an effect.
 pub const TOLERANCES_MAX: f64 = 3.0;
 
-/// A term of a law lies within this many of its magnitudes.
+/// Limit of a law's coefficient, in its typical magnitudes.
 const TERM_MAGNITUDES_MAX: f64 = 50.0;
 
-/// Delays that a fit starts from: setpoints may keep step with the loop, and the cost then has many
-/// minima, s.
+/// Start values of delays, s. Setpoints may be synchronous with the loop, and the cost then has
+/// many minima.
 const DELAYS_S: [f64; 19] = [
     0.0, 0.004, 0.008, 0.012, 0.016, 0.02, 0.024, 0.028, 0.032, 0.036, 0.04, 0.044, 0.048, 0.052,
     0.056, 0.06, 0.066, 0.072, 0.08,
 ];
-/// Latencies that a fit starts from. Between two samples of a stream its noise is averaged, so that
-/// the cost ripples with the stream's period, s.
+/// Start values of latencies, s. Interpolation averages noise between two samples, so the cost
+/// ripples with the stream's period.
 const LATENCIES_S: [f64; 32] = [
     0.0, 0.0025, 0.005, 0.0075, 0.01, 0.0125, 0.015, 0.0175, 0.02, 0.0225, 0.025, 0.0275, 0.03,
     0.0325, 0.035, 0.0375, 0.04, 0.0425, 0.045, 0.0475, 0.05, 0.0525, 0.055, 0.0575, 0.06, 0.065,
     0.07, 0.075, 0.08, 0.09, 0.1, 0.12,
 ];
-/// Lags that a fit starts from, s.
+/// Start values of lags, s.
 const MOTOR_LAGS_S: [f64; 6] = [0.004, 0.008, 0.015, 0.03, 0.06, 0.1];
-/// Effective radii of the ground effect that a fit starts from, in rotor radii.
+/// Start values of the ground effect's effective radius, in rotor radii.
 const GROUND_RADII: [f64; 3] = [2.0, 4.0, 8.0];
-/// Winds that a fit starts from, north and east, m/s: where drag grows with the square of the
-/// airspeed, a hover has no slope in still air.
+/// Start values of winds, north and east, m/s. Where drag grows with the square of the airspeed,
+/// the cost of a hover has no slope in still air.
 const WINDS_M_S: [f64; 8] = [1.0, 0.0, -1.0, 0.0, 0.0, 1.0, 0.0, -1.0];
-/// Where the delay from a logged output to its thrust may lie, s.
+/// Bounds of the delay from a logged output to its thrust, s.
 const OUTPUT_DELAYS_S: [f64; 2] = [-0.03, 0.15];
 
-/// One explanation: an effect, or one way that it may act.
+/// An effect as an explanation, or one of several ways that it may act.
 #[derive(Clone, Debug)]
 pub struct Hypothesis {
-    /// The effect.
+    /// The effect that it stands for.
     pub effect: EffectId,
     /// Indices of its numbers.
     pub numbers: Vec<usize>,
-    /// Values to start a fit from, of its numbers and of nuisances that can take their part; the
-    /// first is the nearest.
+    /// Start values for a fit, of its numbers and of nuisances that can substitute for them; the
+    /// first start is the nearest.
     pub starts: Vec<Vec<(usize, f64)>>,
 }
 
@@ -63,23 +63,26 @@ pub struct Catalogue {
     pub numbers: Vec<Number>,
     /// Every hypothesis.
     pub hypotheses: Vec<Hypothesis>,
-    /// Whether command_delay is from a logged output to its thrust, for want of setpoints.
+    /// Whether command_delay is the delay from a logged output to its thrust, because setpoints are
+    /// missing.
     pub outputs_late: bool,
-    /// Terms that a law may be made of.
+    /// Terms of a law, each with its coefficient among the numbers.
     pub terms: Vec<Term>,
 }
 
-/// Values of all numbers of a catalogue.
+/// Values of all numbers of a catalogue, by their index.
 pub type Values = Vec<f64>;
 
 impl Catalogue {
     /// The catalogue for a vehicle. `setpoint_leg`: setpoints and the on-board law are known, so
-    /// that command_delay and pd_gain act there; else command_delay is from output to thrust.
+    /// command_delay and pd_gain act there. Otherwise command_delay is the delay from output to
+    /// thrust.
     pub fn new(vehicle: &VehicleParams, setpoint_leg: bool) -> Self {
         Self::at_scale(vehicle, setpoint_leg, 1.0)
     }
 
-    /// The same with the tolerances that the vehicle file does not state times `scale`.
+    /// As [`new`](Self::new), with the tolerances that the vehicle file does not state multiplied
+    /// by `scale`.
     pub fn at_scale(vehicle: &VehicleParams, setpoint_leg: bool, scale: f64) -> Self {
         let known = Tolerances::of(vehicle, scale);
         let mut catalogue = Self {
@@ -93,7 +96,7 @@ impl Catalogue {
         let is_testable = |effect: &EffectId| match effect {
             EffectId::PdGain => setpoint_leg,
             EffectId::RotorGyroscopic => vehicle.rotor_max_rpm.is_some(),
-            // Told from what is left over, not by a regression.
+            // Gusts are inferred from the residual force, not by regression.
             EffectId::Gusts => false,
             _ => true,
         };
@@ -112,7 +115,7 @@ impl Catalogue {
         catalogue
     }
 
-    /// An effect whose slots are its numbers.
+    /// Adds an effect whose slots are its numbers.
     fn add_effect(&mut self, effect: EffectId, scales: &Scales, known: &Tolerances) {
         let mut numbers = Vec::new();
         for slot in effect.spec().slots() {
@@ -135,7 +138,7 @@ impl Catalogue {
         self.hypothesis(effect, numbers, &starts);
     }
 
-    /// Each rotor by itself may have lost thrust.
+    /// Adds a loss of thrust of each rotor separately.
     fn add_rotor_losses(&mut self, scales: &Scales, known: &Tolerances) {
         let widths = [0.0, scales.typical(EffectId::RotorLoss, 1)];
         for rotor in 0..ROTORS {
@@ -147,7 +150,8 @@ impl Catalogue {
         }
     }
 
-    /// A command_delay that is from a logged output to its thrust, for want of setpoints.
+    /// Adds command_delay as the delay from a logged output to its thrust, because setpoints are
+    /// missing.
     fn add_late_outputs(&mut self, known: &Tolerances) {
         let effect = EffectId::CommandDelay;
         let reference = reference(&self.vehicle, effect, 0);
@@ -158,12 +162,12 @@ impl Catalogue {
         self.outputs_late = true;
     }
 
-    /// The outputs' own delay, a nuisance beside command_delay.
+    /// Adds the outputs' own delay, a nuisance beside command_delay.
     fn add_output_delay(&mut self, known: &Tolerances) {
         let widths = [known.output_delay(), 0.01];
         let delay = Number::nuisance(Target::OutputDelay, 0.0, widths, OUTPUT_DELAYS_S);
         let delay = self.add(delay);
-        // A fit of the file's numbers alone explains a lag by this delay.
+        // A fit of the file's numbers alone may use this delay to explain a lag.
         for hypothesis in &mut self.hypotheses {
             if hypothesis.effect == EffectId::MotorLag {
                 hypothesis.starts.iter_mut().for_each(|start| start.push((delay, 0.0)));
@@ -189,8 +193,8 @@ impl Catalogue {
         }
     }
 
-    /// The same without these effects and those that act in the same way. Their numbers stay free
-    /// within their tolerances.
+    /// Removes these effects and those that act alike. Their numbers stay free within their
+    /// tolerances.
     pub fn without(mut self, effects: &[EffectId]) -> Self {
         let left_out =
             |h: &Hypothesis| effects.iter().any(|effect| h.effect.class() == effect.class());
@@ -203,14 +207,15 @@ impl Catalogue {
         self.numbers.len() - 1
     }
 
-    /// Adds a hypothesis that starts at its references or from `starts`: further values of its
-    /// first numbers (for ground_effect in rotor radii, where the reference says nothing).
+    /// Adds a hypothesis whose fits start at its references and at `starts`: values of its first
+    /// numbers, in rotor radii for ground_effect. The references are left out where the cost has no
+    /// slope at them.
     fn hypothesis(&mut self, effect: EffectId, numbers: Vec<usize>, starts: &[&[f64]]) {
         let at_reference: Vec<(usize, f64)> =
             numbers.iter().map(|i| (*i, self.numbers[*i].reference)).collect();
         let unit = if effect == EffectId::GroundEffect { self.vehicle.rotor_radius_m } else { 1.0 };
         let mut all = Vec::new();
-        // Where the effect grows with the square of its number there is no slope at 0.
+        // The cost has no slope at 0 where the effect grows with the square of its number.
         if !effect.spec().is_quadratic || at_reference[0].1 > 0.0 {
             all.push(at_reference.clone());
         }
@@ -222,7 +227,7 @@ impl Catalogue {
         self.hypotheses.push(Hypothesis { effect, numbers, starts: all });
     }
 
-    /// The same where reports of the outputs are in force to within `half_period_s` of their stamps.
+    /// Widens the delay of the outputs where their stamps are accurate to `half_period_s` only.
     pub fn with_outputs_held(mut self, half_period_s: f64) -> Self {
         let delays = self.numbers.iter_mut().filter(|n| n.target == Target::OutputDelay);
         for number in delays {
@@ -232,7 +237,7 @@ impl Catalogue {
         self
     }
 
-    /// The catalogue with some numbers known to be as `values` have them.
+    /// The catalogue with some numbers fixed at `values`.
     pub fn with_pinned(&self, numbers: &[usize], values: &[f64]) -> Self {
         let mut pinned = self.clone();
         for index in numbers {
@@ -242,7 +247,7 @@ impl Catalogue {
         pinned
     }
 
-    /// The same with terms of a law, each with a number whose prior is as wide as `magnitude` has it.
+    /// Adds terms of a law, each with a coefficient whose prior width is the given magnitude.
     pub fn with_terms(&self, terms: Vec<(Term, f64)>) -> Self {
         let mut catalogue = self.clone();
         for (term, magnitude) in terms {
@@ -254,14 +259,14 @@ impl Catalogue {
         catalogue
     }
 
-    /// The number of an effect's slot.
+    /// Index of the number for an effect's slot.
     pub fn number_of(&self, effect: EffectId, slot: usize) -> Option<usize> {
         self.numbers.iter().position(|number| number.target == Target::Effect(effect, slot))
     }
 
-    /// The catalogue with command_delay as it was read off the outputs: tried at its reference and
-    /// there alone. Where the reference allows it, it is expected there; where it does not, the
-    /// delay is known to be off and no nuisance.
+    /// The catalogue with command_delay as measured from the outputs: fits start only at its
+    /// reference and at the measured value. If the reference's tolerance allows the value, it
+    /// becomes the expected one. Otherwise the delay is known to be off, and is no nuisance.
     pub fn with_delay(mut self, delay: &Delay) -> Self {
         let index = self.number_of(EffectId::CommandDelay, 0);
         let delays = self.hypotheses.iter_mut().filter(|h| h.effect == EffectId::CommandDelay);
@@ -282,18 +287,18 @@ impl Catalogue {
         self
     }
 
-    /// Every number where it is expected.
+    /// The expected value of every number.
     pub fn expected(&self) -> Values {
         self.numbers.iter().map(|number| number.expected).collect()
     }
 
-    /// Every number at its reference.
+    /// The reference of every number.
     pub fn references(&self) -> Values {
         self.numbers.iter().map(|number| number.reference).collect()
     }
 
-    /// Where a number may lie: within its physical bounds if it is active, else near where it is
-    /// expected.
+    /// Limits of a number: its bounds if it is active, else [`TOLERANCES_MAX`] tolerances about its
+    /// expected value.
     pub fn limits(&self, number: usize, active: &[usize]) -> [f64; 2] {
         let Number { expected, tolerance, bounds: [low, high], .. } = self.numbers[number];
         if active.contains(&number) {
@@ -303,24 +308,24 @@ impl Catalogue {
         [(expected - width).max(low), (expected + width).min(high)]
     }
 
-    /// Numbers with a tolerance: the nuisances.
+    /// Indices of the nuisances: the numbers with a tolerance.
     pub fn nuisances(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.numbers.len()).filter(|i| self.numbers[*i].tolerance > 0.0)
     }
 }
 
-/// Magnitudes within which an effect's number lies where it occurs.
+/// Limit of an effect's number, in its typical magnitudes.
 const MAGNITUDES_MAX: f64 = 5.0;
 
-/// Where a number may lie: where it physically can (rotors flap away from the wind, and packs sag as
-/// they empty), and within what occurs: nothing that flies has a multiple of its file's inertia.
+/// Bounds of a number. It must be physically possible (rotors flap away from the wind, and packs
+/// sag as they empty) and plausible: no vehicle has a multiple of its file's inertia.
 fn bounds(effect: EffectId, parameter: &Parameter, reference: f64, magnitude: f64) -> [f64; 2] {
     let low = match effect {
         EffectId::BladeFlapping | EffectId::BatterySag => 0.0,
         _ => parameter.min,
     };
     let most = MAGNITUDES_MAX * magnitude;
-    // A factor is as large one way as the other.
+    // A factor has symmetric bounds on a ratio scale.
     let [least, most] = match parameter.neutral {
         Neutral::Value(1.0) => [reference / (1.0 + most), reference * (1.0 + most)],
         _ => [reference - most, reference + most],
@@ -328,7 +333,7 @@ fn bounds(effect: EffectId, parameter: &Parameter, reference: f64, magnitude: f6
     [low.max(least), parameter.max.min(most)]
 }
 
-/// What the vehicle file says of a slot: its modelled value, else the neutral one.
+/// The vehicle file's value of a slot, else the neutral one.
 pub fn reference(vehicle: &VehicleParams, effect: EffectId, slot: usize) -> f64 {
     if effect == RotorDrag::ID
         && let Some(drag) = vehicle.linear_drag_n_per_m_s
@@ -442,7 +447,7 @@ mod tests {
         assert!((off - 0.001).abs() < 1e-12 && width < tolerance);
         let [off, width] = with(0.005);
         assert!((off - 0.005).abs() < 1e-12 && width < tolerance);
-        // What is known to be off by more than the file's error is no nuisance.
+        // A number that is off by more than the file's error is no nuisance.
         assert_eq!(with(0.008), [0.0, 0.0]);
     }
 

@@ -1,4 +1,4 @@
-//! The numbers that a catalogue's hypotheses are made of: what each stands for, and its prior.
+//! The numbers of a catalogue's hypotheses: their targets and priors.
 
 use std::fmt::{self, Display};
 
@@ -8,32 +8,33 @@ use vehicle::effects::{EffectId, Neutral};
 use crate::diagnose::catalogue::tolerances::Known;
 
 /// Orthonormal contrasts between four rotors. Independent errors of each rotor's thrust are
-/// independent errors along these, with the same deviation, and an error of the mean with half of it.
+/// independent errors along these with the same deviation, plus an error of the mean with half of
+/// it.
 pub const CONTRASTS: [[f64; ROTORS]; 3] =
     [[0.5, 0.5, -0.5, -0.5], [0.5, -0.5, 0.5, -0.5], [0.5, -0.5, -0.5, 0.5]];
 
-/// What a number of a hypothesis stands for.
+/// The quantity that a number sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// A slot of an effect.
+    /// A slot of an effect, by its index.
     Effect(EffectId, usize),
-    /// Scale of one rotor, in rotor_loss.
+    /// Thrust scale of one rotor, in rotor_loss.
     RotorScale(usize),
-    /// How unequal the rotors' thrusts are, along one of three [contrasts](CONTRASTS): what all have
-    /// in common is the thrust's scale.
+    /// Difference between the rotors' thrusts along one of three [contrasts](CONTRASTS). Their mean
+    /// is the scale of the thrust.
     Imbalance(usize),
-    /// Moment against the body rate about one axis beyond the vehicle file's, N m s. Air does it,
-    /// and so do outputs that are logged less often than the loop ticks: between two of them the
-    /// desired attitude moves on, and the logged moment is off by kp times that.
+    /// Damping moment about one axis beyond the vehicle file's, N m s. Its causes are the air, and
+    /// outputs that are logged less often than the loop ticks: the desired attitude moves on
+    /// between two of them, and the logged moment is off by kp times that motion.
     Damping(usize),
-    /// How much later than logged the motor outputs act, without the lag, s.
+    /// Delay of the motor outputs after their stamps, without the lag, s.
     OutputDelay,
     /// Coefficient of a term of a law.
     Term(usize),
 }
 
 impl Target {
-    /// The name of a number within its effect: of its parameter, and the component where it has
+    /// The number's name within its effect: its parameter, with the component where there are
     /// several.
     pub fn name(self) -> String {
         match self {
@@ -54,7 +55,7 @@ impl Target {
 }
 
 impl Target {
-    /// What it is of a vehicle without its effect, where that is one value.
+    /// Its value for a vehicle without the effect, where there is a single one.
     pub fn absent(self) -> Option<f64> {
         let Self::Effect(id, slot) = self else { return None };
         let found = id.spec().slots().find(|s| s.index == slot)?;
@@ -66,7 +67,7 @@ impl Target {
 }
 
 impl Display for Target {
-    /// With the effect that the number is one of.
+    /// The name, after its effect's id where it belongs to one.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Effect(id, _) => write!(f, "{id} {}", self.name()),
@@ -80,27 +81,27 @@ impl Display for Target {
 /// A number that may be fitted.
 #[derive(Clone, Copy, Debug)]
 pub struct Number {
-    /// What it stands for.
+    /// The quantity that the number sets.
     pub target: Target,
-    /// What the vehicle file says, or the neutral value.
+    /// The vehicle file's value, or the neutral one.
     pub reference: f64,
-    /// Middle of the prior within tolerance: the reference, unless the logs say it directly.
+    /// Middle of the prior as a nuisance: the reference, unless the logs show it directly.
     pub expected: f64,
-    /// Width of the prior within tolerance; 0 where the number stays at its reference unless its
+    /// Width of the prior as a nuisance; 0 for a number that stays at its reference unless its
     /// effect is fitted.
     pub tolerance: f64,
-    /// What the vehicle file's numbers may bring about of it, one standard deviation.
+    /// Standard deviation that the vehicle file's errors give it.
     pub unremarkable: f64,
     /// Width of the prior where its effect is fitted: a typical magnitude.
     pub magnitude: f64,
-    /// Physical bounds.
+    /// Lowest and highest value.
     pub bounds: [f64; 2],
-    /// Whether the effect grows with the square of the number: at 0 there is no slope.
+    /// Whether the effect grows with the square of the number: the slope is then 0 at 0.
     pub quadratic: bool,
 }
 
 impl Number {
-    /// A number of which so much is known beside its reference.
+    /// A number with its prior knowledge.
     pub(super) fn new(target: Target, reference: f64, known: Known, bounds: [f64; 2]) -> Self {
         let Known { offset, tolerance, unremarkable, magnitude } = known;
         let expected = reference + offset;
@@ -116,7 +117,7 @@ impl Number {
         }
     }
 
-    /// A number that is expected at its reference, with its tolerance and magnitude.
+    /// A number that is expected at its reference, with a tolerance and a magnitude.
     pub(super) fn nuisance(
         target: Target,
         reference: f64,
@@ -132,9 +133,9 @@ impl Number {
         if active { [self.reference, self.magnitude] } else { [self.expected, self.tolerance] }
     }
 
-    /// A step for numeric derivatives at `value`.
+    /// Step for a numeric derivative at `value`.
     pub fn step(&self, value: f64) -> f64 {
-        // Over a typical magnitude, where an infinitesimal step would see nothing.
+        // A full magnitude, since a small step has no effect there.
         if self.quadratic && value == 0.0 { self.magnitude } else { 1e-3 * self.magnitude }
     }
 }

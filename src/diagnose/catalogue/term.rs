@@ -1,50 +1,50 @@
-//! A term of a law: a coefficient times a product of quantities, acting along axes that the symmetry
-//! of the airframe ties together.
+//! A term of a law: a coefficient times a product of quantities, acting along axes that are related
+//! by the symmetry of the airframe.
 
 use std::collections::BTreeMap;
 
 use vehicle::effects::EffectSet;
 use vehicle::law::{Channel, LAWS_MAX, LawText, Quantity, Unit};
 
-/// A name for a law that was found, beside those that a vehicle has.
+/// A free name for a law that was found, beside the vehicle's own laws.
 pub fn name_of(effects: &EffectSet) -> String {
     let names = std::iter::once("found".to_owned()).chain((2..).map(|n| format!("found_{n}")));
     let is_free = |name: &String| effects.laws().iter().all(|law| law.name() != name);
     names.take(LAWS_MAX + 1).find(is_free).unwrap_or_default()
 }
 
-/// A term with its coefficient left open.
+/// A term without its coefficient.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Term {
-    /// Where it acts, and the vector's component there: a quantity with its sign, `None` for 1.
+    /// Channels that it acts on, each with its quantity (`None` for 1) and sign.
     pub parts: Vec<(Channel, Option<Quantity>, f64)>,
-    /// What all its parts are multiplied with.
+    /// Common factor of all parts.
     pub factor: Factor,
 }
 
-/// What the parts of a term are multiplied with.
+/// The common factor of a term's parts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Factor {
-    /// Nothing.
+    /// The factor 1.
     One,
-    /// A quantity.
+    /// A quantity in SI.
     Quantity(Quantity),
-    /// A speed over 1 m/s, to a power.
+    /// A speed divided by 1 m/s, to a power.
     Power(Quantity, f64),
-    /// Two quantities.
+    /// The product of two quantities.
     Product(Quantity, Quantity),
     /// exp(-height / length), the length in m.
     Decay(f64),
-    /// The share of its voltage that the pack lacks.
+    /// The voltage missing from a full pack, as a share.
     Sag,
-    /// The sine, or the cosine, of the heading.
+    /// The sine or the cosine of the heading.
     Heading(bool),
     /// The absolute value of the part's own quantity.
     Own,
 }
 
 impl Factor {
-    /// The shape that a search refines: its value and bounds.
+    /// The shape parameter that a search refines: its value and bounds.
     pub fn shape(self) -> Option<(f64, [f64; 2])> {
         match self {
             Self::Power(_, power) => Some((power, [-0.8, 3.0])),
@@ -53,7 +53,7 @@ impl Factor {
         }
     }
 
-    /// The same in another shape.
+    /// The same factor with another shape parameter.
     pub fn shaped(self, shape: f64) -> Self {
         match self {
             Self::Power(quantity, _) => Self::Power(quantity, shape),
@@ -95,7 +95,7 @@ impl Term {
         self.parts.first().and_then(of_part).unwrap_or_default()
     }
 
-    /// The quantities that it depends on, each once.
+    /// The quantities that it reads, each once and in order.
     pub fn quantities(&self) -> Vec<Quantity> {
         let own = self.parts.iter().filter_map(|(_, quantity, _)| *quantity);
         let mut all: Vec<Quantity> = own.chain(self.factor.quantities()).collect();
@@ -104,7 +104,7 @@ impl Term {
         all
     }
 
-    /// The formula of one part, with names for its coefficient and shape.
+    /// The formula of one part, with the given names of its coefficient and its shape.
     fn formula(
         &self,
         (_, quantity, sign): &(Channel, Option<Quantity>, f64),
@@ -129,7 +129,7 @@ impl Term {
         text
     }
 
-    /// What it is in one line, with `c` for the coefficient.
+    /// The term in one line, with `c` as the coefficient.
     pub fn in_words(&self) -> String {
         let shape = match self.factor.shape() {
             Some((length, _)) if matches!(self.factor, Factor::Decay(_)) => {
@@ -145,7 +145,7 @@ impl Term {
     }
 }
 
-/// The law that terms make with their coefficients; `None` without a term.
+/// The law of these terms and coefficients; `None` without a term.
 pub fn law_of<'a>(terms: impl IntoIterator<Item = (&'a Term, f64)>) -> Option<LawText> {
     let mut law = LawText::default();
     let mut formulas: BTreeMap<String, String> = BTreeMap::new();

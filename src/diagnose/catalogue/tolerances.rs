@@ -1,13 +1,13 @@
-//! How well a vehicle file's numbers are known, and how large effects are where they occur, in a
-//! vehicle's own units.
+//! The accuracy of a vehicle file's numbers, and the typical size of effects, in a vehicle's own
+//! units.
 
 use serde_json::{Map, Value};
 use vehicle::VehicleParams;
 use vehicle::effects::EffectId;
 
-/// Standard deviations of a vehicle file's numbers: what its `provenance` claims, else what a
-/// careful builder reaches with a kitchen scale, a bifilar pendulum and one motor on a load cell,
-/// times a scale that the flights tell (0 for a file without an error).
+/// Standard deviations of a vehicle file's numbers. They come from its `provenance`, or else are
+/// those of a careful builder with a kitchen scale, a bifilar pendulum and one motor on a load
+/// cell, times a scale estimated from the flights (0 for an exact file).
 #[derive(Clone, Debug)]
 pub(in crate::diagnose) struct Tolerances {
     thrust_common: f64,
@@ -21,33 +21,34 @@ pub(in crate::diagnose) struct Tolerances {
     attitude_rad: f64,
     latency_s: [f64; 2],
     gains: f64,
-    /// Of what the file models: a drag, a sag, a thrust curve; a share.
+    /// Share of a drag, a sag or a thrust curve that the file models.
     modelled: f64,
-    /// Largest drag that a file without one leaves out, as a share of a typical one.
+    /// Largest drag that a file without one may omit, as a share of a typical one.
     small_drag: f64,
 }
 
-/// What clocks and logs blur, whatever the file claims, s: of the rotors' lag, the setpoints' delay,
-/// the latency of the pose, and the delay from a logged output to its thrust (half a period of logs
-/// at 250 Hz).
+/// Timing errors of clocks and logs, whatever the file claims, s: of the rotors' lag, the
+/// setpoints' delay, the latency of the pose, and the delay from a logged output to its thrust
+/// (half a period of logs at 250 Hz).
 const LAG_S: f64 = 0.001;
 const DELAY_S: f64 = 0.0015;
 const LATENCY_S: f64 = 0.0007;
 const OUTPUT_DELAY_S: f64 = 0.002;
-/// How well a delay can be read off the outputs: the clocks are tied by the least delay of the
-/// downlink, and the link's jitter may or may not be counted, s.
+/// Accuracy of a delay measured from the outputs, s: the least delay of the downlink ties the
+/// clocks, and may or may not include the link's jitter.
 const DELAY_READ_S: f64 = 5.3e-4;
-/// Air of which a file says nothing, m/s.
+/// Standard deviation of air motion that a file does not mention, m/s.
 const STILL_AIR_M_S: f64 = 0.03;
-/// Tolerance of the moment against the body rate: so much of kp times a tick, and so much of the
-/// inertia per second.
+/// Tolerance of the damping moment: a time that multiplies kp, and a rate in 1/s that multiplies
+/// the inertia.
 pub(in crate::diagnose) const DAMPING_TIME_S: f64 = 0.002;
 pub(in crate::diagnose) const DAMPING_RATE: f64 = 0.1;
-/// What a number is known to that its file calls assumed, in tolerances of one that was measured.
+/// Tolerance of a number that its file calls assumed, relative to a measured one.
 const ASSUMED: f64 = 4.0;
 
 impl Tolerances {
-    /// Of a vehicle file; what it does not state is as a careful builder leaves it times `scale`.
+    /// Tolerances of a vehicle file. Those that it does not state are a careful builder's times
+    /// `scale`.
     pub fn of(vehicle: &VehicleParams, scale: f64) -> Self {
         let stated = Stated { provenance: &vehicle.provenance, scale };
         let arm = vehicle.arm_m();
@@ -75,41 +76,42 @@ impl Tolerances {
         }
     }
 
-    /// Of the thrust to mass, a share: which of the two is off, flights do not tell.
+    /// Tolerance of the ratio of thrust to mass, a share: flights do not show which of the two is
+    /// off.
     pub fn thrust_to_mass(&self) -> f64 {
         self.thrust_common.hypot(self.mass)
     }
 
-    /// The same with the mean of what each rotor's thrust is off by.
+    /// Tolerance of the level of the thrust: as above, with the mean error of the rotors.
     fn level(&self) -> f64 {
         self.thrust_to_mass().hypot(0.5 * self.thrust_each)
     }
 
-    /// Of each rotor's thrust, a share.
+    /// Tolerance of each rotor's thrust, a share.
     pub fn rotor(&self) -> f64 {
         self.thrust_each
     }
 
-    /// Middle and deviation of how late the pose is reported beyond the file's, s.
+    /// Middle and deviation of the pose's latency beyond the file's, s.
     pub fn latency(&self) -> [f64; 2] {
         let [low, high] = self.latency_s;
         [0.5 * (low + high), (0.5 * (high - low)).max(LATENCY_S)]
     }
 
-    /// Of the delay from a logged output to its thrust, s.
+    /// Tolerance of the delay from a logged output to its thrust, s.
     pub fn output_delay(&self) -> f64 {
         OUTPUT_DELAY_S.hypot(self.delay_s)
     }
 }
 
-/// What a file says of its numbers' errors.
+/// The errors that a file states for its numbers.
 struct Stated<'a> {
     provenance: &'a Map<String, Value>,
     scale: f64,
 }
 
 impl Stated<'_> {
-    /// The first of `keys` that the file states of a number; else `usual`, scaled.
+    /// The first of `keys` that the file states for the number `of`, else the scaled `usual`.
     fn number(&self, of: &str, keys: &[&str], usual: f64) -> f64 {
         let Some(of) = self.provenance.get(of) else { return usual * self.scale };
         let stated = keys.iter().find_map(|key| of.get(key)?.as_f64());
@@ -120,7 +122,7 @@ impl Stated<'_> {
         })
     }
 
-    /// The range of a number in which the file says that it lies.
+    /// The range that the file states for a number, s.
     fn range(&self, of: &str) -> Option<[f64; 2]> {
         let range = self.provenance.get(of)?.get("range_s")?;
         let [low, high] = [0, 1].map(|end| range.get(end).and_then(Value::as_f64));
@@ -128,23 +130,23 @@ impl Stated<'_> {
     }
 }
 
-/// How large effects are where they occur, for one vehicle.
+/// Typical sizes of effects for one vehicle.
 pub(in crate::diagnose) struct Scales<'a> {
     vehicle: &'a VehicleParams,
     models_drag: bool,
 }
 
-/// What is known of a slot beforehand.
+/// Prior knowledge of a slot.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::diagnose) struct Known {
-    /// Where it is expected, beyond the file's value.
+    /// Expected value relative to the file's.
     pub offset: f64,
-    /// Its tolerance as a nuisance; 0 where only its effect moves it.
+    /// Tolerance as a nuisance; 0 where only its effect changes it.
     pub tolerance: f64,
-    /// What the file's numbers may bring about of it, one standard deviation: an effect is of
-    /// practical size beyond three of these.
+    /// Standard deviation that the file's errors give it: an effect is of practical size beyond
+    /// three of these.
     pub unremarkable: f64,
-    /// A typical magnitude where the effect occurs.
+    /// Typical magnitude where the effect occurs.
     pub magnitude: f64,
 }
 
@@ -157,18 +159,18 @@ impl<'a> Scales<'a> {
         Self { vehicle, models_drag }
     }
 
-    /// A typical size of a slot; 0 where it is not fitted.
+    /// Typical size of a slot; 0 where it is not fitted.
     pub fn typical(&self, effect: EffectId, slot: usize) -> f64 {
         (effect.spec().typical)(self.vehicle).get(slot).copied().unwrap_or_default()
     }
 
-    /// What the file models of a slot.
+    /// The file's modelled value of a slot.
     fn modelled(&self, effect: EffectId, slot: usize) -> Option<f64> {
         self.vehicle.modelled_effects.slots(effect)?.get(slot).copied()
     }
 
-    /// What is known of a slot that may be fitted: how large its effect typically is, and how well
-    /// the file knows it where it is a number of the file.
+    /// Prior knowledge of a slot that may be fitted: the typical size of its effect, and the
+    /// accuracy of the file where it states the number.
     pub fn of_slot(&self, known: &Tolerances, effect: EffectId, slot: usize) -> Option<Known> {
         use EffectId::*;
         let magnitude = self.typical(effect, slot);
@@ -176,14 +178,14 @@ impl<'a> Scales<'a> {
             return None;
         }
         let modelled = |value: Option<f64>| value.map_or(0.0, |v| known.modelled * v.abs());
-        // A file that models no drag leaves a small one out; three deviations reach its limit.
+        // A file without drag may omit a small one; three deviations reach its limit.
         let left_out = if self.models_drag { 0.0 } else { known.small_drag / 3.0 * magnitude };
         let tolerance = match (effect, slot) {
             (ThrustScale, 0) => known.level(),
             (ThrustCurve | BatterySag, 0) => modelled(self.modelled(effect, 0)),
             (MotorLag, 0) => LAG_S.hypot(known.lag_s),
             (CommandDelay, 0) => DELAY_S.hypot(known.delay_s),
-            // The exact linear drag is another law than rotor_drag's, which replaces it.
+            // The exact linear drag replaces rotor_drag and follows another law.
             (RotorDrag, _) if self.vehicle.linear_drag_n_per_m_s.is_some() => 0.0,
             (RotorDrag | ParasiticDrag, _) => modelled(self.modelled(effect, slot)).max(left_out),
             (Wind, _) => STILL_AIR_M_S,
@@ -195,7 +197,7 @@ impl<'a> Scales<'a> {
             (AttitudeTrim, 2) => (0.25 * known.attitude_rad).max(5e-4),
             (EstimatorLatency, 0) => known.latency()[1],
             (PdGain, _) => known.gains,
-            // The file says nothing of it, or thrust_scale stands for it.
+            // The file does not state it, or thrust_scale covers it.
             _ => 0.0,
         };
         let unremarkable = match effect {

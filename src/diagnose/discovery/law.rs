@@ -1,4 +1,4 @@
-//! The law that was written for what no effect of the catalogue explains, as the answer tells it.
+//! The answer's description of a law for a gap that no effect of the catalogue explains.
 
 use std::collections::BTreeMap;
 
@@ -6,37 +6,37 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::law::Law;
 
-/// A law, and what it makes of the flights.
+/// A law and how it fares on the flights.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct LawAnswer {
-    /// Whether it is named: it predicts flights that it was not made from better than every effect
+    /// Whether it is named: it predicts flights that it was not fitted to better than every effect
     /// of the catalogue does.
     pub named: bool,
-    /// Why it is not, where it is not.
+    /// Why it is not named, where it is not.
     pub because: Option<String>,
-    /// Its probability: its posterior mass among all explanations, less that of a cause that is
-    /// something else again.
+    /// Its posterior mass among all explanations, less the probability of another cause.
     pub probability: f64,
-    /// Formulas, by where they act.
+    /// Formulas, by the channel that they act on.
     pub formulas: BTreeMap<String, String>,
     /// Its terms, the one with the most evidence first.
     pub terms: Vec<TermAnswer>,
-    /// The quantities that it depends on.
+    /// Names of the quantities that it reads.
     pub depends_on: Vec<&'static str>,
-    /// What the flights show of each: beyond it the law stays as it is at the end.
+    /// Range of each quantity in the flights; beyond it, the law keeps its value at the end.
     pub range: BTreeMap<String, [f64; 2]>,
-    /// Evidence over the vehicle file within its tolerances, without the price of its terms, nats.
+    /// Evidence against the vehicle file within its tolerances, without the price of its terms,
+    /// nats.
     pub evidence: f64,
-    /// Effects that act beside it.
+    /// Ids of the effects that act beside it.
     pub beside: Vec<String>,
-    /// What of the catalogue comes nearest, with its evidence by the same measure, nats.
+    /// The nearest effects of the catalogue, with comparable evidence in nats.
     pub nearest: Vec<NearEffect>,
-    /// The gap on the flights held out as shipped, with the law, and with the law and the file's
-    /// numbers within their tolerances, in units of what noise alone leaves.
+    /// The gap on the held-out flights as shipped, with the law, and with the law and the file's
+    /// numbers within their tolerances, in units of the floor.
     pub gap: Option<[f64; 3]>,
-    /// (before - after) / (before - 1), where there is a gap.
+    /// (before - after) / (before - 1); missing where nothing is closable.
     pub closure: Option<f64>,
-    /// As an effects file has it.
+    /// The law in the form of an effects file.
     #[serde(skip)]
     pub law: Law,
 }
@@ -44,36 +44,36 @@ pub struct LawAnswer {
 /// A term of a law.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct TermAnswer {
-    /// Where and how it acts, with `c` for its coefficient.
+    /// Its formulas, with `c` for the coefficient.
     pub term: String,
-    /// The coefficient's name in the law.
+    /// Name of the coefficient in the law.
     pub name: String,
-    /// The coefficient.
+    /// Fitted value of the coefficient.
     pub value: f64,
-    /// Its 90 % interval.
+    /// 90 % interval of the coefficient.
     pub interval: [f64; 2],
-    /// Its unit.
+    /// Unit of the coefficient.
     pub unit: String,
-    /// A power or a length (m) that was fitted too, with its 90 % interval.
+    /// The fitted power or length (m), where the term has one.
     pub shape: Option<Shape>,
-    /// Evidence that is lost without it, nats.
+    /// Evidence lost without it, nats.
     pub evidence: f64,
 }
 
-/// A number inside a term.
+/// A power or a length inside a term.
 #[derive(Clone, Copy, Debug, JsonSchema, Serialize)]
 pub struct Shape {
-    /// As fitted.
+    /// The fitted value.
     pub value: f64,
     /// Its 90 % interval.
     pub interval: [f64; 2],
 }
 
-/// Effects of the catalogue that come near a law.
+/// A set of effects of the catalogue that is near a law.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct NearEffect {
-    /// Their ids.
+    /// Ids of the effects.
     pub effects: Vec<String>,
-    /// Evidence over the vehicle file within its tolerances, nats.
+    /// Evidence against the vehicle file within its tolerances, nats.
     pub evidence: f64,
 }

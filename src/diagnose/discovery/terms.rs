@@ -1,8 +1,8 @@
-//! The grammar: terms that the symmetry of a quadrotor and units allow.
+//! The grammar: the terms that a quadrotor's symmetry and the units allow.
 //!
-//! Force is a polar vector and moment an axial one. An airframe that looks the same from four sides
-//! ties front and right together: what is the front force of an airspeed along front is the right
-//! force of one along right. Terms along one axis alone are there too, for airframes that do not.
+//! Force is a polar vector and moment an axial one. An airframe with fourfold symmetry relates
+//! front and right: airspeed along right causes the same force to the right as airspeed along front
+//! does to the front. Terms along a single axis cover other airframes.
 
 use vehicle::VehicleParams;
 use vehicle::law::{Channel, Quantity as Q};
@@ -10,14 +10,14 @@ use vehicle::law::{Channel, Quantity as Q};
 use crate::diagnose::catalogue::term::{Factor, Term};
 use crate::diagnose::flights::preparation::Channels;
 
-/// A term is as large as this share of the weight, at the [usual](usual) values of its quantities,
-/// where it matters: its prior's width.
+/// Typical size of a term, as a share of the weight at the [usual](usual) values of its quantities.
+/// It sets the width of the coefficient's prior.
 const SHARE: f64 = 0.1;
-/// Powers and lengths that a search starts from.
+/// Start values of powers and lengths.
 const POWERS: [f64; 4] = [-0.5, 0.5, 1.5, 2.5];
 const LENGTHS_M: [f64; 3] = [0.15, 0.5, 1.5];
 
-/// What a quantity usually is in flight, in SI.
+/// A typical value of a quantity in flight, in SI.
 fn usual(quantity: Q, weight: f64, arm: f64) -> f64 {
     match quantity {
         Q::Thrust => weight,
@@ -28,7 +28,8 @@ fn usual(quantity: Q, weight: f64, arm: f64) -> f64 {
     }
 }
 
-/// Every term for a vehicle and what its logs hold, with the width of its coefficient's prior.
+/// Every term for a vehicle and the channels of its logs, with the width of its coefficient's
+/// prior.
 pub fn terms(vehicle: &VehicleParams, channels: Channels) -> Vec<(Term, f64)> {
     let mut all: Vec<Term> = Vec::new();
     let [x, y, z] = [0, 1, 2].map(Channel::Force);
@@ -43,22 +44,22 @@ pub fn terms(vehicle: &VehicleParams, channels: Channels) -> Vec<(Term, f64)> {
     };
     let one = &[Factor::One][..];
     let near_floor: Vec<Factor> = LENGTHS_M.into_iter().map(Factor::Decay).collect();
-    // Along the air: in all axes, in the rotors' plane, and along each axis.
+    // Forces along the airspeed: in all axes, in the rotors' plane, and along each axis.
     let (ax, ay, az) = ((x, Some(Q::AirX), 1.0), (y, Some(Q::AirY), 1.0), (z, Some(Q::AirZ), 1.0));
     add(&[ax, ay, az], &speeds(&[Factor::Quantity(Q::Thrust), Factor::Own]));
     add(&[ax, ay], &speeds(&[Factor::Quantity(Q::Thrust), Factor::Own]));
     let alone = [Factor::One, Factor::Own, Factor::Quantity(Q::RotorSpeed)];
     [ax, ay, az].iter().for_each(|part| add(&[*part], &alone));
-    // Across it, as a turning body has, and of turning alone.
+    // Forces across the airspeed, as on a rotating body, and from rotation alone.
     let across = [(x, Some(Q::AirY), -1.0), (y, Some(Q::AirX), 1.0)];
     add(&across, &[Factor::One, Factor::Quantity(Q::RateZ)]);
     add(&[(x, Some(Q::RateY), 1.0), (y, Some(Q::RateX), -1.0)], one);
     for axis in [x, y, z] {
         add(&[(axis, None, 1.0)], &[Factor::One, Factor::Quantity(Q::RateZ)]);
     }
-    // Along the rotors' axis.
+    // Forces along the rotors' axis.
     add(&[(z, Some(Q::AirspeedXy), 1.0)], &[Factor::One, Factor::Own]);
-    // What changes the thrust.
+    // Changes of the thrust.
     let mut lifting = vec![Factor::One, Factor::Quantity(Q::AirspeedXy), Factor::Quantity(Q::AirZ)];
     lifting.push(Factor::Product(Q::AirspeedXy, Q::AirspeedXy));
     lifting.extend([0.5, 1.5].map(|power| Factor::Power(Q::AirspeedXy, power)));
@@ -68,14 +69,14 @@ pub fn terms(vehicle: &VehicleParams, channels: Channels) -> Vec<(Term, f64)> {
         lifting.push(Factor::Sag);
     }
     add(&[(Channel::Thrust, None, 1.0)], &lifting);
-    // In the world.
+    // Forces fixed in the world, and body forces that vary with heading.
     let headings = [Factor::Heading(true), Factor::Heading(false)];
     for axis in 0..3 {
         add(&[(Channel::WorldForce(axis), None, 1.0)], one);
     }
     add(&[(x, None, 1.0)], &headings);
     add(&[(y, None, 1.0)], &headings);
-    // Moments: against the turning, of the air on what is above or below, and of the rotors' own.
+    // Moments: damping, the air's force on parts above or below the centre, and the rotors' own.
     let (rx, ry, rz) =
         ((roll, Some(Q::RateX), 1.0), (pitch, Some(Q::RateY), 1.0), (yaw, Some(Q::RateZ), 1.0));
     let damped =
@@ -166,7 +167,7 @@ mod tests {
             assert!(width.is_finite() && *width > 0.0, "{term:?}");
             assert!(all[..index].iter().all(|(other, _)| other != term), "{term:?}");
         }
-        // Without an attitude nothing is known of the air along the body.
+        // Without an attitude, the airspeed along the body axes is unknown.
         let blind = Channels { attitude: false, ..channels };
         assert!(terms(&vehicle, blind).iter().all(|(t, _)| !t.quantities().contains(&Q::AirX)));
     }

@@ -1,4 +1,4 @@
-//! A law among the other explanations: what it leaves of the gap, and the answer.
+//! Weighs a law against the other explanations: the gap that it leaves, and its answer.
 
 use vehicle::VehicleError;
 use vehicle::effects::EffectSet;
@@ -19,11 +19,11 @@ use crate::diagnose::verdict::decide;
 use crate::diagnose::verdict::evidence::{Evidence, Explained, Found, Gaps};
 use crate::diagnose::verdict::posterior::OPEN;
 
-/// So many explanations of the catalogue stand beside a law, the nearest ones.
+/// Explanations of the catalogue that are listed beside a law.
 const NEAREST: usize = 3;
 
 impl Inquiry<'_> {
-    /// A draft among the other explanations, and its answer.
+    /// Weighs a draft against the other explanations, and describes it for the answer.
     pub(super) fn weigh(
         &self,
         evidence: &Evidence,
@@ -52,8 +52,8 @@ impl Inquiry<'_> {
         let reported = |draft: &Draft| self.law_gaps(floors[1].as_ref(), &self.reported, draft);
         explained.choosing = self.law_gaps(floors[0].as_ref(), &self.choosing, &draft)?;
         explained.reported = reported(&draft)?;
-        // Where a flight shows no gap, and the law makes none, its predictions tell nothing: noise
-        // alone would say which is the better one. Its equations do.
+        // Where a flight shows no gap and the law adds none, its predictions cannot rank the two:
+        // noise alone would decide. Its equations can.
         let is_small = |gap: Option<f64>| gap.is_none_or(|gap| gap < OPEN);
         if is_small(evidence.shipped[0]) && is_small(explained.choosing.map(|gaps| gaps.effects)) {
             explained.choosing = None;
@@ -65,7 +65,7 @@ impl Inquiry<'_> {
         let is_chosen = decision.explanation == index && decision.verdict == Verdict::Effect;
         let scores = with.scores();
 
-        // On all flights but those reported on.
+        // Fitted to all flights except the held-out ones.
         let refit = self.fitted_terms(&self.all, &draft.fit, &draft.beside, &draft.terms);
         let refit = Draft { fit: refit.unwrap_or_else(|| draft.fit.clone()), ..draft };
         let after = reported(&refit)?;
@@ -112,13 +112,13 @@ impl Inquiry<'_> {
         Ok(Discovered { answer, effects })
     }
 
-    /// Effects beside a law.
+    /// Ids of the effects beside a law.
     pub(super) fn names(&self, draft: &Draft) -> Vec<String> {
         let effects = draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect);
         effects.map(|effect| effect.name().to_owned()).collect()
     }
 
-    /// The gaps with a law and with the file's numbers, as those flights have them.
+    /// The gaps with a law and with the file's numbers, which are adapted to those flights.
     pub(super) fn law_gaps(
         &self,
         floor: Option<&Errors>,
@@ -136,7 +136,7 @@ impl Inquiry<'_> {
             draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect).collect();
         let mut file = EffectSet::new();
         for (id, slots) in all.iter().filter(|(id, _)| !own.contains(id)) {
-            // It was accepted before.
+            // This insertion has succeeded before.
             let _ = file.insert(id, *slots);
         }
         let errors = |effects: &EffectSet| -> Result<Option<Errors>, VehicleError> {
@@ -146,7 +146,7 @@ impl Inquiry<'_> {
         Ok(both.map(|(both, file)| Gaps::over([effects, file, both], floor, self.metric)))
     }
 
-    /// The values of a draft with the file's numbers as some flights have them.
+    /// The values of a draft, with the file's numbers adapted to the flights of `look`.
     fn adapted_to(&self, catalogue: &Catalogue, draft: &Draft, look: &Observed<'_>) -> Vec<f64> {
         let observed = look.by(catalogue);
         let values = &draft.fit.values;
@@ -157,7 +157,7 @@ impl Inquiry<'_> {
         solution.map_or_else(|| values.clone(), |solution| solution.values)
     }
 
-    /// A law and the effects beside it, without the file's numbers.
+    /// A law and the effects beside it, without changes to the file's numbers.
     fn set_of(&self, catalogue: &Catalogue, draft: &Draft, values: &[f64]) -> EffectSet {
         let own = draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect);
         let mut set = self.catalogue.effects(values, Some(&own.collect::<Vec<_>>()));

@@ -1,5 +1,4 @@
-//! A law as it is written: its terms with their intervals, and what the flights show of each
-//! quantity.
+//! Writes out a law: its terms with their intervals, and the range of each quantity in the flights.
 
 use std::collections::BTreeMap;
 
@@ -19,11 +18,11 @@ use crate::diagnose::inquiry::Inquiry;
 use crate::diagnose::likelihood::fit::interval;
 use crate::diagnose::verdict::calibration::Calibration;
 
-/// How often [`support`](Inquiry::support) reads a flight, s.
+/// Sampling period of [`support`](Inquiry::support), s.
 const LOOK_S: f64 = 0.1;
 
 impl Inquiry<'_> {
-    /// The terms of the answer, with the names that the file has.
+    /// The terms for the answer, with their names in the law's file.
     pub(super) fn terms_of(&self, draft: &Draft) -> Vec<TermAnswer> {
         let first = self.catalogue.numbers.len();
         let mut terms: Vec<TermAnswer> = draft
@@ -53,7 +52,7 @@ impl Inquiry<'_> {
         terms
     }
 
-    /// The law with what it is known for, and the effects beside it.
+    /// The law with its range of validity, and the effects beside it.
     pub(super) fn written(
         &self,
         draft: &Draft,
@@ -71,12 +70,12 @@ impl Inquiry<'_> {
         let which: Vec<_> =
             draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect).collect();
         let mut effects = self.catalogue.effects(&draft.fit.values, Some(&which));
-        // A name that is free in a set that is nearly empty.
+        // The name is free, since the set has no other law.
         let _ = effects.insert_law(law.clone());
         Ok((law, effects))
     }
 
-    /// What the flights of the fit show of each quantity that a law reads.
+    /// The range in the fitted flights of each quantity that a law reads.
     fn support(&self, draft: &Draft) -> Result<BTreeMap<String, [f64; 2]>, DiagnoseError> {
         let all = draft.terms.iter().flat_map(|(term, _)| term.quantities());
         let needed = all.fold(Needed::default(), Needed::with);
@@ -88,7 +87,7 @@ impl Inquiry<'_> {
                 for look in 0..count {
                     let time = span.start + look as f64 * LOOK_S;
                     let values = quantities(flight, &physics, needed, time);
-                    // A heading wraps.
+                    // A heading wraps around.
                     for quantity in needed.iter().filter(|q| *q != Quantity::Heading) {
                         let value = values[quantity as usize];
                         let [low, high] =
@@ -103,7 +102,7 @@ impl Inquiry<'_> {
     }
 }
 
-/// Quantities of a flight as it was reported.
+/// Quantities of a flight from its reports at `time`.
 fn quantities(
     flight: &PreparedFlight,
     physics: &Physics,
@@ -124,7 +123,7 @@ fn quantities(
     physics.quantities(needed, &state, &loads, &env)
 }
 
-/// Four significant digits.
+/// A number to four significant digits.
 fn rounded(value: f64) -> f64 {
     if value == 0.0 || !value.is_finite() {
         return 0.0;

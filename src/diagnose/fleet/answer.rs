@@ -1,4 +1,4 @@
-//! The answer on a fleet: what `diagnose --fleet --json` prints and its report shows.
+//! The answer on a fleet: the data behind `diagnose --fleet --json` and its report.
 
 use std::collections::BTreeMap;
 
@@ -15,22 +15,22 @@ use crate::diagnose::likelihood::fit::interval;
 use crate::diagnose::verdict::calibration::Calibration;
 use crate::diagnose::verdict::parameter::{Parameter, parameters};
 
-/// A vehicle has a cause as others do from this probability on, and lacks it below the other.
+/// Least probability at which a vehicle shares a cause.
 const HAS: f64 = 0.5;
-/// The mean of a number over the fleet is worth a word from so many tolerances on.
+/// Least mean of a number over the fleet that the answer mentions, in tolerances.
 const MENTIONED: f64 = 0.7;
 
-/// What a vehicle was found to be.
+/// The state of a vehicle relative to its type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// Nothing beyond what the type has.
+    /// Nothing beyond the type's effects.
     AsType,
-    /// What a group of the vehicles has.
+    /// An effect that it shares with a group of the vehicles.
     Group,
     /// An effect of its own.
     Own,
-    /// One of several effects of its own; its flights do not tell which.
+    /// One of several effects of its own; its flights do not distinguish them.
     Ambiguous,
     /// A gap that no effect explains.
     Unknown,
@@ -43,40 +43,40 @@ pub enum State {
 /// An effect that one vehicle has beyond its type.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct OwnEffect {
-    /// Its id.
+    /// Its id in the catalogue.
     pub id: String,
-    /// Probability that the vehicle has it, 0..1.
+    /// Probability that the effect acts on the vehicle, 0..1.
     pub probability: f64,
-    /// The vehicle's values, absolute.
+    /// Absolute values of its parameters on this vehicle, by name.
     pub parameters: BTreeMap<String, serde_json::Value>,
-    /// 90 % intervals of the fitted numbers.
+    /// 90 % intervals of the fitted numbers, by parameter (component).
     pub intervals: BTreeMap<String, [f64; 2]>,
 }
 
 /// A vehicle of the fleet.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct VehicleAnswer {
-    /// Its name.
+    /// Its name in the fleet.
     pub name: String,
-    /// What it was found to be.
+    /// Its state relative to the type.
     pub state: State,
     /// Effects with a probability of a half or more, the most probable first.
     pub effects: Vec<OwnEffect>,
-    /// Effects that cannot be told from these.
+    /// Effects that its flights do not distinguish from these.
     pub ambiguous_with: Vec<String>,
-    /// Why, in a sentence.
+    /// The reason for the state, in a sentence.
     pub sentence: String,
-    /// The gap on its flights held out against the type's file, in units of the noise, and with its
-    /// own effects.
+    /// The gap on its held-out flights against the type's file, in units of the floor: first as is,
+    /// then with its own effects.
     pub gap: [Option<f64>; 2],
     /// Effects that its logs cannot show.
     pub not_testable: Vec<String>,
-    /// What is at fault in its logs.
+    /// Faults of its logs.
     pub faults: Vec<String>,
 }
 
 impl VehicleAnswer {
-    /// One that could not be diagnosed, or whose logs are at fault.
+    /// A vehicle that could not be diagnosed (`sentence` says why), or whose logs have `faults`.
     pub fn unusable(name: &str, sentence: String, faults: Vec<String>) -> Self {
         Self {
             name: name.to_owned(),
@@ -90,7 +90,7 @@ impl VehicleAnswer {
         }
     }
 
-    /// What the diagnosis of its flights against the type's file says.
+    /// The vehicle according to the diagnosis of its flights against the type's file.
     pub fn of(name: &str, answer: &Answer, faults: Vec<String>) -> Self {
         let effects: Vec<OwnEffect> = answer
             .named()
@@ -130,16 +130,16 @@ impl VehicleAnswer {
     }
 }
 
-/// A vehicle's own value of a number, whatever the others have.
+/// A vehicle's own value of a number, estimated without the rest of the fleet.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct OwnValue {
-    /// The vehicle.
+    /// The vehicle's name.
     pub vehicle: String,
-    /// By its flights alone.
+    /// Estimate from its flights alone.
     pub value: f64,
     /// 90 % interval.
     pub interval: [f64; 2],
-    /// Probability that it has the cause as the fleet does.
+    /// Probability that it has the cause that the fleet has.
     pub has: f64,
 }
 
@@ -150,39 +150,39 @@ pub struct FleetNumber {
     pub name: String,
     /// The fleet's value.
     pub value: f64,
-    /// 90 % interval of that.
+    /// 90 % interval of the fleet's value.
     pub interval: [f64; 2],
     /// Standard deviation of the vehicles about it.
     pub spread: f64,
-    /// As the vehicle file has it.
+    /// The vehicle file's value.
     pub file: f64,
-    /// The values that the vehicles' own flights give.
+    /// The estimates from each vehicle's own flights.
     pub vehicles: Vec<OwnValue>,
 }
 
 /// An effect that several vehicles have.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct CauseAnswer {
-    /// The effect.
+    /// The effect's id.
     pub id: String,
     /// Probability that it acts, 0..1.
     pub probability: f64,
-    /// Probability that nearly every vehicle of the type has it, rather than a part of them.
+    /// Probability that nearly every vehicle of the type has it, rather than some of them.
     pub of_type: f64,
-    /// Its parameters, absolute.
+    /// Absolute values of its parameters, by name.
     pub parameters: BTreeMap<&'static str, Parameter>,
-    /// Its fitted numbers.
+    /// Its fitted numbers over the fleet.
     pub numbers: Vec<FleetNumber>,
-    /// The vehicles that have it.
+    /// Names of the vehicles that have it.
     pub vehicles: Vec<String>,
-    /// Effects that would do as well in its place.
+    /// Effects that would explain the fleet as well.
     pub ambiguous_with: Vec<String>,
 }
 
 /// A number of the vehicle file within its tolerance, over the fleet.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct CommonNumber {
-    /// Its name.
+    /// Its name, after its effect's id where it belongs to one.
     pub name: String,
     /// Mean over the vehicles.
     pub mean: f64,
@@ -190,34 +190,34 @@ pub struct CommonNumber {
     pub error: f64,
     /// Standard deviation of the vehicles.
     pub spread: f64,
-    /// As the file has it, or the logs say directly.
+    /// The file's value, or the one that the logs show directly.
     pub expected: f64,
-    /// By how many tolerances the mean is off.
+    /// Distance of the mean from it, in tolerances.
     pub tolerances: f64,
 }
 
-/// The answer.
+/// The answer on a fleet.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct FleetAnswer {
-    /// In a sentence or two.
+    /// The finding in a sentence or two.
     pub sentence: String,
-    /// Vehicles whose flights were looked at.
+    /// Number of vehicles whose flights were used.
     pub looked_at: usize,
-    /// What the type has beyond its file.
+    /// Effects of the type beyond its file.
     pub shared: Vec<CauseAnswer>,
-    /// What a part of the vehicles has in common.
+    /// Effects that some of the vehicles share.
     pub groups: Vec<CauseAnswer>,
-    /// What a few vehicles have in common, too few to tell whether it is the type's.
+    /// Effects that a few vehicles share, too few to decide whether the type has them.
     pub open: Vec<CauseAnswer>,
-    /// Numbers of the file that the vehicles have off in common, within the tolerances.
+    /// Numbers of the file that are off by a common amount over the fleet, within the tolerances.
     pub file_numbers: Vec<CommonNumber>,
-    /// How good the vehicle file is: the scale of the tolerances that it does not state.
+    /// Quality of the vehicle file: the scale of the tolerances that it does not state.
     pub file_scale: f64,
-    /// Every vehicle.
+    /// Every vehicle, with its state.
     pub vehicles: Vec<VehicleAnswer>,
 }
 
-/// The effects of causes over a vehicle file.
+/// The effects of causes, with the file's values for all other numbers.
 pub fn effects_of(vehicle: &VehicleParams, causes: &[Cause]) -> EffectSet {
     let mut effects = EffectSet::new();
     for cause in causes {
@@ -233,14 +233,14 @@ pub fn effects_of(vehicle: &VehicleParams, causes: &[Cause]) -> EffectSet {
             let rotor = cause.key.split(' ').nth(1).and_then(|rotor| rotor.parse::<u8>().ok());
             slots[0] = f64::from(rotor.unwrap_or_default());
         }
-        // A number outside of the accepted range leaves the file's in force.
+        // A number outside the accepted range leaves the file's value in force.
         let _ = effects.insert(id, slots);
     }
     effects
 }
 
 impl CauseAnswer {
-    /// Of a cause, over the vehicles of these names.
+    /// Describes a cause over the vehicles with these names.
     pub fn of(cause: &Cause, vehicle: &VehicleParams, names: &[&str]) -> Self {
         let calibration = Calibration::shipped();
         let set = effects_of(vehicle, std::slice::from_ref(cause));
@@ -277,13 +277,13 @@ impl CauseAnswer {
         }
     }
 
-    /// 90 % intervals of the fleet's values, by name.
+    /// 90 % intervals of the fleet's values, by number.
     pub fn intervals(&self) -> BTreeMap<String, [f64; 2]> {
         self.numbers.iter().map(|number| (number.name.clone(), number.interval)).collect()
     }
 }
 
-/// The numbers of the vehicle file that the fleet has off in common.
+/// The vehicle file's numbers that are off by a common amount over the fleet.
 fn file_numbers(surveys: &[&Survey]) -> Vec<CommonNumber> {
     let mut by_name: BTreeMap<&str, Vec<[f64; 3]>> = BTreeMap::new();
     for number in surveys.iter().flat_map(|survey| &survey.file) {
@@ -318,8 +318,9 @@ fn file_numbers(surveys: &[&Survey]) -> Vec<CommonNumber> {
 }
 
 impl FleetAnswer {
-    /// Of what was decided; `looked_at` are the vehicles that the fleet's causes are told by, by name and
-    /// last survey, and `vehicles` all of them. The sentence is still to be written.
+    /// The answer for a decided fleet, without its sentence. `looked_at` holds the vehicles whose
+    /// surveys decide the fleet's causes, by name with the last survey; `vehicles` holds all of
+    /// them.
     pub fn new(
         fleet: &Fleet,
         vehicle: &VehicleParams,
@@ -355,7 +356,7 @@ impl FleetAnswer {
         }
     }
 
-    /// How many vehicles are in a state.
+    /// Number of vehicles in a state.
     pub fn count(&self, state: State) -> usize {
         self.vehicles.iter().filter(|vehicle| vehicle.state == state).count()
     }

@@ -1,11 +1,11 @@
-//! Numbers over a fleet: what the type has, and what each vehicle adds.
+//! Numbers over a fleet: the type's values and each vehicle's deviations.
 //!
-//! For a set of effects the numbers x of a vehicle are taken to be one of three things. As the *type*
-//! has them, normal about the type's values `theta` with a spread `tau` that the builds differ by; as
-//! the *file* has them, within its tolerances; or its *own*: an effect of the catalogue whose numbers
-//! lie anywhere (a normal slab of one magnitude). Given x each vehicle's flights have a normal
-//! likelihood, so that each of these is integrated in closed form; theta and tau are found by
-//! expectation maximisation, and theta's prior and spread enter by Laplace's approximation.
+//! For a set of effects, the numbers x of a vehicle are in one of three states. They follow the
+//! *type*: normal about its values `theta`, with a spread `tau` between builds. They follow the
+//! *file*, within its tolerances. Or the vehicle has its *own* effect of the catalogue, whose
+//! numbers are anywhere (a normal slab of one magnitude). Given x, each vehicle's flights have a
+//! normal likelihood, so each state integrates in closed form. Expectation maximisation finds theta
+//! and tau, and Laplace's approximation adds theta's prior and spread.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -29,16 +29,16 @@ pub struct Normal {
     pub deviation: Vec<f64>,
 }
 
-/// A normal distribution of numbers given a likelihood.
+/// The posterior of numbers under a normal prior.
 struct Posterior {
-    /// Log of the likelihood's integral over the prior.
+    /// Log of the likelihood integrated over the prior.
     evidence: f64,
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
 }
 
 impl Quadratic {
-    /// Of a set that was fitted under a prior of one magnitude.
+    /// The likelihood of a set that was fitted under a prior of one magnitude.
     pub fn of(set: &Surveyed) -> Option<Self> {
         let n = set.mean.len();
         let covariance = DMatrix::from_row_slice(n, n, &set.covariance);
@@ -72,7 +72,7 @@ impl Quadratic {
 /// A vehicle of a fleet with a set of effects.
 #[derive(Clone, Debug)]
 pub struct Member {
-    /// Likelihood of the set's numbers; none where its logs cannot show them.
+    /// Likelihood of the set's numbers; `None` if its logs cannot show them.
     pub set: Option<Quadratic>,
     /// Log evidence without the set's newest effect.
     pub file: f64,
@@ -96,44 +96,44 @@ pub fn alone(survey: &Survey, base: &Normal) -> [f64; 2] {
     [file, log_sum(own.iter().copied())]
 }
 
-/// What is known of the numbers beforehand, in magnitudes.
+/// Prior knowledge of a number, in magnitudes.
 #[derive(Clone, Debug)]
 pub struct Width {
     /// The file's tolerance.
     pub tolerance: f64,
-    /// Whether it is a number of the base, which the newest effect is beside.
+    /// Whether it is a number of the base rather than of the newest effect.
     pub is_base: bool,
 }
 
-/// A set of effects over the fleet.
+/// A set of effects, fitted over the fleet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fitted {
-    /// What the type has, and what builds differ by, in magnitudes.
+    /// The type's values and the spread between builds, in magnitudes.
     pub of_type: Normal,
-    /// Standard deviation of the type's values.
+    /// Standard errors of the type's values.
     pub error: Vec<f64>,
-    /// Share of the type among vehicles with no effect of their own.
+    /// Share of the vehicles that follow the type, among those without effects of their own.
     pub share: f64,
-    /// Log evidence of each vehicle, with the integral over the type's values shared out.
+    /// Log evidence of each vehicle, including its share of the integral over the type's values.
     pub blocks: Vec<f64>,
-    /// Of each vehicle the probability that it is as the type, as the file, and its own.
+    /// Probability that each vehicle follows the type, follows the file, and has its own effect.
     pub states: Vec<[f64; 3]>,
     /// Probability that the type has the newest effect, rather than a group of vehicles.
     pub whole: f64,
 }
 
-/// Rounds of the expectation maximisation.
+/// Rounds of expectation maximisation.
 const ROUNDS: usize = 25;
-/// Vehicles from whose values it starts, at most.
+/// Most vehicles whose values are start values.
 const STARTS: usize = 6;
-/// The spread between builds is at least so much, in magnitudes, and as a share of the value; and at
-/// most so many times what it is expected to be.
+/// Limits of the spread between builds: at least this in magnitudes, at least this share of the
+/// value, and at most this multiple of the expected spread.
 const SPREAD_LEAST: f64 = 0.01;
 const SPREAD_SHARE: f64 = 0.05;
 const SPREAD_MOST: f64 = 3.0;
-/// Vehicles that what is expected of the spread is worth.
+/// Weight of the expected spread, in vehicles.
 const SPREAD_WORTH: f64 = 4.0;
-/// What a type has, a vehicle lacks about once in so many.
+/// About one vehicle in this many lacks an effect of its type.
 const ALL_BUT_ONE_IN: f64 = 50.0;
 
 fn log_sum(terms: impl Iterator<Item = f64> + Clone) -> f64 {
@@ -144,8 +144,8 @@ fn log_sum(terms: impl Iterator<Item = f64> + Clone) -> f64 {
     top + terms.map(|term| (term - top).exp()).sum::<f64>().ln()
 }
 
-/// Log evidence of a vehicle as the type, as the file, and with an effect of its own; and how the type's
-/// values would change it.
+/// Log evidence of a vehicle that follows the type, follows the file, and has its own effect; and
+/// the posterior of its numbers under the type.
 struct Weighed {
     states: [f64; 3],
     posterior: Option<Posterior>,
@@ -153,7 +153,7 @@ struct Weighed {
 
 fn weigh(member: &Member, of_type: &Normal) -> Weighed {
     let posterior = member.set.as_ref().and_then(|set| set.under(of_type));
-    // A vehicle whose logs cannot show the effect says nothing of it.
+    // A vehicle whose logs cannot show the effect is neutral.
     let as_type = posterior.as_ref().map_or(member.file, |posterior| posterior.evidence);
     Weighed { states: [as_type, member.file, member.own], posterior }
 }
@@ -165,7 +165,7 @@ fn shares(states: &[f64; 3], share: f64) -> ([f64; 3], f64) {
     (terms.map(|term| (term - sum).exp()), sum)
 }
 
-/// The spread that is expected of builds, by the type's values.
+/// The expected spread between builds, given the type's values.
 fn expected_spread(widths: &[Width], mean: &[f64]) -> Vec<f64> {
     let of_one = |(width, mean): (&Width, &f64)| {
         width.tolerance.max(SPREAD_SHARE * mean.abs()).max(SPREAD_LEAST)
@@ -173,7 +173,7 @@ fn expected_spread(widths: &[Width], mean: &[f64]) -> Vec<f64> {
     widths.iter().zip(mean).map(of_one).collect()
 }
 
-/// The fleet's values of a set of effects, those with the most evidence of several starts.
+/// The fleet's values of a set of effects, from the start with the most evidence.
 pub fn fit(members: &[Member], widths: &[Width], starts: &[Vec<f64>]) -> Option<Fitted> {
     let step = starts.len().div_ceil(STARTS).max(1);
     let fitted = starts.iter().step_by(step).filter_map(|start| climb(members, widths, start));
@@ -184,7 +184,7 @@ pub fn fit(members: &[Member], widths: &[Width], starts: &[Vec<f64>]) -> Option<
 fn climb(members: &[Member], widths: &[Width], start: &[f64]) -> Option<Fitted> {
     let base = widths.iter().filter(|width| width.is_base).count();
     let n = widths.len();
-    // Without a newest effect there is nothing that a vehicle could lack.
+    // Without a newest effect, every vehicle follows the type.
     let has_newest = base < n;
     let mut of_type = Normal { mean: start.to_vec(), deviation: expected_spread(widths, start) };
     let mut share = 0.5;
@@ -230,7 +230,7 @@ fn climb(members: &[Member], widths: &[Width], start: &[f64]) -> Option<Fitted> 
     }
     let covariance = information.cholesky()?.inverse();
     let determinant = covariance.clone().determinant().max(f64::MIN_POSITIVE).ln();
-    // Of a prior of one magnitude, integrated.
+    // The type's values, integrated over a prior of one magnitude.
     let square: f64 = of_type.mean.iter().map(|mean| mean * mean).sum();
     let integral = 0.5 * determinant - 0.5 * square;
     let weighed: Vec<[f64; 3]> =
@@ -245,10 +245,10 @@ fn climb(members: &[Member], widths: &[Width], start: &[f64]) -> Option<Fitted> 
     Some(Fitted { of_type, error, share, blocks, states, whole })
 }
 
-/// Points of the share that is integrated over.
+/// Points of the integral over the share.
 const SHARES: usize = 200;
 
-/// Probability that nearly all vehicles have the effect, by its type, rather than any share of them.
+/// Probability that nearly all vehicles have the effect, rather than any share of them.
 fn whole(weighed: &[[f64; 3]]) -> f64 {
     let at = |k: usize| (k as f64 + 0.5) / SHARES as f64;
     let of_share = |k: usize| weighed.iter().map(|states| shares(states, at(k)).1).sum::<f64>();
@@ -260,12 +260,12 @@ fn whole(weighed: &[[f64; 3]]) -> f64 {
     1.0 / (1.0 + (any - nearly_all).exp())
 }
 
-/// The log evidence of a vehicle that has nothing beyond the base, or an effect of its own.
+/// Log evidence of a vehicle with nothing beyond the base, or with an effect of its own.
 pub fn without([file, own]: [f64; 2]) -> f64 {
     log_sum([file, own].into_iter())
 }
 
-/// A vehicle's own values of a set's numbers, whatever the fleet has: means and standard deviations.
+/// A vehicle's own estimates of a set's numbers, in magnitudes: means and standard deviations.
 pub fn values_of(set: &Surveyed) -> Vec<[f64; 2]> {
     let n = set.mean.len();
     let deviation = |i: usize| set.covariance.get(i * (n + 1)).map_or(0.0, |v| v.max(0.0).sqrt());
@@ -276,11 +276,11 @@ pub fn values_of(set: &Surveyed) -> Vec<[f64; 2]> {
 mod tests {
     use super::*;
 
-    /// A vehicle whose flights tell a number to within `error`, in magnitudes, and nothing else.
+    /// A vehicle whose flights determine a single number to within `error`, in magnitudes.
     fn vehicle(value: f64, error: f64) -> Survey {
         let precision = error.powi(-2) + 1.0;
         let mean = value * error.powi(-2) / precision;
-        // Of the likelihood exp(-((x - value) / error)^2 / 2).
+        // For the likelihood exp(-((x - value) / error)^2 / 2).
         let evidence =
             -0.5 * value * value / (error * error + 1.0) - 0.5 * (1.0 + error.powi(-2)).ln();
         let base = Surveyed {

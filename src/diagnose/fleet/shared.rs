@@ -1,4 +1,5 @@
-//! Which effects the type has: sets of effects weighed on the whole fleet, a vehicle as a block.
+//! Decides which effects the type has: weighs sets of effects on the fleet, with a vehicle as a
+//! block.
 
 use std::collections::BTreeSet;
 
@@ -9,39 +10,39 @@ use crate::diagnose::fleet::survey::{Survey, Surveyed, SurveyedNumber};
 use crate::diagnose::verdict::evidence::{Evidence, Explained, Found};
 use crate::diagnose::verdict::{NAMED, decide};
 
-/// From this probability on an effect is the type's and no group's.
+/// Least probability at which the type has an effect, rather than a group.
 const WHOLE: f64 = 0.75;
-/// A vehicle is as its type, or one of a group, from this probability on.
+/// Least probability at which a vehicle follows its type, or belongs to a group.
 const IS: f64 = 0.5;
 /// Most effects of a type, and most groups.
 const EFFECTS_MAX: usize = 3;
 const GROUPS_MAX: usize = 4;
-/// Two vehicles are no group: they may as well be damaged alike.
+/// Fewest vehicles of a group: two may just have similar damage.
 const GROUP_MIN: usize = 3;
 
 /// An effect over the fleet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cause {
-    /// Its hypothesis: the effect, and for the loss of a rotor which.
+    /// Key of its hypothesis: the effect's id, and the rotor for rotor_loss.
     pub key: String,
     /// Probability that it acts.
     pub probability: f64,
-    /// Probability that it is the type's, if it acts.
+    /// Probability that the type has it, if it acts.
     pub whole: f64,
     /// Its numbers.
     pub numbers: Vec<CauseNumber>,
-    /// Of each vehicle the probability that it has the cause as the others do.
+    /// Probability that each vehicle has the cause.
     pub has: Vec<f64>,
-    /// Of each vehicle the numbers by its own flights, with standard deviations.
+    /// Estimates of the numbers from each vehicle's own flights, with standard deviations.
     pub own: Vec<Option<Vec<[f64; 2]>>>,
-    /// Effects that would do as well in its place.
+    /// Effects that would explain the fleet as well.
     pub ambiguous_with: Vec<String>,
 }
 
 /// A number of a cause.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CauseNumber {
-    /// What it is.
+    /// The number's description.
     pub number: SurveyedNumber,
     /// The fleet's value, in the number's unit.
     pub value: f64,
@@ -57,28 +58,28 @@ impl Cause {
         self.numbers.first().map_or(self.key.as_str(), |of| of.number.effect.as_str())
     }
 
-    /// The values of its numbers.
+    /// The fleet's values of its numbers.
     pub fn values(&self) -> Vec<f64> {
         self.numbers.iter().map(|number| number.value).collect()
     }
 }
 
-/// What is decided of a fleet so far.
+/// The effects of a fleet that are decided so far.
 #[derive(Clone, Debug, Default)]
 pub struct Fleet {
     /// Effects of the type.
     pub shared: Vec<Cause>,
     /// Effects of a part of the vehicles.
     pub groups: Vec<Cause>,
-    /// Effects of which the fleet is too small to say whose they are.
+    /// Effects of too few vehicles to decide whether the type has them.
     pub open: Vec<Cause>,
     /// The type's values.
     base: Option<Fitted>,
 }
 
 impl Fleet {
-    /// Takes up what every vehicle's flights say beside the effects of the type so far. Returns whether
-    /// another effect was found, beside which the vehicles are to be looked at again.
+    /// Decides on surveys made beside the type's effects so far. Returns whether to survey the
+    /// vehicles again, beside one more effect of the type.
     pub fn take_up(&mut self, surveys: &[&Survey]) -> bool {
         (self.groups, self.open) = (Vec::new(), Vec::new());
         let base = self.base.as_ref().map_or_else(
@@ -109,7 +110,7 @@ impl Fleet {
         false
     }
 
-    /// The type's numbers as they are beside an effect that was found last.
+    /// Updates the type's numbers after the newest effect.
     fn refresh(&mut self, fitted: &Fitted) {
         let numbers = self.shared.iter_mut().flat_map(|cause| &mut cause.numbers);
         for (at, number) in numbers.enumerate() {
@@ -120,8 +121,7 @@ impl Fleet {
         }
     }
 
-    /// The effect beside the type's so far that the verdict rests on, looked for among the vehicles
-    /// `kept`.
+    /// The effect that the verdict rests on, beside the type's so far, among the vehicles `kept`.
     fn best(
         &self,
         surveys: &[&Survey],
@@ -138,7 +138,7 @@ impl Fleet {
             .into_iter()
             .filter_map(|key| self.set(surveys, alone, kept, (&prefix, key)))
             .collect();
-        // Beside what the type has: that is the file of this round.
+        // The type's effects so far are the file of this round.
         let nothing = kept.iter().map(|v| without(alone[*v])).collect();
         let nothing = Explained { blocks: nothing, ..Explained::default() };
         let explanations: Vec<Explained> =
@@ -207,7 +207,7 @@ impl Fleet {
         let looked = |v: &usize| newest(surveys[*v], prefix, key);
         let mut numbers = kept.iter().find_map(looked)?.numbers.clone();
         for (i, number) in numbers.iter_mut().enumerate() {
-            // What a log's channels add to a tolerance differs from vehicle to vehicle.
+            // The channels of a log add to a tolerance, by a different amount for each vehicle.
             let all = kept.iter().filter_map(|v| looked(v)?.numbers.get(i));
             let (sum, count) =
                 all.fold((0.0, 0.0), |(sum, n), other| (sum + other.unremarkable, n + 1.0));
@@ -262,7 +262,7 @@ impl Fleet {
 struct Set {
     key: String,
     numbers: Vec<SurveyedNumber>,
-    /// How many of the numbers are the newest effect's.
+    /// Number of the newest effect's numbers, which come last.
     newest: usize,
     fitted: Fitted,
     explained: Explained,
@@ -281,7 +281,7 @@ pub fn effect_of(key: &str) -> &str {
     key.split(' ').next().unwrap_or(key)
 }
 
-/// What a vehicle's flights say of the effects of the type with `key` beside them.
+/// A vehicle's survey of the type's effects with `key` beside them.
 fn newest<'a>(survey: &'a Survey, prefix: &[&str], key: &str) -> Option<&'a Surveyed> {
     survey.beside.iter().find(|set| {
         let whole = set.keys.iter().map(String::as_str);

@@ -1,5 +1,5 @@
-//! What one vehicle's flights say of every effect beside those that its type is taken to have: log
-//! evidence, and a normal likelihood of the effects' numbers.
+//! Surveys one vehicle's flights: for each effect beside those of its type, the log evidence and a
+//! normal likelihood of the effects' numbers.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -23,87 +23,88 @@ use crate::diagnose::verdict::weighing::{unremarkable, voltages_differ};
 /// A number of a set of effects.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SurveyedNumber {
-    /// The effect, and for the loss of a rotor which.
+    /// Key of its hypothesis: the effect's id, and the rotor for rotor_loss.
     pub key: String,
-    /// Its effect.
+    /// Its effect's id.
     pub effect: String,
     /// Its name within the effect.
     pub name: String,
-    /// The slot of the effect that it is.
+    /// Index of the slot in the effect.
     pub slot: usize,
-    /// As the vehicle file has it.
+    /// The vehicle file's value.
     pub reference: f64,
-    /// A typical magnitude where its effect occurs.
+    /// Its typical magnitude where the effect occurs.
     pub magnitude: f64,
-    /// Standard deviation of what the file's errors bring about of it.
+    /// Standard deviation that the file's errors give it.
     pub unremarkable: f64,
-    /// Where it may lie.
+    /// Its lowest and highest value.
     pub bounds: [f64; 2],
-    /// Whether a file without the effect has it at an end of that.
+    /// Its value without the effect, where there is a single one.
     pub absent: Option<f64>,
 }
 
-/// A set of effects with the likelihood of its numbers, in units of their magnitudes from where the
-/// file has them.
+/// A set of effects with the likelihood of its numbers, in magnitudes from the file's values.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Surveyed {
-    /// Its hypotheses.
+    /// Keys of its hypotheses.
     pub keys: Vec<String>,
-    /// Their numbers.
+    /// The numbers of all its hypotheses, in order.
     pub numbers: Vec<SurveyedNumber>,
     /// Log evidence under a normal prior of one magnitude about the file, nats.
     pub evidence: f64,
-    /// Mean of the numbers then.
+    /// Mean of the numbers under that prior.
     pub mean: Vec<f64>,
-    /// Covariance, row by row.
+    /// Covariance under that prior, row by row.
     pub covariance: Vec<f64>,
 }
 
-/// A number of the vehicle file as a vehicle's flights have it.
+/// A number of the vehicle file, fitted to a vehicle's flights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OwnNumber {
-    /// Its name.
+    /// Its name, after its effect's id where it belongs to one.
     pub name: String,
-    /// Its distance from the file, in tolerances.
+    /// Its distance from the expected value, in tolerances.
     pub tolerances: f64,
-    /// As fitted.
+    /// The fitted value.
     pub value: f64,
-    /// As the file has it.
+    /// The file's value, or the one that the logs show directly.
     pub expected: f64,
 }
 
-/// What a vehicle's flights say.
+/// Everything about a vehicle's flights that the fleet's decision needs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Survey {
     /// The effects that every set has.
     pub base: Surveyed,
-    /// These with one more.
+    /// The base with one more effect each.
     pub beside: Vec<Surveyed>,
-    /// Evidence that chance gives each hypothesis of its catalogue without any effect, nats.
+    /// Evidence that chance gives each hypothesis of the vehicle's catalogue without any effect,
+    /// nats.
     pub chance: Vec<f64>,
-    /// The vehicle file's numbers with the base.
+    /// The vehicle file's numbers, fitted with the base.
     pub file: Vec<OwnNumber>,
     /// Airborne time, s.
     pub seconds: f64,
-    /// Whether the pack's voltage varies enough to tell a sag from another level of the thrust.
+    /// Whether the pack's voltage varies enough to distinguish a sag from another level of the
+    /// thrust.
     pub voltage_differs: bool,
     /// Whether motor outputs or rotor speeds are logged.
     pub outputs_logged: bool,
 }
 
-/// What a survey is made with.
+/// The fleet's state that a survey builds on.
 #[derive(Clone, Debug, Default)]
 pub struct Beside {
     /// Scale of the tolerances that the vehicle file does not state.
     pub scale: f64,
-    /// The effects that the type has, with their numbers' values.
+    /// Keys of the type's effects, with the values of their numbers.
     pub shared: Vec<(String, Vec<f64>)>,
 }
 
-/// Gains of evidence below this are worth no fit, nats: an effect costs more.
+/// Least gain of evidence that justifies a fit, nats: the price of an effect.
 const WORTH_A_FIT: f64 = PRICE;
 
-/// The name of a hypothesis over all vehicles: its effect, and for a rotor's loss which.
+/// The key of a hypothesis over all vehicles: the effect's id, and the rotor for rotor_loss.
 pub fn key_of(catalogue: &Catalogue, hypothesis: &Hypothesis) -> String {
     let first = hypothesis.numbers.first().map(|number| catalogue.numbers[*number].target);
     match first {
@@ -112,7 +113,8 @@ pub fn key_of(catalogue: &Catalogue, hypothesis: &Hypothesis) -> String {
     }
 }
 
-/// Log evidence of each scale of the tolerances that the vehicle file does not state.
+/// Each scale that was tried for the tolerances that the vehicle file does not state, with its log
+/// evidence.
 ///
 /// # Errors
 /// As [`survey`].
@@ -128,7 +130,7 @@ pub fn scales(case: &Case<'_>) -> Result<Vec<[f64; 2]>, DiagnoseError> {
     Ok(scale(&search, &about, at_scale).1)
 }
 
-/// How well moments predict the turning, and the channels that are not used.
+/// How well moments predict the body's rotation, and the channels that are unusable.
 fn unused(
     case: &Case<'_>,
     premises: &Premises,
@@ -143,8 +145,8 @@ fn unused(
     Ok(turning(&search, (&file, &about), premises.leg))
 }
 
-/// What the flights of a case say of every effect beside those that the type has. `chance`: what an
-/// earlier survey of them found it to give, which no effect of the type changes.
+/// Surveys the flights of a case for every effect beside the type's. `chance` is the result of an
+/// earlier survey, which the effects of the type do not change.
 ///
 /// # Errors
 /// [`DiagnoseError`].
@@ -185,7 +187,7 @@ pub fn survey(
     let mut set = Vec::new();
     let mut from = Vec::new();
     for (key, values) in &beside.shared {
-        // What this vehicle's logs cannot show, it takes no part in.
+        // An effect that this vehicle's logs cannot show is left out.
         let Some(hypothesis) = keyed(key) else { continue };
         set.push(hypothesis);
         from.extend(catalogue.hypotheses[hypothesis].numbers.iter().copied().zip(values.clone()));
@@ -257,7 +259,7 @@ fn own_numbers(catalogue: &Catalogue, values: &[f64], active: &[usize]) -> Vec<O
     own.collect()
 }
 
-/// How sets are looked at.
+/// The context of the fits of sets.
 struct Look<'a> {
     search: &'a Search<'a>,
     turning: &'a [Turning; 3],
@@ -266,8 +268,8 @@ struct Look<'a> {
 }
 
 impl Look<'_> {
-    /// The set with every hypothesis that can join it; `from` are the values of its numbers, which
-    /// `about` has derivatives at.
+    /// Surveys `set` with each hypothesis that can join it. `from` holds the values of its numbers,
+    /// at which `about` has derivatives.
     fn beside(&self, about: &Linearised, set: &[usize], from: &[(usize, f64)]) -> Vec<Surveyed> {
         let Search { catalogue, fitted: observed, .. } = *self.search;
         let counts = observed.counts();
@@ -283,7 +285,7 @@ impl Look<'_> {
             let solution = about.solve_from(catalogue, counts, &numbers, &base.values)?;
             let of_solution =
                 || self.surveyed(&joint, solution.evidence, &solution.values, &solution.joint);
-            // What the linearisation may not see at all is fitted as well.
+            // A hypothesis with several starts is always fitted: the linearisation may miss it.
             let is_blind = catalogue.hypotheses[h].starts.len() > 1;
             if solution.evidence - base.evidence < WORTH_A_FIT && !is_blind {
                 return of_solution();
@@ -307,7 +309,7 @@ impl Look<'_> {
         let hypotheses = set.iter().map(|h| &catalogue.hypotheses[*h]);
         let indices: Vec<usize> =
             hypotheses.clone().flat_map(|h| h.numbers.iter().copied()).collect();
-        // A number without a derivative is nothing that these flights could show.
+        // These flights cannot show a number without a derivative.
         if joint.nrows() != indices.len() {
             return None;
         }

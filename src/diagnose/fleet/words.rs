@@ -2,7 +2,7 @@
 
 use crate::diagnose::fleet::answer::{CauseAnswer, FleetAnswer, OwnEffect, State, VehicleAnswer};
 
-/// A number to four digits.
+/// A number to four significant digits.
 pub fn four(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
@@ -42,7 +42,7 @@ pub fn sentence(answer: &FleetAnswer) -> String {
             values(open)
         );
     }
-    // Those of which only that is known have been named.
+    // Vehicles with only an open effect are mentioned above.
     let is_open = |vehicle: &VehicleAnswer, effect: &OwnEffect| {
         answer.open.iter().any(|o| o.id == effect.id && o.vehicles.contains(&vehicle.name))
     };
@@ -93,7 +93,7 @@ fn effect(effect: &OwnEffect) -> String {
     format!("{} {:.0} %  {}", effect.id, 100.0 * effect.probability, numbers.join("  "))
 }
 
-/// What is told of a vehicle.
+/// A vehicle's state in a line.
 pub fn told(vehicle: &VehicleAnswer) -> String {
     let effects: Vec<String> = vehicle.effects.iter().map(effect).collect();
     let effects = effects.join("; ");
@@ -108,8 +108,8 @@ pub fn told(vehicle: &VehicleAnswer) -> String {
     }
 }
 
-/// The answer for the terminal: what the type has, what groups have, then every vehicle that is not as
-/// its type.
+/// The answer for the terminal: the type's effects, the groups' effects, then every vehicle that
+/// differs from its type.
 pub fn report(answer: &FleetAnswer) -> String {
     let mut text = answer.sentence.clone() + "\n\n";
     for (title, causes) in

@@ -1,12 +1,12 @@
-//! When setpoints arrive on board: read off the outputs, each of which answers one of them.
+//! Measures when setpoints arrive on board, from the outputs that respond to them.
 //!
-//! The mixer passes the setpoint's thrust on as the collective, so that a logged output tells which
-//! setpoint was in force at its tick. How long each setpoint was under way at least, or at most, is
-//! then known without a model of the vehicle. A delay keeps step with the loop and the stream: over
-//! some milliseconds the same setpoints are in force, and a fit of the outputs finds any value
-//! between. The few that come late tell the rest. An output that answers no setpoint of the log
-//! answers one that the log lacks, where there is one: left out, the delays would be preferred that
-//! let setpoints of the log rule whenever an output was logged.
+//! The mixer passes the setpoint's thrust on as the collective, so a logged output shows which
+//! setpoint was in force at its tick. This bounds the delay of each setpoint without a model of the
+//! vehicle. A delay is often synchronous with the loop and the stream: the same setpoints are in
+//! force over some milliseconds of delay, and a fit of the outputs finds any value between. The few
+//! late setpoints decide. An output that matches no setpoint of the log responds to one that the
+//! log lacks, where there is one. Leaving it out would favour delays for which logged setpoints are
+//! in force at every logged output.
 
 use rayon::prelude::*;
 use sitl::autopilot::offboard::JITTER_MEAN_S;
@@ -14,68 +14,68 @@ use sitl::autopilot::offboard::JITTER_MEAN_S;
 use crate::diagnose::flights::onboard::OnboardLaw;
 use crate::diagnose::flights::preparation::PreparedFlight;
 
-/// A collective that agrees so well with a setpoint's thrust is of it: single precision, twice.
+/// Largest difference between a collective and the thrust of its setpoint: single precision, twice.
 const AGREEMENT: f64 = 2e-6;
-/// And all others must be off by so much more.
+/// All other setpoints must differ by this multiple of it.
 const DISTINCT: f64 = 20.0;
-/// Setpoints that may be in force at a tick: those sent within this time before, s.
+/// Age limit of setpoints that may be in force at a tick, s.
 const ANSWERED_WITHIN_S: f64 = 0.2;
-/// Outputs that answer a setpoint, for a delay to be told.
+/// Fewest outputs with a known setpoint for an estimate of the delay.
 const ANSWERS_MIN: usize = 200;
-/// Steps of the delay, s, and the jitters that are tried with it, s.
+/// Step of the delays that are tried, s, and the jitters that are tried with each, s.
 const STEP_S: f64 = 2.5e-4;
 const JITTERS_S: [f64; 6] = [1e-4, 3e-4, 6e-4, 1e-3, 2e-3, 4e-3];
-/// Setpoints that a thinned log lacks were all sent as much later or earlier than inferred: every
-/// other one may be, where the ground answers a vehicle whose loop does not keep step. Standard
-/// deviation, and what is tried, s.
+/// Common shift of the setpoints that a thinned log lacks, relative to their inferred times. It
+/// occurs for every other one where the controller responds to a vehicle whose loop is not
+/// synchronous. Its standard deviation, and the values that are tried, s.
 const SHIFT_S: f64 = 1e-3;
 const SHIFTS_S: [f64; 6] = [-1.5e-3, -1e-3, -5e-4, 5e-4, 1e-3, 1.5e-3];
-/// Links are tried with shifts from so much below the likeliest without on, nats.
+/// Shifts are tried for links down to this far below the likeliest one, nats.
 const SHIFTED_FROM: f64 = 60.0;
-/// Probability of an arrival that the model of jitter does not know.
+/// Probability of an arrival that contradicts the jitter model.
 const STRAY: f64 = 1e-3;
-/// How well the clocks of ground and vehicle are tied by the least delay of the downlink, s.
+/// Accuracy to which the downlink's least delay ties the two clocks, s.
 const CLOCK_TIE_S: f64 = 7e-4;
-/// Probability that nothing newer has arrived from which on older ones do not matter.
+/// Probability below which older setpoints are ignored.
 const NEGLIGIBLE: f64 = 1e-6;
-/// Densities that are multiplied before their logarithm is taken: far from underflow.
+/// Densities that are multiplied before taking the logarithm, without underflow.
 const MULTIPLIED: usize = 64;
-/// Outputs one after the other answer the same setpoint: so many count as one.
+/// Consecutive outputs respond to the same setpoint: this many count as one.
 const CORRELATED: f64 = 4.0;
 
-/// From sending a setpoint to its use, on average.
+/// Delay from sending a setpoint to its use, on average.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Delay {
     /// Mean, s.
     pub mean: f64,
-    /// Its standard deviation, s.
+    /// Standard deviation of the mean, s.
     pub deviation: f64,
-    /// The same by the log's own stamps, between whose clocks there may be an offset, s.
+    /// As above between the log's own stamps, without the offset between the two clocks, s.
     pub by_stamps: f64,
 }
 
 /// A setpoint that may be in force at a tick.
 struct Candidate<'a> {
-    /// Since it was sent, s.
+    /// Time since it was sent, s.
     age: f64,
-    /// How much later than that it may have been sent, where the log lacks it: as likely each, s.
+    /// Possible lateness where the log lacks it: equally likely values, s.
     lateness: &'a [f64],
-    /// Whether the output may answer it.
+    /// Whether the output may respond to it.
     may_rule: bool,
 }
 
-/// What an output says: the newest setpoints at its tick, the newest first. The one in force had
-/// arrived, and none of those before it here had.
+/// The newest setpoints at the tick of an output, the newest first. The one in force has arrived;
+/// those before it here have not.
 struct Answer<'a>(Vec<Candidate<'a>>);
 
 impl Delay {
-    /// The delay in flights that `law` flew; `None` where too few outputs answer a setpoint.
+    /// The delay in flights under `law`; `None` where too few outputs show their setpoint.
     pub fn of(flights: &[PreparedFlight], law: &OnboardLaw) -> Option<Self> {
         let answers: Vec<Answer<'_>> = flights.iter().flat_map(|f| answers(f, law)).collect();
         Self::between(&answers)
     }
 
-    /// The posterior mean over constant delays, all as likely before, with exponential jitter.
+    /// The posterior mean over constant delays with a flat prior and exponential jitter.
     fn between(answers: &[Answer<'_>]) -> Option<Self> {
         if answers.len() < ANSWERS_MIN {
             return None;
@@ -113,14 +113,14 @@ impl Delay {
     }
 }
 
-/// The way of setpoints to the vehicle.
+/// The link's delay of setpoints.
 #[derive(Clone, Copy, Debug)]
 struct Link {
     /// Least delay, s.
     constant: f64,
     /// Mean of the exponential delay beyond it, s.
     jitter: f64,
-    /// By how much later than inferred those were sent that the log lacks, s.
+    /// Delay of the setpoints that the log lacks, beyond their inferred times, s.
     shift: f64,
 }
 
@@ -166,7 +166,7 @@ impl Link {
     }
 }
 
-/// What the outputs of a flight answer.
+/// The setpoints that each output of a flight may respond to.
 fn answers<'a>(flight: &'a PreparedFlight, law: &OnboardLaw) -> Vec<Answer<'a>> {
     let (sent, setpoints) = (flight.setpoint.times(), flight.setpoint.values());
     let collective_max = law.allocation().collective_max();
@@ -174,7 +174,7 @@ fn answers<'a>(flight: &'a PreparedFlight, law: &OnboardLaw) -> Vec<Answer<'a>> 
     let outputs = flight.outputs.times().iter().zip(flight.outputs.values());
     outputs
         .filter(|(time, _)| flight.spans.iter().any(|span| span.contains(time)))
-        // What saturates no longer tells the thrust.
+        // A saturated output does not show the thrust.
         .filter(|(_, u)| u.iter().all(|u| (0.01..0.99).contains(u)))
         .filter_map(|(time, u)| {
             let tick = law.tick_of_report(*time);
@@ -189,7 +189,7 @@ fn answers<'a>(flight: &'a PreparedFlight, law: &OnboardLaw) -> Vec<Answer<'a>> 
             let (best, index) = *off.first()?;
             let is_distinct = off.get(1).is_none_or(|next| next.0 > DISTINCT * AGREEMENT);
             let is_of_log = best < AGREEMENT && is_distinct;
-            // Neither a setpoint of the log nor one that it lacks.
+            // Neither a logged setpoint nor a missing one.
             if !is_of_log
                 && (best < DISTINCT * AGREEMENT || !(oldest..=newest).any(|i| inferred.has(i)))
             {
@@ -210,8 +210,8 @@ fn answers<'a>(flight: &'a PreparedFlight, law: &OnboardLaw) -> Vec<Answer<'a>> 
 mod tests {
     use super::*;
 
-    /// Answers at ticks of 4 ms to setpoints every 10 ms that take `constant` and an exponential
-    /// jitter of 1 ms, by quantiles instead of draws.
+    /// Answers at ticks of 4 ms to setpoints every 10 ms. Their delay is `constant` plus an
+    /// exponential jitter of 1 ms, with quantiles instead of draws.
     fn flown(constant: f64) -> Vec<Answer<'static>> {
         let late = |k: usize| -1e-3 * (1.0 - (k * 37 % 101) as f64 / 101.0).ln();
         let arrives: Vec<f64> =

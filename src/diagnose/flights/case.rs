@@ -1,4 +1,4 @@
-//! A case: the flights, their vehicle, and how to diagnose them.
+//! A case: the flights, their vehicle, and the settings of the diagnosis.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -8,29 +8,29 @@ use vehicle::effects::EffectId;
 
 use crate::diagnose::flights::preparation::PreparedFlight;
 
-/// What is to be diagnosed.
+/// The input of a diagnosis.
 #[derive(Debug)]
 pub struct Case<'a> {
-    /// The simulator's vehicle.
+    /// The vehicle as shipped.
     pub vehicle: &'a VehicleParams,
-    /// Flights to fit.
+    /// Flights for fitting and for choosing.
     pub fitted: &'a [PreparedFlight],
-    /// Flights held out.
+    /// Held-out flights.
     pub held_out: &'a [PreparedFlight],
-    /// Whether these are parts of one flight.
+    /// Whether these two are parts of one flight.
     pub blocked: bool,
-    /// Effects that are not to be considered.
+    /// Effects to leave out of the catalogue, with those that act alike.
     pub without: &'a [EffectId],
-    /// Set where the answer is no longer wanted: the diagnosis then ends soon, without one.
+    /// Set by the caller to stop the diagnosis, which then soon ends without an answer.
     pub stop: &'a Arc<AtomicBool>,
 }
 
-/// How.
+/// Settings of a diagnosis.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
-    /// Seed of every draw.
+    /// Seed of every random draw.
     pub seed: u64,
-    /// Number of twins.
+    /// Number of twins; 0 for none.
     pub twins: u32,
     /// Whether to search for a law.
     pub discover: bool,

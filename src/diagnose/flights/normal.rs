@@ -1,4 +1,4 @@
-//! Numbers of the standard normal distribution.
+//! Draws from the standard normal distribution.
 
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;

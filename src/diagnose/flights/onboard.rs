@@ -1,4 +1,4 @@
-//! The vehicle's own attitude loop: what it makes of logged setpoints.
+//! The vehicle's own attitude loop, applied to logged setpoints.
 
 use sitl::autopilot::offboard::{AttitudeSetpoint as OnboardSetpoint, JITTER_MEAN_S};
 use sitl::autopilot::pd::AttitudeLoop;
@@ -13,54 +13,53 @@ use crate::diagnose::flights::setpoints::as_onboard;
 use crate::learn::commands::SETPOINT_AGE_MAX;
 use crate::log::import::{AttitudeSetpoint, Stream};
 
-/// A setpoint older than this no longer rules, s.
+/// Age above which a setpoint is stale, s.
 pub const AGE_MAX_S: f64 = SETPOINT_AGE_MAX;
-/// Stamps are whole microseconds: to so much of a tick they are at the tick, s.
+/// Stamps are whole microseconds: a time this close to a tick is at the tick, s.
 pub(in crate::diagnose) const TICK_TOLERANCE_S: f64 = 1e-6;
-/// One order of reports fits better than another where the ratio of the outputs' unexplained changes is
-/// below this.
+/// One order of reports is better if the ratio of the outputs' unexplained changes is below this.
 const TOLD: f64 = 0.8;
-/// The same of the medians.
+/// As above, for the ratio of the medians.
 const TIED: f64 = 0.9;
-/// Setpoints whose arrival may still be awaited at a tick.
+/// Older setpoints whose arrival may still be pending at a tick.
 const UNDER_WAY: usize = 3;
-/// Probability that does not matter.
+/// Probability that is ignored.
 const NEGLIGIBLE: f64 = 1e-3;
 
-/// The law with its mixer, as the vehicle file states them.
+/// The on-board law and the mixer that the vehicle file states.
 #[derive(Clone, Debug)]
 pub struct OnboardLaw {
     pd: AttitudePd,
     allocation: Allocation,
-    /// Outputs stamped at a tick are those of the tick before: vehicles differ in whether they
-    /// report before or after the loop.
+    /// Whether outputs stamped at a tick are those of the tick before: vehicles report either
+    /// before or after the loop.
     reports_first: bool,
 }
 
-/// When a law's command was given and what it sees then.
+/// Timing of the inputs of a law.
 #[derive(Clone, Copy, Debug)]
 pub struct Timing {
-    /// From sending a setpoint to its use, s.
+    /// Delay from sending a setpoint to its use, s.
     pub command_delay: f64,
-    /// How late the logged attitude is against what is used on board, s.
+    /// Latency of the logged attitude behind the one used on board, s.
     pub latency: f64,
 }
 
 impl OnboardLaw {
-    /// The law of a vehicle that states it.
+    /// The law of a vehicle whose file states it.
     pub fn new(vehicle: &VehicleParams) -> Option<Self> {
         let (pd, allocation) = (vehicle.attitude_pd?, vehicle.allocation().ok()?);
         Some(Self { pd, allocation, reports_first: false })
     }
 
-    /// The firmware's mixer.
+    /// The mixer of the firmware.
     pub fn allocation(&self) -> &Allocation {
         &self.allocation
     }
 
-    /// The law, reporting as the outputs of `flights` do: before the loop or after it, whichever
-    /// explains their changes better. `timing`: what either says of the flights, for a delay that
-    /// is not known may look like the tick between the two.
+    /// The law with the report order of `flights`: before the loop or after it, whichever better
+    /// explains the changes of the outputs. `timing` returns the timing for each order, since an
+    /// unknown delay may look like the tick between the two.
     pub fn observing(self, flights: &[PreparedFlight], timing: impl Fn(&Self) -> Timing) -> Self {
         let reports_first = Self { reports_first: true, ..self.clone() };
         let changes = |law: &Self| -> Vec<f64> {
@@ -69,9 +68,9 @@ impl OnboardLaw {
         };
         let [first, later] = [changes(&reports_first), changes(&self)];
         let sums = [&first, &later].map(|changes| changes.iter().sum::<f64>());
-        // Jumps tell it, where setpoints come seldom. Where neither order explains them, setpoints
-        // that were lost or late made them, and what lies between tells. Where that does not
-        // either, the output at a stamp is the one in force then, of the tick before.
+        // Jumps decide where setpoints are infrequent. Where neither order explains the jumps, they
+        // came from lost or late setpoints, and the changes between them decide. Where those do not
+        // either, the output at a stamp is the one in force then, from the tick before.
         let is_first = if sums[0] < TOLD * sums[1] {
             true
         } else if sums[1] < TOLD * sums[0] {
@@ -82,7 +81,7 @@ impl OnboardLaw {
         if is_first { reports_first } else { self }
     }
 
-    /// Squared changes of the moments that the law leaves unexplained, from one output to the next.
+    /// Squared changes from one output to the next that the law does not explain, as moments.
     fn changes(&self, flight: &PreparedFlight, timing: Timing) -> Vec<f64> {
         let law = self.with_gains(None);
         let (times, values) = (flight.outputs.times(), flight.outputs.values());
@@ -119,13 +118,13 @@ impl OnboardLaw {
         self.reports_first
     }
 
-    /// The loop with its gains scaled.
+    /// The loop with its gains scaled by `gains`.
     pub fn with_gains(&self, gains: Option<PdGain>) -> AttitudeLoop {
         AttitudeLoop::new(gains.map_or(self.pd, |gains| gains.apply(&self.pd)), self.allocation)
     }
 
-    /// What `law` gives at the tick `tick` of a flight, on average over the link's jitter; `None`
-    /// where no setpoint rules.
+    /// The outputs of `law` at the tick `tick` of a flight, averaged over the link's jitter; `None`
+    /// where no setpoint is in force.
     pub fn outputs(
         &self,
         law: &AttitudeLoop,
@@ -161,12 +160,12 @@ impl OnboardLaw {
     }
 }
 
-/// Whether the setpoint of this index is not stale at `time`.
+/// Whether the setpoint with this index is not stale at `time`.
 fn is_in_force(setpoints: &Stream<AttitudeSetpoint>, index: usize, time: f64) -> bool {
     time - setpoints.times()[index] <= AGE_MAX_S
 }
 
-/// The setpoint in force that was sent by `sent`.
+/// The newest setpoint sent by `sent`, if it is not stale then.
 pub fn setpoint_at(setpoints: &Stream<AttitudeSetpoint>, sent: f64) -> Option<OnboardSetpoint> {
     let index = setpoints.index_at(sent).filter(|index| is_in_force(setpoints, *index, sent))?;
     as_onboard(&setpoints.values()[index])

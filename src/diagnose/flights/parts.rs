@@ -1,25 +1,25 @@
-//! Three parts of the data: flights for fitting, for choosing among explanations, and for reporting.
+//! Splits the data into flights for fitting, for choosing among explanations, and held out.
 
 use crate::diagnose::flights::case::Case;
 use crate::diagnose::flights::preparation::PreparedFlight;
 
-/// Less than so much leaves too little for fitting: flights then do both, s.
+/// Least time for fitting, s: with less, all flights are for fitting and for choosing.
 const FITTED_MIN_S: f64 = 20.0;
-/// Guard between parts of one flight, s.
+/// Gap between parts of one flight, s.
 const GUARD_S: f64 = 1.0;
 
-/// The flights that explanations are made from. Those reported on touch nothing.
+/// The flights that explanations come from. Held-out flights are not among them.
 #[derive(Debug)]
 pub struct Parts {
     /// For fitting.
     pub fitted: Vec<PreparedFlight>,
-    /// For choosing; none where there is too little.
+    /// For choosing; the flights for fitting where there are too few for both.
     pub choosing: Vec<PreparedFlight>,
 }
 
 impl Parts {
-    /// The last of several flights chooses; of one its second half. Where that leaves too little,
-    /// all of them do both.
+    /// The last of several flights is for choosing; of a single one, its second half. Where that
+    /// leaves too little for fitting, all flights do both.
     pub fn of(case: &Case<'_>) -> Self {
         let parted = match case.fitted {
             [fitted @ .., last] if !fitted.is_empty() => {

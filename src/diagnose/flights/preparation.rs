@@ -1,4 +1,4 @@
-//! Flights made ready: streams as plain numbers, and the blocks of airborne time to look at.
+//! Prepares flights: streams as plain numbers, and the blocks of airborne time.
 
 use std::ops::Range;
 
@@ -18,18 +18,18 @@ use crate::log::import::{
 };
 use crate::setpoint::Reference;
 
-/// Share of the hover output above which a vehicle without a word on it is in the air.
+/// Share of the hover output above which a vehicle that does not report its state is in the air.
 const LIFTS: f64 = 0.5;
 /// Shorter drops of the output are manoeuvres, s.
 const DROP_MAX_S: f64 = 0.7;
-/// Least share of the usable time in which setpoints came over the link without a pause, for
-/// these to be used: the rest is left out then, and no more than half of a flight is given for
-/// them.
+/// Least share of the usable time with setpoints over the link without a pause. With more, the
+/// diagnosis uses the setpoints and leaves out the rest of the time, so at most half of a flight is
+/// lost.
 const LED_MIN: f64 = 0.5;
-/// Time before a block from which rotors and delays reach into it, s.
+/// Time before a block over which rotors and delays act on it, s.
 const MARGIN_S: f64 = 0.35;
 
-/// Airborne time that is analysed as one: `cells` of [`CELL_S`] from `start`.
+/// Airborne time that is transformed as a whole: `cells` of [`CELL_S`] from `start`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Block {
     /// Start of the first cell, s.
@@ -39,23 +39,23 @@ pub struct Block {
 }
 
 impl Block {
-    /// The edge before cell `index`.
+    /// Time of the edge before cell `index`, s.
     pub fn edge(&self, index: usize) -> f64 {
         self.start + index as f64 * CELL_S
     }
 
-    /// The middle of cell `index`.
+    /// Time of the middle of cell `index`, s.
     pub fn middle(&self, index: usize) -> f64 {
         self.start + (index as f64 + 0.5) * CELL_S
     }
 
-    /// The block's end.
+    /// Time of the block's end, s.
     pub fn end(&self) -> f64 {
         self.edge(self.cells)
     }
 }
 
-/// What a flight's log holds.
+/// The channels that a flight's log holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, schemars::JsonSchema, serde::Serialize)]
 pub struct Channels {
     /// Position and velocity.
@@ -76,69 +76,69 @@ pub struct Channels {
     pub rotor_speed: bool,
 }
 
-/// A flight ready for the diagnosis.
+/// A flight that is ready for the diagnosis.
 #[derive(Clone, Debug)]
 pub struct PreparedFlight {
     /// File name without extension.
     pub name: String,
-    /// What its log holds.
+    /// The channels of its log.
     pub channels: Channels,
     /// Position, m, NED.
     pub position: Series<3>,
     /// Velocity, m/s, NED.
     pub velocity: Series<3>,
-    /// Attitude as a quaternion whose sign does not jump.
+    /// Attitude as quaternions w, x, y, z without sign flips.
     pub attitude: Series<4>,
-    /// Body rate, rad/s.
+    /// Body rate about front, right, down, rad/s.
     pub body_rate: Series<3>,
-    /// Specific force, m/s^2.
+    /// Specific force in body axes, m/s^2.
     pub specific_force: Series<3>,
-    /// Motor outputs, 0..1.
+    /// Motor outputs, 0..1; without any, squared rotor speeds relative to the maximum.
     pub outputs: Series<4>,
     /// Pack voltage, V.
     pub voltage: Series<1>,
-    /// Setpoints as sent, with those between that the log lacks.
+    /// Setpoints as sent, completed with those that the log lacks.
     pub setpoint: Stream<AttitudeSetpoint>,
-    /// The same as the on-board loop takes them.
+    /// The setpoints as inputs of the on-board loop.
     asked: Vec<Option<OnboardSetpoint>>,
-    /// Those that the log lacks.
+    /// The setpoints that the log lacks.
     pub inferred: Inferred,
-    /// What was tracked, where the log holds it.
+    /// The tracked reference, where the log holds it.
     pub reference: Stream<Reference>,
     /// Airborne time without gaps, s.
     pub spans: Vec<Range<f64>>,
-    /// The same as blocks.
+    /// The same time as blocks.
     pub blocks: Vec<Block>,
 }
 
 /// Why a flight cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NotPrepared {
-    /// A recording that never began, or in which no vehicle was heard.
+    /// The recording never began, or no vehicle was received.
     #[error("neither velocity, specific force or body rate nor motor outputs are recorded in it")]
     Empty,
-    /// Nothing drives the plant.
+    /// No input of the plant is logged.
     #[error(
         "the log has no motor outputs (and no rotor speeds with rotor_max_rpm, and no setpoints \
          with attitude and thrust for the attitude_pd of the vehicle file), which drive the model"
     )]
     NoOutputs,
-    /// Nothing answers.
+    /// No response of the vehicle is logged.
     #[error("the log has neither velocity nor specific force nor body rate")]
     NoMotion,
-    /// Its motor outputs mean nothing.
+    /// The unit of its motor outputs is unknown.
     #[error(transparent)]
     Unit(#[from] UnitUnknown),
-    /// It hardly flies.
+    /// Its airborne time is too short.
     #[error("only {0:.1} s of it are in the air without gaps; at least {min:.1} s are needed", min = BLOCK_MIN as f64 * CELL_S)]
     TooShort(f64),
 }
 
-/// No more setpoints than these lead no flight.
+/// More setpoints than this are needed.
 const SETPOINTS_MIN: usize = 10;
 
-/// Whether setpoints came over the link, unlike an autopilot's own, most of which the on-board loop
-/// can follow.
+/// Whether setpoints came over the link rather than from the autopilot itself, and the on-board
+/// loop can follow most of them.
 fn has_setpoints(flight: &Flight) -> bool {
     let is_complete = |s: &&AttitudeSetpoint| {
         s.thrust.is_some() && (s.attitude.is_some() || s.body_rate.is_some())
@@ -148,7 +148,7 @@ fn has_setpoints(flight: &Flight) -> bool {
     flight.setpoint_source == SetpointSource::Ground && complete > least
 }
 
-/// Attitudes as quaternions without jumps between the two that stand for each.
+/// Attitudes as quaternions, each with the sign nearer to the one before.
 fn continuous(attitude: &Stream<Attitude>) -> Series<4> {
     let mut last: Option<[f64; 4]> = None;
     let quaternions = attitude.values().iter().map(|Attitude { w, x, y, z }| {
@@ -161,7 +161,7 @@ fn continuous(attitude: &Stream<Attitude>) -> Series<4> {
 }
 
 impl PreparedFlight {
-    /// Makes `flight` of `vehicle` ready.
+    /// Prepares a flight of `vehicle`.
     ///
     /// # Errors
     /// [`NotPrepared`].
@@ -202,7 +202,7 @@ impl PreparedFlight {
         let mut spans = airborne(&flight, &outputs, vehicle);
         let mut blocks = blocks(&spans);
         if channels.setpoint {
-            // Before and after, as in a landing, the vehicle leads itself by laws of its own.
+            // Outside that time, as in a landing, the vehicle follows laws of its own.
             let led = intersection(&spans, &CommandSource::OnboardLaw.unbroken(&flight));
             let of_led = self::blocks(&led);
             channels.setpoint = cells(&of_led) > LED_MIN * cells(&blocks);
@@ -232,13 +232,13 @@ impl PreparedFlight {
         })
     }
 
-    /// What the on-board loop is asked by setpoint number `index`; `None` where the setpoint does
-    /// not say how much thrust.
+    /// The input of the on-board loop from setpoint number `index`; `None` for a setpoint without
+    /// thrust.
     pub fn asked(&self, index: usize) -> Option<OnboardSetpoint> {
         self.asked.get(index).copied().flatten()
     }
 
-    /// Sends other setpoints at the same times.
+    /// Replaces the setpoints, at the same times.
     pub(in crate::diagnose) fn send(&mut self, setpoints: Vec<AttitudeSetpoint>) {
         self.asked = setpoints.iter().map(as_onboard).collect();
         self.setpoint = self.setpoint.with_values(setpoints);
@@ -247,7 +247,7 @@ impl PreparedFlight {
     /// The flight without the given times, s.
     ///
     /// # Errors
-    /// [`NotPrepared::TooShort`] where too little is left.
+    /// [`NotPrepared::TooShort`] if too little time remains.
     pub fn excluding(mut self, times: &[Range<f64>]) -> Result<Self, NotPrepared> {
         for cut in times {
             let spans = std::mem::take(&mut self.spans);
@@ -264,13 +264,13 @@ impl PreparedFlight {
         Ok(self)
     }
 
-    /// Time used, s.
+    /// Airborne time in use, s.
     pub fn seconds(&self) -> f64 {
         self.blocks.iter().map(|block| block.cells as f64 * CELL_S).sum()
     }
 
-    /// The first and the last half of the airborne time, `guard_s` apart; `None` where either has
-    /// no block.
+    /// The first and the last half of the airborne time, `guard_s` apart; `None` if either has no
+    /// block.
     pub fn split(&self, guard_s: f64) -> Option<(Self, Self)> {
         let (first, last) = (self.spans.first()?.start, self.spans.last()?.end);
         let half = 0.5 * (first + last);
@@ -287,9 +287,9 @@ impl PreparedFlight {
     }
 }
 
-/// When the vehicle flew and every stream that it has goes on.
+/// Airborne time in which every logged stream continues.
 fn airborne(flight: &Flight, outputs: &Series<4>, vehicle: &VehicleParams) -> Vec<Range<f64>> {
-    // Where the vehicle says it, and the log has a pose, learning's own rules hold.
+    // Where the vehicle reports its state and the log has a pose, the rules of learning apply.
     if !flight.in_air.is_empty()
         && let Ok(segments) = Segments::of(flight, vehicle.hover_share())
     {
@@ -310,7 +310,7 @@ fn airborne(flight: &Flight, outputs: &Series<4>, vehicle: &VehicleParams) -> Ve
     {
         range = range.start.max(start)..range.end.min(end);
     }
-    // The hover output in u: the share of thrust, bent by the curve that the file models.
+    // The hover output in u: the share of thrust through the file's thrust curve.
     let hover = vehicle.hover_thrust;
     let mut spans: Vec<Range<f64>> = Vec::new();
     for (time, u) in outputs.times().iter().zip(outputs.values()) {
@@ -329,7 +329,7 @@ fn ends(times: &[f64]) -> Option<[f64; 2]> {
     Some([*times.first()?, *times.last()?])
 }
 
-/// Cells of blocks.
+/// Total cells of blocks.
 fn cells(blocks: &[Block]) -> f64 {
     blocks.iter().map(|block| block.cells as f64).sum()
 }
@@ -355,7 +355,7 @@ fn blocks(spans: &[Range<f64>]) -> Vec<Block> {
 
 #[cfg(test)]
 impl PreparedFlight {
-    /// A flight of which only the airborne time is known.
+    /// A flight with nothing but its airborne time.
     pub(in crate::diagnose) fn of_spans(spans: Vec<Range<f64>>) -> Self {
         Self {
             name: String::new(),

@@ -1,13 +1,13 @@
-//! Whether a log's outputs drive the rotors that the vehicle file places where it does. In another
-//! order they would be taken for another inertia, another centre of mass and a lost rotor.
+//! Checks that a log's outputs drive the rotors at the vehicle file's places. Another order would
+//! look like a different inertia, a different centre of mass and a lost rotor.
 
 use vehicle::VehicleParams;
 
 use crate::audit::Audit;
 use crate::log::import::RotorFact;
 
-/// Adds a fault to the audit of a log whose outputs turn the vehicle otherwise than its file's
-/// rotors would.
+/// Adds a fault to the audit of a log whose outputs do not turn the vehicle as its file's rotors
+/// would.
 pub fn check(audit: &mut Audit, vehicle: &VehicleParams) {
     let rotors = vehicle.rotors.each_ref().map(|rotor| {
         let [front, right, _] = rotor.position_m;

@@ -1,18 +1,18 @@
-//! Series: samples of a stream as plain numbers, read linearly between them.
+//! Series: samples of a stream as plain numbers, with linear interpolation.
 
 use vehicle::frame::Attitude;
 
 pub(in crate::diagnose) use crate::audit::median;
 use crate::log::import::Stream;
 
-/// Streams faster than this are averaged over [`SMOOTHING_S`] first, Hz: what lies above the bands
-/// would fold into them.
+/// Faster streams are first averaged over [`SMOOTHING_S`], Hz: frequencies above the bands would
+/// alias into them.
 const RATE_MAX_HZ: f64 = 260.0;
 const SMOOTHING_S: f64 = 0.005;
-/// Samples that a cursor passes one by one before it searches.
+/// Samples that a cursor advances over one by one before it searches.
 const STEPS_MAX: usize = 8;
 
-/// Samples of N numbers over time, read linearly between them.
+/// Samples of N numbers over time, with linear interpolation.
 #[derive(Clone, Debug, Default)]
 pub struct Series<const N: usize> {
     times: Vec<f64>,
@@ -20,19 +20,19 @@ pub struct Series<const N: usize> {
 }
 
 impl<const N: usize> Series<N> {
-    /// Samples at `times`, as many as `values`.
+    /// Samples with as many `times` as `values`.
     pub(in crate::diagnose) fn new(times: Vec<f64>, values: Vec<[f64; N]>) -> Self {
         debug_assert_eq!(times.len(), values.len());
         Self { times, values }
     }
 
-    /// A stream's values as numbers.
+    /// The values of a stream as numbers; a fast stream is averaged.
     pub(in crate::diagnose) fn of<T>(stream: &Stream<T>, value: impl Fn(&T) -> [f64; N]) -> Self {
         Self { times: stream.times().to_vec(), values: stream.values().iter().map(value).collect() }
             .smoothed(stream.rate())
     }
 
-    /// Moving average over [`SMOOTHING_S`] of a stream that is too fast.
+    /// Moving average over [`SMOOTHING_S`] of a stream above the rate limit.
     fn smoothed(self, rate: f64) -> Self {
         if rate <= RATE_MAX_HZ {
             return self;
@@ -72,7 +72,7 @@ impl<const N: usize> Series<N> {
         &self.values
     }
 
-    /// Values, to be changed in place.
+    /// Values, to change in place.
     pub fn values_mut(&mut self) -> &mut [[f64; N]] {
         &mut self.values
     }
@@ -82,14 +82,14 @@ impl<const N: usize> Series<N> {
         Cursor { series: self, index: 0 }
     }
 
-    /// The value at `time`; the nearest sample's beyond the ends.
+    /// The value at `time`, interpolated; beyond the ends, the nearest sample's.
     pub fn at(&self, time: f64) -> [f64; N] {
         let index = self.times.partition_point(|t| *t <= time).saturating_sub(1);
         self.between(index, time)
     }
 
-    /// Deviation of white noise in a reading at `time` over that in a sample: between two samples a
-    /// reading is their weighted mean.
+    /// Standard deviation of white noise in an interpolated value at `time`, relative to a
+    /// sample's: between two samples, the value is their weighted mean.
     pub(in crate::diagnose) fn noise_share(&self, time: f64) -> f64 {
         let next = self.times.partition_point(|t| *t <= time);
         let pair = next.checked_sub(1).zip(self.times.get(next));
@@ -100,8 +100,8 @@ impl<const N: usize> Series<N> {
         share.hypot(1.0 - share)
     }
 
-    /// The mean over `half` seconds to each side of `time`, of all that lies between: readings in
-    /// step with the samples would take the fastest noise for motion.
+    /// The integral mean over `half` seconds to each side of `time`. Readings synchronous with the
+    /// samples would mistake the fastest noise for motion.
     pub(in crate::diagnose) fn mean_about(&self, time: f64, half: f64) -> [f64; N] {
         let (start, end) = (time - half, time + half);
         let within = self.times.partition_point(|t| *t <= start)..;
@@ -127,20 +127,20 @@ impl<const N: usize> Series<N> {
     }
 }
 
-/// The attitude whose quaternion w, x, y, z lies near unit norm.
+/// The attitude of a quaternion w, x, y, z of nearly unit norm.
 pub(in crate::diagnose) fn attitude([w, x, y, z]: [f64; 4]) -> Attitude {
     Attitude { w, x, y, z }.normalized()
 }
 
-/// A quaternion or its negative, which is the same attitude: the one that is nearer to `last`, so
-/// that what lies between the two is read the short way.
+/// `q` or its negative, which is the same attitude: whichever is nearer to `last`, so that
+/// interpolation takes the short way.
 pub(in crate::diagnose) fn next_to(last: Option<[f64; 4]>, q: [f64; 4]) -> [f64; 4] {
     let is_far = last.is_some_and(|l| l.iter().zip(q).map(|(a, b)| a * b).sum::<f64>() < 0.0);
     if is_far { q.map(|c| -c) } else { q }
 }
 
 impl Series<4> {
-    /// The attitude at `time`, of a series of quaternions.
+    /// The attitude at `time`, from a series of quaternions.
     pub(in crate::diagnose) fn attitude_at(&self, time: f64) -> Attitude {
         attitude(self.at(time))
     }
@@ -153,7 +153,7 @@ impl Cursor<'_, 4> {
     }
 }
 
-/// Reads a [`Series`] at times that mostly ascend, without a search.
+/// Interpolates a [`Series`] at mostly ascending times, without a search.
 #[derive(Clone, Debug)]
 pub struct Cursor<'a, const N: usize> {
     series: &'a Series<N>,
@@ -161,7 +161,7 @@ pub struct Cursor<'a, const N: usize> {
 }
 
 impl<const N: usize> Cursor<'_, N> {
-    /// The value at `time`; the nearest sample's beyond the ends.
+    /// The value at `time`, interpolated; beyond the ends, the nearest sample's.
     pub fn at(&mut self, time: f64) -> [f64; N] {
         let times = &self.series.times;
         let is_behind = self.index > 0 && times[self.index] > time;
@@ -187,7 +187,7 @@ mod tests {
             let [mean] = series.mean_about(time, half);
             assert!((mean - expected).abs() < 1e-12, "{mean}");
         }
-        // Noise that alternates, at every multiple of its period.
+        // Noise of alternating sign, at every multiple of its period.
         let times: Vec<f64> = (0..100).map(|k| 0.01 * f64::from(k)).collect();
         let values = (0..100).map(|k| [if k % 2 == 0 { 1.0 } else { -1.0 }]).collect();
         let series = Series { times, values };

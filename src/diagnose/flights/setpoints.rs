@@ -1,10 +1,10 @@
-//! Setpoints that the vehicle had and the log lacks.
+//! Setpoints that the vehicle received and the log lacks.
 //!
-//! A thinned log lacks setpoints that the vehicle followed. Where the numbers of their frames tell
-//! that they were, they are put on the line between their neighbours, from which each lay off by
-//! the noise that feedback puts into setpoints, its own and the neighbours': replicas follow such
-//! ones, and log the line as well. When each was sent, the others tell: a ground sends at a period,
-//! and now and then a little late.
+//! A thinned log lacks setpoints that the vehicle followed. Where frame numbers show that they
+//! existed, they are put on the line between their neighbours. Each real one was off that line by
+//! the noise that feedback puts into setpoints, its own and its neighbours'. Replicas follow such
+//! noisy setpoints, and log the line as well. Send times follow from the logged setpoints: a
+//! controller sends at a fixed period, and is now and then a little late.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -15,34 +15,34 @@ use crate::diagnose::flights::series::median;
 use crate::log::import::{AttitudeSetpoint, Stream};
 use sitl::autopilot::offboard::AttitudeSetpoint as OnboardSetpoint;
 
-/// Setpoints this far apart tell nothing of what was between, s.
+/// Setpoints this far apart do not determine those between, s.
 const APART_MAX_S: f64 = 0.1;
-/// The earliest of this many setpoints before a tick gives its time.
+/// The earliest of this many setpoints before a tick determines its time.
 const PHASE: usize = 25;
-/// Quantiles that the distribution of lateness is stored as.
+/// Quantiles that represent the distribution of lateness.
 const LATENESS: usize = 16;
-/// Two setpoints are apart by so much of the period at least: they keep their order.
+/// Least distance between two setpoints, as a share of the period: they keep their order.
 const APART_MIN: f64 = 0.1;
-/// A setpoint is sent early by so much of the period at most, for its tick to be told.
+/// Most that a setpoint is early relative to its tick, as a share of the period.
 const EARLY_MAX: f64 = 0.3;
-/// Behind by more than that, its neighbours' ticks are no longer its own.
+/// Most that a setpoint is late, as a share of the period; beyond, ticks were miscounted.
 const LATE_MAX: f64 = 0.75;
-/// Between ticks that have nothing to do with each other.
+/// Distance between tick numbers that are unrelated.
 const GAP_TICKS: u64 = 1 << 32;
-/// A change is a jump from so many deviations on beyond what the changes around it let expect.
+/// A change is a jump if it is off the trend of its neighbours by this many deviations.
 const JUMP: f64 = 10.0;
 
-/// Which setpoints of a stream the log lacks.
+/// The setpoints of a stream that the log lacks.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Inferred {
-    /// Their indices, ascending.
+    /// Indices of those setpoints, ascending.
     indices: Vec<usize>,
-    /// How much later than expected they may have been sent, as equally likely quantiles, s.
+    /// Their possible lateness, as equally likely quantiles, s.
     lateness: [f64; LATENESS],
 }
 
 impl Inferred {
-    /// Whether the log lacks none.
+    /// Whether the log lacks no setpoint.
     pub fn is_empty(&self) -> bool {
         self.indices.is_empty()
     }
@@ -52,18 +52,18 @@ impl Inferred {
         self.indices.binary_search(&index).is_ok()
     }
 
-    /// How much later than expected one may have been sent: quantiles as likely, s.
+    /// Possible lateness of a missing setpoint, as equally likely quantiles, s.
     pub(in crate::diagnose) fn lateness(&self) -> &[f64] {
         &self.lateness
     }
 
-    /// Indices of the others among `count`.
+    /// Indices of the logged setpoints among `count`.
     fn logged(&self, count: usize) -> Vec<usize> {
         (0..count).filter(|index| !self.has(*index)).collect()
     }
 }
 
-/// A setpoint as the loop takes it, unless it does not say how much thrust.
+/// A setpoint as an input of the on-board loop; `None` without a thrust.
 pub fn as_onboard(setpoint: &AttitudeSetpoint) -> Option<OnboardSetpoint> {
     Some(OnboardSetpoint {
         attitude: setpoint.attitude.map(|attitude| attitude.euler()),
@@ -73,7 +73,7 @@ pub fn as_onboard(setpoint: &AttitudeSetpoint) -> Option<OnboardSetpoint> {
     })
 }
 
-/// `logged` with those between that are `missing` (how many before each, at its time).
+/// `logged` completed with the `missing` setpoints (their number before each, at its time).
 pub(in crate::diagnose) fn completed(
     logged: &Stream<AttitudeSetpoint>,
     missing: &Stream<u32>,
@@ -97,7 +97,7 @@ pub(in crate::diagnose) fn completed(
             let earlier = logged.values()[before];
             for tick in 1..count {
                 let share = tick as f64 / count as f64;
-                // Where it would have been by what is before, and by what is after.
+                // The expected time from the setpoints before, and from those after.
                 let by_before = times[before] - late[before] + tick as f64 * period;
                 let by_after = time - late[k] - (count - tick) as f64 * period;
                 let sent = 0.5 * (by_before + by_after) + mean;
@@ -114,14 +114,14 @@ pub(in crate::diagnose) fn completed(
     (all, inferred)
 }
 
-/// Logged setpoints as ticks of the period at which the ground sends.
+/// Logged setpoints as ticks of the controller's period.
 struct Ticks {
     period: f64,
-    /// Number of each; behind a gap they go on far off.
+    /// Tick number of each; across a gap, numbers jump by [`GAP_TICKS`].
     numbers: Vec<u64>,
 }
 
-/// The ticks of setpoints at `times` between which some are `missing`; `None` where none are.
+/// The ticks of setpoints at `times` with some `missing` between; `None` where none are.
 fn ticks(times: &[f64], missing: &Stream<u32>) -> Option<Ticks> {
     let mut missing = missing.iter().peekable();
     let mut lacking = Vec::with_capacity(times.len());
@@ -154,20 +154,19 @@ fn ticks(times: &[f64], missing: &Stream<u32>) -> Option<Ticks> {
             numbers.push(number + GAP_TICKS);
             continue;
         }
-        // Where the last one's tick was, by the earliest of those before: it may have been late
-        // itself.
+        // The last tick, from the earliest of the setpoints before: the last one may be late.
         let on_this_side = |j: &usize| number - numbers[*j] < GAP_TICKS;
         let before = (k.saturating_sub(PHASE)..=k).filter(on_this_side);
         let tick = before
             .map(|j| times[j] + (number - numbers[j]) as f64 * period)
             .fold(pair[0], f64::min);
-        // Other messages of the ground may be what is missing: no more than there was time for.
+        // Missing frames may be other messages; there are no more setpoints than fit the time.
         let fit = ((pair[1] - tick) / period + EARLY_MAX).floor().max(1.0) as u64;
         numbers.push(number + fit.min(u64::from(*lacking) + 1));
         seconds += pair[1] - pair[0];
     }
     let number = numbers.last().copied().unwrap_or_default();
-    // What is counted from gap to gap telescopes, whatever the single intervals.
+    // Counts between gaps telescope, so errors of single intervals cancel.
     Some(Ticks { period: seconds / (number % GAP_TICKS) as f64, numbers })
 }
 
@@ -178,8 +177,8 @@ impl Ticks {
         if count < GAP_TICKS { count } else { 1 }
     }
 
-    /// How much later than its tick each was sent, s: the tick is where the earliest of those
-    /// around would have it.
+    /// Lateness of each setpoint relative to its tick, s. The earliest of its neighbours determines
+    /// the tick.
     fn late(&self, times: &[f64]) -> Vec<f64> {
         (0..times.len())
             .map(|k| {
@@ -188,7 +187,7 @@ impl Ticks {
                     let ticks = self.numbers[k] as f64 - self.numbers[j] as f64;
                     times[j] + ticks * self.period
                 };
-                // More than that is a tick that was not counted, or a gap.
+                // More than that is a miscounted tick or a gap.
                 let least = times[k] - LATE_MAX * self.period;
                 times[k] - around.map(by).filter(|at| *at > least).fold(times[k], f64::min)
             })
@@ -196,7 +195,7 @@ impl Ticks {
     }
 }
 
-/// Puts the setpoints that are `inferred` on the line between those around them.
+/// Puts the `inferred` setpoints on the line between their neighbours.
 pub(in crate::diagnose) fn infer(setpoints: &mut [AttitudeSetpoint], inferred: &Inferred) {
     for run in inferred.indices.chunk_by(|a, b| b - a == 1) {
         let (Some(first), Some(last)) = (run.first(), run.last()) else { continue };
@@ -211,9 +210,9 @@ pub(in crate::diagnose) fn infer(setpoints: &mut [AttitudeSetpoint], inferred: &
     }
 }
 
-/// The setpoints as the vehicle may have had them: those that are `inferred` have noise of their
-/// own, and the line that they are put on has that of the others, which is not in them. Where what
-/// is asked jumps between two of the log, it jumps somewhere between.
+/// The setpoints as the vehicle may have received them. The `inferred` ones get noise of their own,
+/// without their neighbours' noise that the line contains. Where the command jumps between two
+/// logged setpoints, it jumps at a random time between them.
 pub(in crate::diagnose) fn as_flown(
     setpoints: &Stream<AttitudeSetpoint>,
     inferred: &Inferred,
@@ -225,7 +224,7 @@ pub(in crate::diagnose) fn as_flown(
     let logged = inferred.logged(setpoints.len());
     let (times, line) = (setpoints.times(), setpoints.values());
     let scatter = scatter(times, line, &logged);
-    // What is off the middle of two has its own noise and the mean of theirs.
+    // The distance from the middle of two contains its own noise and the mean of theirs.
     let noise = scatter.map(|scatter| scatter / 1.5_f64.sqrt());
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let mut noise_before: [f64; NUMBERS] = normals(&mut rng);
@@ -244,13 +243,13 @@ pub(in crate::diagnose) fn as_flown(
         let [before, after] = [before.or(after), after.or(before)].map(Option::unwrap_or_default);
         let change = offset(&line[a], &line[b]);
         let jump: [f64; NUMBERS] = std::array::from_fn(|i| {
-            // Next to a jump that is not its own, one of both is as smooth.
+            // Next to another jump, the smoother side decides.
             let [jump, other] = [change[i] - before[i], change[i] - after[i]];
             let jump = if other.abs() < jump.abs() { other } else { jump };
             if jump.abs() > JUMP * scatter[i] { jump } else { 0.0 }
         });
         let at: f64 = rng.random();
-        // Between those around, in their order.
+        // Between the neighbours, in order.
         let room = APART_MIN * (times[b] - times[a]) / (b - a) as f64;
         let mut last = times[a];
         let noise_after: [f64; NUMBERS] = normals(&mut rng);
@@ -276,7 +275,7 @@ pub(in crate::diagnose) fn as_flown(
 /// Numbers of a setpoint: a small rotation [rad], the body rate [rad/s], the thrust.
 const NUMBERS: usize = 7;
 
-/// What leads from one setpoint to another; 0 in what they do not ask for.
+/// The difference from one setpoint to another; 0 for numbers that either lacks.
 fn offset(from: &AttitudeSetpoint, to: &AttitudeSetpoint) -> [f64; NUMBERS] {
     let attitudes = from.attitude.zip(to.attitude);
     let [x, y, z] = attitudes.map_or([0.0; 3], |(from, to)| {
@@ -289,7 +288,7 @@ fn offset(from: &AttitudeSetpoint, to: &AttitudeSetpoint) -> [f64; NUMBERS] {
     [x, y, z, p, q, r, thrust]
 }
 
-/// The setpoint that an offset leads to.
+/// The setpoint at an offset from another.
 fn moved(from: &AttitudeSetpoint, [x, y, z, p, q, r, thrust]: [f64; NUMBERS]) -> AttitudeSetpoint {
     let turn = Attitude { w: 1.0, x: 0.5 * x, y: 0.5 * y, z: 0.5 * z }.normalized();
     AttitudeSetpoint {
@@ -299,8 +298,8 @@ fn moved(from: &AttitudeSetpoint, [x, y, z, p, q, r, thrust]: [f64; NUMBERS]) ->
     }
 }
 
-/// Standard deviations of setpoints from the line between their neighbours, among those of the
-/// indices `logged`; by medians, for what is asked jumps at times.
+/// Standard deviations of the setpoints `logged` from the line between their neighbours. They come
+/// from medians, since commands jump at times.
 fn scatter(times: &[f64], setpoints: &[AttitudeSetpoint], logged: &[usize]) -> [f64; NUMBERS] {
     let mut squares: [Vec<f64>; NUMBERS] = Default::default();
     for triple in logged.windows(3) {
@@ -336,7 +335,7 @@ mod tests {
             logged.push(time, setpoint(roll, 0.5 + roll));
         }
         missing.push(0.04, 2);
-        // Too far from the last to tell.
+        // Too far from the last one to infer.
         missing.push(1.0, 95);
         let (all, inferred) = completed(&logged, &missing);
         assert_eq!(inferred.indices, [2, 3]);
@@ -352,7 +351,7 @@ mod tests {
         assert!(completed(&Stream::default(), &missing).1.is_empty());
     }
 
-    /// Every other one is missing.
+    /// Leaves out every other setpoint.
     fn thinned(all: &Stream<AttitudeSetpoint>) -> (Stream<AttitudeSetpoint>, Inferred) {
         let (mut logged, mut missing) = (Stream::default(), Stream::default());
         for (time, setpoint) in all.iter().step_by(2) {
@@ -374,7 +373,7 @@ mod tests {
         let (line, inferred) = thinned(&all);
         assert_eq!(inferred.indices.len(), 16_000);
         let flown = as_flown(&line, &inferred, 3);
-        // By themselves, and on average over a while: the line lies off by what its ends have.
+        // Singly, and averaged over a while: the noise of its ends offsets the line.
         let off = |of: &Stream<AttitudeSetpoint>, number: usize, run: usize| {
             let off = |i: &usize| offset(&line.values()[*i], &of.values()[*i])[number];
             let mean = |run: &[usize]| run.iter().map(off).sum::<f64>() / run.len() as f64;
@@ -437,7 +436,7 @@ mod tests {
         for (k, quantile) in inferred.lateness().iter().enumerate() {
             let share = (k as f64 + 0.5) / LATENESS as f64;
             let expected = -1e-3 * (1.0 - share).ln() - 1e-3;
-            // The last ones are of few.
+            // The last ones come from few samples.
             let close = if share < 0.9 { 1.5e-4 } else { 3e-4 };
             assert!((quantile - expected).abs() < close, "{k}: {quantile} for {expected}");
         }
@@ -468,7 +467,7 @@ mod tests {
         for k in 0..100 {
             let time = f64::from(k) * 0.01 + if k < 50 { 0.0 } else { 0.02 };
             logged.push(time, setpoint(0.0, 0.5));
-            // Heartbeats that are not setpoints, and two that are.
+            // Heartbeats that are not setpoints, and two missing setpoints.
             if k % 10 == 0 {
                 missing.push(time, 2);
             }

@@ -1,11 +1,11 @@
-//! Residuals by frequency: cosine modulating functions over blocks of a flight, and the bands
-//! that their power is summed in.
+//! Residuals by frequency: cosine modulating functions over blocks of a flight, and the bands that
+//! their power is summed in.
 //!
-//! A block's residual is multiplied with cosines and summed (DCT-II, orthonormal). For a residual
-//! of increments, `(y(t + h) - y(t)) / h - f`, the sum telescopes: the derivative falls on the
-//! cosine, and nothing is differentiated numerically beyond the noise of the block's two ends
-//! (modulating functions; Shinbrot 1957, Pearson 1992). The coefficients of stationary noise are
-//! nearly independent, so that each band's count is its effective sample size.
+//! A block's residual is multiplied by cosines and summed (orthonormal DCT-II). For a residual of
+//! increments, `(y(t + h) - y(t)) / h - f`, the sum telescopes: the derivative acts on the cosine,
+//! and numerical differentiation adds only the noise of the block's two ends (modulating functions;
+//! Shinbrot 1957, Pearson 1992). The coefficients of stationary noise are nearly independent, so
+//! each band's count is its effective sample size.
 
 /// Cells of the longest and of the shortest block, powers of two.
 pub const BLOCK_MAX: usize = 1024;
@@ -17,7 +17,7 @@ pub const CELL_S: f64 = 0.01;
 pub const BANDS: [f64; 14] =
     [0.1, 0.2, 0.35, 0.6, 1.0, 1.5, 2.2, 3.2, 4.5, 6.3, 8.5, 11.5, 15.0, 20.0];
 
-/// The band of a frequency, if it is within them.
+/// The band of a frequency; `None` above the last.
 pub fn band(frequency_hz: f64) -> Option<usize> {
     BANDS.iter().position(|upper| frequency_hz < *upper)
 }
@@ -28,8 +28,8 @@ pub fn edges(band: usize) -> [f64; 2] {
     [lower, BANDS[band]]
 }
 
-/// What a coefficient's mean square in a band is of the signal's mean square there: the share that
-/// the band has of all that cells can show.
+/// Ratio of a signal's mean square in a band to its coefficients' mean square there: the band's
+/// share of the frequencies that cells resolve.
 pub fn mean_square_share(band: usize) -> f64 {
     let [lower, upper] = edges(band);
     2.0 * CELL_S * (upper - lower)
@@ -79,7 +79,7 @@ impl CosineTransform {
         let half = n / 2;
         match v {
             [] | [_] => return,
-            // A call for every number would take longer than the sums.
+            // Recursing to single numbers would take longer than the sums.
             [a, b] => {
                 (*a, *b) = (*a + *b, (*a - *b) * self.secants[0]);
                 return;

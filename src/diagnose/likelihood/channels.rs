@@ -1,4 +1,4 @@
-//! The channels that residuals are of: an equation of motion or of measurement each.
+//! The channels of the residuals: one equation of motion or of measurement each.
 
 /// Number of channels.
 pub const CHANNELS: usize = 16;

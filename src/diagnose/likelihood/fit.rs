@@ -1,10 +1,10 @@
-//! Fits of hypotheses to flights: maximum a posteriori with the noise's spectrum unknown.
+//! Fits hypotheses to flights: maximum a posteriori with an unknown noise spectrum.
 //!
-//! The coefficients of a channel within a band are taken as Gaussian with a common variance that
-//! is not known and profiled out, so that the cost is `sum n/2 ln(Q/n)` over channels and bands,
-//! Q the sum of squares that is left, plus the priors. Its minimum is found by Gauss-Newton steps
-//! whose weights n/Q are iterated to a fixed point. The evidence is Laplace's approximation: the
-//! cost of a number is the ratio of its prior's width to its posterior's.
+//! The coefficients of a channel within a band are Gaussian with an unknown common variance, which
+//! is profiled out. The cost is `sum n/2 ln(Q/n)` over channels and bands plus the priors, where Q
+//! is the residual sum of squares. Gauss-Newton steps minimise it, with weights n/Q iterated to a
+//! fixed point. The evidence is Laplace's approximation: a number costs the ratio of its prior's
+//! width to its posterior's.
 
 use nalgebra::DMatrix;
 use rayon::prelude::*;
@@ -13,54 +13,54 @@ use crate::diagnose::catalogue::hypothesis::{Catalogue, Values};
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::observed::{Observed, Residuals, noise_cost};
 
-/// Quantile of the normal distribution for 90 % intervals.
+/// Normal quantile for 90 % intervals.
 pub(in crate::diagnose) const Z90: f64 = 1.645;
-/// 90 % interval of a number.
+/// 90 % interval of a normal number.
 pub fn interval(value: f64, deviation: f64) -> [f64; 2] {
     [value - Z90 * deviation, value + Z90 * deviation]
 }
 
-/// A fit ends when a step lowers the cost by less, nats.
+/// A fit ends when a step lowers the cost by less than this, nats.
 const COST_STEP_MIN: f64 = 0.02;
 const STEPS_MAX: usize = 12;
-/// Starts that are followed to their end, of those that cost least.
+/// Starts that are followed to a minimum, those with the lowest cost first.
 const STARTS_MAX: usize = 2;
-/// Starts are the same whose active numbers lie within this share of their magnitudes.
+/// Starts are equal if their active numbers are within this share of their magnitudes.
 const NEAR: f64 = 0.02;
 
-/// A hypothesis, or several, fitted without linearisation.
+/// A hypothesis, or several, fitted to the flights without linearisation.
 #[derive(Clone, Debug)]
 pub struct Fit {
-    /// Indices of the catalogue's hypotheses.
+    /// Indices of the fitted hypotheses in the catalogue; empty for the file alone.
     pub hypotheses: Vec<usize>,
-    /// All numbers.
+    /// Values of all numbers, nuisances included.
     pub values: Values,
-    /// Standard deviations of those that were free.
+    /// Standard deviations of the free numbers.
     pub deviation: Vec<f64>,
-    /// Covariance of the numbers of its hypotheses; empty where one of them has no derivative.
+    /// Covariance of the numbers of its hypotheses; empty if one of them has no derivative.
     pub joint: DMatrix<f64>,
-    /// Log evidence.
+    /// Log evidence, nats.
     pub evidence: f64,
-    /// Cost, nats.
+    /// Cost at the minimum, nats.
     pub cost: f64,
-    /// Sum of squares left at each place.
+    /// Residual sum of squares at each place.
     pub power: Vec<f64>,
 }
 
 impl Fit {
-    /// The numbers of its hypotheses.
+    /// Indices of the numbers of its hypotheses.
     pub fn active(&self, catalogue: &Catalogue) -> Vec<usize> {
         let hypotheses = self.hypotheses.iter();
         hypotheses.flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied()).collect()
     }
 
-    /// Variance of the noise at each place; 0 where no coefficient is used.
+    /// Variance of the noise at each place; 0 without coefficients.
     pub fn noise(&self, counts: &[f64]) -> Vec<f64> {
         self.power.iter().zip(counts).map(|(q, n)| if *n > 0.0 { q / n } else { 0.0 }).collect()
     }
 }
 
-/// The cost at given numbers, and the residuals.
+/// The cost at the given numbers, and the residuals.
 fn cost_at(observed: &Observed<'_>, values: &[f64], active: &[usize]) -> Option<(f64, Residuals)> {
     let residuals = observed.residuals(values)?;
     let noise = noise_cost(&observed.power(&residuals), &observed.counts);
@@ -78,8 +78,8 @@ fn cost_at(observed: &Observed<'_>, values: &[f64], active: &[usize]) -> Option<
     Some((noise + 0.5 * pulled, residuals))
 }
 
-/// Fits the given hypotheses together. `about` has the nuisances' derivatives and the values to
-/// start from; `starts` are further values of the active numbers to start from.
+/// Fits the given hypotheses together. `about` holds the nuisances' derivatives and the start
+/// values; each of `starts` replaces some of them.
 pub fn fit(
     observed: &Observed<'_>,
     about: &Linearised,
@@ -91,7 +91,7 @@ pub fn fit(
     fit_numbers(observed, about, (hypotheses, &active), starts)
 }
 
-/// The same with the `active` numbers beyond those of the hypotheses: a law's.
+/// As [`fit`], with `active` numbers beyond those of the hypotheses, such as a law's.
 pub(in crate::diagnose) fn fit_numbers(
     observed: &Observed<'_>,
     about: &Linearised,
@@ -115,7 +115,7 @@ pub(in crate::diagnose) fn fit_numbers(
             Some(Begun { cost, values, residuals })
         })
         .collect();
-    // Two that lead to the same minimum would keep out a third that does not.
+    // Two starts that lead to the same minimum would displace a third that does not.
     let is_near = |a: &Begun, b: &Begun| {
         let mut numbers = 0..catalogue.numbers.len();
         numbers.all(|n| {
@@ -136,14 +136,14 @@ pub(in crate::diagnose) fn fit_numbers(
         .min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
-/// Where a fit begins.
+/// The start of a descent.
 struct Begun {
     cost: f64,
     values: Values,
     residuals: Residuals,
 }
 
-/// Steps from a start to the nearest minimum. Numbers: active and nuisances.
+/// Steps from a start to the nearest minimum over the active numbers and the nuisances.
 fn descend(
     observed: &Observed<'_>,
     about: &Linearised,
@@ -184,7 +184,7 @@ fn descend(
     Some(Fit {
         hypotheses: hypotheses.to_vec(),
         power: observed.power(&residuals),
-        // The curvature there with the cost as it is.
+        // The curvature of the last solution, at the cost reached.
         evidence: solution.evidence + solution.cost - cost,
         deviation: solution.deviation,
         joint: solution.joint,

@@ -1,22 +1,22 @@
-//! Which coefficients of a flight are used.
+//! The coefficients of a flight that the likelihood uses.
 
 use crate::diagnose::flights::preparation::{Block, PreparedFlight};
 use crate::diagnose::flights::spectrum::{BANDS, band, frequency};
 use crate::diagnose::likelihood::channels::{ATTITUDE, CHANNELS, COMMAND, FORCE, RATE, VELOCITY};
 
-/// Share of a stream's rate up to which it is used: a linear interpolation between samples
-/// holds to that.
+/// Share of a stream's rate up to which it is used: linear interpolation between samples holds up
+/// to there.
 const RATE_SHARE: f64 = 0.3;
-/// The body rate is used up to here, Hz: above, the gyro's noise is both in its increments
-/// and, by feedback, in the outputs, and their correlation would pass for a delay.
+/// Upper frequency limit of the body rate, Hz. Above it the gyro's noise is in its increments and,
+/// through feedback, in the outputs, and a fit mistakes their correlation for a delay.
 const RATE_MAX_HZ: f64 = 6.0;
-/// The command is used up to here, Hz: feedback puts noise into every setpoint, and above this
-/// it outweighs what is asked for; a jitter of the link then looks like a lower gain.
+/// Upper frequency limit of the command, Hz. Feedback puts noise into every setpoint, and above
+/// this limit the noise dominates. Jitter of the link then looks like a lower gain.
 const COMMAND_MAX_HZ: f64 = 2.5;
-/// Without an attitude only what lasts is used, and the vehicle is taken to be level, Hz.
+/// Upper frequency limit without an attitude, Hz: the vehicle is taken to be level on average.
 const LEVEL_MAX_HZ: f64 = 0.25;
 
-/// What is compared with rest there: the climb and the body rate.
+/// Channels that are then compared with rest: the climb and the body rate.
 pub(in crate::diagnose) const AT_REST: [usize; 4] = [VELOCITY + 2, RATE, RATE + 1, RATE + 2];
 
 /// Place of a coefficient: its channel and band.
@@ -24,7 +24,7 @@ pub(in crate::diagnose) const AT_REST: [usize; 4] = [VELOCITY + 2, RATE, RATE + 
 pub struct Place(u16);
 
 impl Place {
-    /// Number of places.
+    /// Number of channels times bands.
     pub const COUNT: usize = CHANNELS * BANDS.len();
 
     fn new(channel: usize, band: usize) -> Self {
@@ -41,7 +41,7 @@ impl Place {
         index / BANDS.len()
     }
 
-    /// Its channel.
+    /// The channel of this place.
     pub fn channel(self) -> usize {
         Self::channel_of(self.index())
     }
@@ -52,26 +52,26 @@ impl Place {
     }
 }
 
-/// The coefficients of a flight that are used.
+/// The coefficients of a flight that are used, by place.
 #[derive(Clone, Debug)]
 pub struct Layout {
-    /// Of each coefficient its place.
+    /// Place of each coefficient.
     pub places: Vec<Place>,
-    /// First coefficient of each block, and the end.
+    /// Index of the first coefficient of each block, then the total.
     pub blocks: Vec<usize>,
-    /// Of each channel, the frequency up to which it is used; 0 where the log lacks it, Hz.
+    /// Frequency up to which each channel is used, Hz; 0 where the log lacks it.
     limits: [f64; CHANNELS],
-    /// Whether equations are compared with rest, which is believed, and not with what was read.
+    /// Whether equations are compared with assumed rest rather than with reported motion.
     pub(in crate::diagnose) is_at_rest: bool,
 }
 
 impl Layout {
-    /// What can be used of a flight.
+    /// Uses every channel that the log holds.
     pub fn new(flight: &PreparedFlight) -> Self {
         Self::without(flight, &[])
     }
 
-    /// The same without the channels `unused`.
+    /// As [`new`](Self::new), without the channels `unused`.
     pub fn without(flight: &PreparedFlight, unused: &[usize]) -> Self {
         let channels = &flight.channels;
         let has_pose = channels.attitude && channels.body_rate;
@@ -85,7 +85,7 @@ impl Layout {
             group(VELOCITY, 3, limit(&[flight.velocity.rate(), flight.attitude.rate()]));
         }
         if channels.specific_force {
-            // Without a velocity drag is not known; the thrust is.
+            // Without a velocity, the drag is unknown but the thrust is known.
             group(FORCE, 3, limit(&[flight.specific_force.rate()]));
         }
         if channels.body_rate {
@@ -101,7 +101,8 @@ impl Layout {
         }
         let is_at_rest = !channels.attitude && channels.velocity && !channels.body_rate;
         if is_at_rest {
-            // Position and outputs alone: hovering on average, it neither climbs nor turns.
+            // With only position and outputs: the vehicle hovers on average, and neither climbs nor
+            // turns.
             AT_REST.iter().for_each(|channel| limits[*channel] = LEVEL_MAX_HZ);
         }
         unused.iter().for_each(|channel| limits[*channel] = 0.0);
@@ -119,18 +120,18 @@ impl Layout {
         layout
     }
 
-    /// Whether any flight time of this channel is used.
+    /// Whether any coefficient of this channel is used.
     pub fn has(&self, channel: usize) -> bool {
         self.limits[channel] > 0.0
     }
 
-    /// Indices of a block's coefficients that are used.
+    /// Indices of the coefficients that are used of a block's channel.
     pub(in crate::diagnose) fn used(
         &self,
         channel: usize,
         block: &Block,
     ) -> std::ops::Range<usize> {
-        // Biases of accelerometer and gyro are the means of their channels.
+        // Leaves out the mean of a channel that contains the bias of the accelerometer or the gyro.
         let first = usize::from(
             (FORCE..FORCE + 3).contains(&channel) || (ATTITUDE..ATTITUDE + 3).contains(&channel),
         );

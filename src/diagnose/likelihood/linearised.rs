@@ -7,21 +7,21 @@ use crate::diagnose::catalogue::hypothesis::{Catalogue, Values};
 use crate::diagnose::likelihood::layout::Place;
 use crate::diagnose::likelihood::observed::{Observed, Residuals, level, noise_cost, pools};
 
-/// Rounds of weights in a solve.
+/// Most reweighting rounds in a solve.
 const WEIGHT_ROUNDS: usize = 40;
-/// They end when one lowers the cost by less, nats.
+/// Rounds end when one lowers the cost by less than this, nats.
 const COST_STEP_MIN: f64 = 2e-5;
 
-/// The residuals about a point as linear in some numbers, by their products at each place.
+/// Residuals linearised in some numbers about a point, as products at each place.
 #[derive(Clone, Debug)]
 pub struct Linearised {
-    /// The point.
+    /// Values of all numbers at the point.
     pub values: Values,
-    /// The numbers.
+    /// Indices of the numbers that it is linear in.
     pub numbers: Vec<usize>,
-    /// Derivatives of the residuals by each of them.
+    /// Derivative of the residuals by each of those numbers.
     pub columns: Vec<Residuals>,
-    /// Products of the columns: upper triangle, row by row, of each place.
+    /// Products of the columns at each place: the upper triangle, row by row.
     gram: Vec<Vec<f64>>,
     /// Products of the columns with the residuals, at each place.
     cross: Vec<Vec<f64>>,
@@ -34,7 +34,7 @@ fn triangle(i: usize, j: usize, n: usize) -> usize {
     i * n - i * (i + 1) / 2 + j
 }
 
-/// Products of columns with residuals, at each place.
+/// Products of columns with residuals at each place.
 fn crosses<C>(observed: &Observed<'_>, columns: &[C], base: &Residuals) -> Vec<Vec<f64>>
 where
     C: std::borrow::Borrow<Residuals> + Sync,
@@ -45,7 +45,7 @@ where
 }
 
 impl Linearised {
-    /// About `values`, in `numbers`; those without a derivative are left out.
+    /// Linearises in `numbers` about `values`; numbers without a derivative are left out.
     pub fn new(observed: &Observed<'_>, values: &[f64], numbers: &[usize]) -> Option<Self> {
         let base = observed.residuals(values)?;
         let columns: Vec<(usize, Residuals)> = numbers
@@ -80,12 +80,13 @@ impl Linearised {
         }
     }
 
-    /// The same derivatives and residuals, taken to be at other values.
+    /// The same derivatives and residuals, moved to other values.
     pub fn resting_at(&self, values: Values) -> Self {
         Self { values, ..self.clone() }
     }
 
-    /// The same derivatives about other residuals, to be solved only.
+    /// The same derivatives about other residuals. The result has no columns: it can only be
+    /// solved.
     pub fn about(&self, observed: &Observed<'_>, base: &Residuals) -> Self {
         Self {
             values: self.values.clone(),
@@ -97,12 +98,11 @@ impl Linearised {
         }
     }
 
-    /// The share of noise in each number's derivative, of its square, by two draws of the same
-    /// flights; none of numbers without a derivative. A hover does not tilt or turn, and what its
-    /// outputs do is the loop's answer to its own gyro; a derivative by a time is the change of
-    /// what was read. A regressor's noise comes again in what it is to explain (errors in
-    /// variables; Fuller 1987), and what that gives a fit only derivatives tell that have the noise
-    /// of the flights they belong to.
+    /// The share of noise in the square of each number's derivative, from two draws of the same
+    /// flights. Numbers without a derivative are left out. A hover neither tilts nor turns, so its
+    /// outputs only follow the loop's own gyro; and a derivative by a time is the slope of noisy
+    /// readings. Noise of a regressor recurs in the residuals (errors in variables; Fuller 1987).
+    /// Only derivatives with the noise of their own flights reproduce its effect on a fit.
     pub fn noise_shares(&self, [one, other]: [&Observed<'_>; 2]) -> Vec<(usize, f64)> {
         let residuals = [one, other].map(|observed| observed.residuals(&self.values));
         let [Some(of_one), Some(of_other)] = residuals else { return Vec::new() };
@@ -123,14 +123,14 @@ impl Linearised {
                 .zip(&again)
                 .map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect())
                 .collect();
-            // The difference has the noise of both.
+            // The difference contains the noise of both.
             let share = 0.5 * weighted(&difference) / weighted(&column);
             share.is_finite().then_some((*number, share))
         };
         self.numbers.par_iter().filter_map(share).collect()
     }
 
-    /// The derivatives by `numbers` where other flights leave `base`.
+    /// The derivatives by `numbers` on other flights, whose residuals are `base`.
     pub fn columns_of(
         &self,
         others: &Observed<'_>,
@@ -141,8 +141,7 @@ impl Linearised {
         numbers.iter().filter_map(of_one).collect()
     }
 
-    /// The same about other residuals, with derivatives of their own in some numbers; to be solved
-    /// only.
+    /// As [`about`](Self::about), with the given derivatives `own` for some numbers.
     pub fn about_with(
         &self,
         observed: &Observed<'_>,
@@ -155,8 +154,7 @@ impl Linearised {
         self.with(observed, &self.values, base, &self.numbers, own)
     }
 
-    /// The part with fewer numbers (those of `keep` that it has), extended by the columns of
-    /// others.
+    /// A copy restricted to the numbers in `keep`, with the columns `fresh` added.
     pub(in crate::diagnose) fn with(
         &self,
         observed: &Observed<'_>,
@@ -199,7 +197,7 @@ impl Linearised {
         Self { values: values.to_vec(), numbers, columns: Vec::new(), gram, cross, square }
     }
 
-    /// The least cost over `active` numbers, held by their wide priors, and all others with a
+    /// The least cost over the `active` numbers, under their wide priors, and all numbers with a
     /// tolerance.
     pub fn solve(
         &self,
@@ -210,7 +208,7 @@ impl Linearised {
         self.solve_from(catalogue, counts, active, &self.values)
     }
 
-    /// The same, looked for from the values `start` on.
+    /// As [`solve`](Self::solve), from the values `start`.
     pub fn solve_from(
         &self,
         catalogue: &Catalogue,
@@ -251,7 +249,8 @@ impl Linearised {
             let gradient;
             (normal, gradient) = quadratic.normal_equations(&prior, &off, counts, &current);
             let target = bounded_minimum(&normal, &gradient, &limits, &delta)?;
-            // Halved until the cost falls: far from the fixed point the weights may overshoot.
+            // Halves the step until the cost falls: far from the fixed point the weights may
+            // overshoot.
             let mut share = 1.0;
             let mut moved = false;
             while share > 1e-3 {
@@ -288,7 +287,7 @@ impl Linearised {
         Some(Solution { values, deviation, joint, cost, evidence, power: current })
     }
 
-    /// The products of the numbers `used` alone, where there is anything to look at.
+    /// The products of the numbers `used`, at places with coefficients.
     fn restricted(&self, used: &[usize], counts: &[f64]) -> Quadratic {
         let total = self.numbers.len();
         let pairs: Vec<usize> = (0..used.len())
@@ -316,13 +315,13 @@ impl Linearised {
 struct Quadratic {
     numbers: usize,
     places: Vec<usize>,
-    /// Upper triangles, row by row, of one place after another.
+    /// Upper triangles, row by row, one place after another.
     gram: Vec<f64>,
-    /// Products with the residuals, of one place after another.
+    /// Products with the residuals, one place after another.
     cross: Vec<f64>,
     square: Vec<f64>,
     counts: Vec<f64>,
-    /// Places that have one variance together.
+    /// Places that share one variance.
     pools: Vec<Vec<usize>>,
 }
 
@@ -336,7 +335,7 @@ impl Quadratic {
         self.places.iter().enumerate().map(of_place)
     }
 
-    /// What is left at each place, `delta` off the point.
+    /// The sum of squares at each place, `delta` away from the point.
     fn power(&self, delta: &DVector<f64>) -> Vec<f64> {
         let mut power = vec![0.0; Place::COUNT];
         for ((place, gram, cross), square) in self.parts().zip(&self.square) {
@@ -355,7 +354,7 @@ impl Quadratic {
         power
     }
 
-    /// Matrix and gradient at the point with the noise that `power` leaves.
+    /// Matrix and gradient at the point, with the noise variance from `power`.
     fn normal_equations(
         &self,
         prior: &DVector<f64>,
@@ -474,17 +473,17 @@ impl ScaledCholesky {
 /// The minimum of a linearised cost.
 #[derive(Clone, Debug)]
 pub struct Solution {
-    /// All numbers there.
+    /// All numbers at the minimum.
     pub values: Values,
-    /// Standard deviations of those that were free.
+    /// Standard deviations of the free numbers.
     pub deviation: Vec<f64>,
-    /// Covariance of the active numbers; empty where one of them has no derivative.
+    /// Covariance of the active numbers; empty if one of them has no derivative.
     pub joint: DMatrix<f64>,
     /// Cost, nats.
     pub cost: f64,
-    /// Log evidence.
+    /// Log evidence, nats.
     pub evidence: f64,
-    /// Sum of squares left at each place.
+    /// Residual sum of squares at each place.
     pub power: Vec<f64>,
 }
 

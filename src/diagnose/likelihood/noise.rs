@@ -1,4 +1,4 @@
-//! The noise of what is reported, from what no model of the vehicle explains at high frequency.
+//! Noise of the reported state, from the high-frequency residuals that no vehicle model explains.
 
 use rand_pcg::Pcg64Mcg;
 use schemars::JsonSchema;
@@ -14,12 +14,12 @@ use crate::diagnose::flights::spectrum::{BANDS, CELL_S, edges, mean_square_share
 use crate::diagnose::likelihood::channels::{ATTITUDE, VELOCITY};
 use crate::diagnose::likelihood::layout::Place;
 
-/// Below this gyro and accelerometer wander, and forces act, Hz.
+/// Below this frequency, gyro and accelerometer drift and forces act, Hz.
 const ATTITUDE_FROM_HZ: f64 = 0.35;
-/// Above this a vehicle's velocity and body rate are mostly noise, Hz.
+/// Above this frequency, a vehicle's velocity and body rate are mostly noise, Hz.
 const WHITE_FROM_HZ: f64 = 8.0;
 
-/// Standard deviations of what is reported, per axis.
+/// Standard deviations of the reported state, per axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize)]
 pub struct ReportNoise {
     /// Position, m.
@@ -35,7 +35,7 @@ pub struct ReportNoise {
 }
 
 impl ReportNoise {
-    /// The mean of each number.
+    /// The mean of each standard deviation.
     pub fn mean<'a>(all: impl Iterator<Item = &'a Self> + Clone) -> Self {
         Self::each(|of| {
             let count = all.clone().count().max(1) as f64;
@@ -43,8 +43,8 @@ impl ReportNoise {
         })
     }
 
-    /// Noise that would be found as `self`, where noise of `self` is found as `found`: what is
-    /// found holds motion as well.
+    /// Noise whose estimate would be `self`, given that noise of `self` is estimated as `found`.
+    /// The estimate also contains motion.
     pub fn matched(&self, found: &Self) -> Self {
         Self::each(|own| {
             let [own, found] = [own(self), own(found)];
@@ -52,7 +52,7 @@ impl ReportNoise {
         })
     }
 
-    /// Each number by `of`, which is given how to read it.
+    /// Builds each standard deviation with `of`, which receives its getter.
     fn each(of: impl Fn(fn(&Self) -> f64) -> f64) -> Self {
         Self {
             position: of(|noise| noise.position),
@@ -63,7 +63,7 @@ impl ReportNoise {
         }
     }
 
-    /// Sensors with this noise, their inertial unit without a bias.
+    /// Sensors with this noise and an inertial unit without bias.
     pub(in crate::diagnose) fn sensors(&self) -> SensorConfig {
         let imu = |noise: f64| ImuNoise { noise, ..ImuNoise::default() };
         SensorConfig {
@@ -76,7 +76,7 @@ impl ReportNoise {
         }
     }
 
-    /// The noise of what is read off a flight at `time`: of white noise less between two samples.
+    /// The noise of a value interpolated at `time`: white noise is smaller between two samples.
     pub(in crate::diagnose) fn read_at(
         &self,
         flight: &PreparedFlight,
@@ -91,7 +91,7 @@ impl ReportNoise {
         }
     }
 
-    /// A report of `state` with a draw of this noise.
+    /// A report of `state` with one draw of this noise.
     pub(in crate::diagnose) fn applied(&self, state: &State, rng: &mut Pcg64Mcg) -> State {
         let mut draw = |deviation: f64| normals(rng).map(|z| deviation * z);
         let turned = small_rotation(draw(self.attitude));
@@ -111,7 +111,7 @@ pub fn report_noise(flights: &[PreparedFlight], power: &[f64], counts: &[f64]) -
     let rate = |of: fn(&PreparedFlight) -> f64| {
         flights.iter().map(of).sum::<f64>() / flights.len().max(1) as f64
     };
-    // Where slow outputs keep the equations from being used so high up, its samples tell.
+    // Where slow outputs limit the equations to lower frequencies, use the velocity's samples.
     let velocity = white(&variance, VELOCITY, rate(|f| f.velocity.rate()))
         .unwrap_or_else(|| second_differences(flights, |flight| &flight.velocity));
     let body_rate = second_differences(flights, |flight| &flight.body_rate);
@@ -125,8 +125,8 @@ pub fn report_noise(flights: &[PreparedFlight], power: &[f64], counts: &[f64]) -
     }
 }
 
-/// What the gyro shows on average beyond how the attitude turns, rad/s; nothing where either is not
-/// logged. `untrim` leads from the reported attitude to the true one.
+/// Mean of the gyro beyond the rate of the reported attitude, rad/s; 0 where either is not logged.
+/// `untrim` rotates the reported attitude to the true one.
 pub(in crate::diagnose) fn gyro_bias(flight: &PreparedFlight, untrim: Attitude) -> Frd {
     if !(flight.channels.attitude && flight.channels.body_rate) {
         return Frd::zero();
@@ -154,8 +154,8 @@ fn increment_gain(frequency_hz: f64) -> f64 {
     (2.0 * (std::f64::consts::PI * frequency_hz * CELL_S).sin() / CELL_S).powi(2)
 }
 
-/// Variance of a coefficient of the increments of white noise of `deviation` at `rate` samples per
-/// second, in a band.
+/// Variance of a coefficient in a band, for the increments of white noise of `deviation` at `rate`
+/// samples per second.
 pub(in crate::diagnose) fn increments_of_white(deviation: f64, rate: f64, band: usize) -> f64 {
     deviation * deviation * increment_gain(middle(band)) / (rate * CELL_S).max(f64::MIN_POSITIVE)
 }
@@ -165,9 +165,9 @@ fn middle(band: usize) -> f64 {
     0.5 * (lower + upper)
 }
 
-/// Deviation of white noise at `rate` samples per second whose increments are seen in three
-/// channels from `first` on, where any are used above the motion. The median over bands and
-/// axes: vibration and motion only add.
+/// Standard deviation of white noise at `rate` samples per second, from its increments in three
+/// channels from `first`; `None` where none are used above the frequency of motion. It is the
+/// median over bands and axes, since vibration and motion only add.
 fn white(variance: &[f64], first: usize, rate: f64) -> Option<f64> {
     let mut found: Vec<f64> = (first..first + 3)
         .flat_map(|channel| (0..BANDS.len()).map(move |band| (channel, band)))
@@ -181,8 +181,8 @@ fn white(variance: &[f64], first: usize, rate: f64) -> Option<f64> {
     found.get(found.len() / 2).map(|v| v.sqrt())
 }
 
-/// Deviation of a stream's white noise, by the median of its second differences: a body turns and
-/// its rotors push smoothly over three samples, most of the time.
+/// Standard deviation of a stream's white noise, from the median of its second differences: most of
+/// the time, rotation and thrust are smooth over three samples.
 fn second_differences(
     flights: &[PreparedFlight],
     series: fn(&PreparedFlight) -> &Series<3>,
@@ -203,7 +203,7 @@ fn second_differences(
     (squares[squares.len() / 2] / (6.0 * MEDIAN_SQUARE)).sqrt()
 }
 
-/// Deviation of the attitude's coloured noise: its power summed over the bands.
+/// Standard deviation of the attitude's coloured noise: its power summed over the bands.
 fn attitude(variance: &[f64]) -> f64 {
     let mut sum = 0.0;
     for channel in ATTITUDE..ATTITUDE + 3 {
@@ -217,7 +217,7 @@ fn attitude(variance: &[f64]) -> f64 {
     (sum / 3.0).sqrt()
 }
 
-/// Deviation of the position's noise: its increments against the velocity's integral.
+/// Standard deviation of the position's noise: its increments against the velocity's integral.
 fn position(flights: &[PreparedFlight], velocity_noise: f64) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for flight in flights {

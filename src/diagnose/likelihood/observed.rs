@@ -1,4 +1,4 @@
-//! Flights as their coefficients by place, their products and derivatives.
+//! Flights as coefficients by place, with their products and derivatives.
 
 use rayon::prelude::*;
 use vehicle::{ROTORS, VehicleParams};
@@ -10,34 +10,34 @@ use crate::diagnose::likelihood::channels::{CHANNELS, COMMAND, RATE, VELOCITY};
 use crate::diagnose::likelihood::layout::{AT_REST, Layout, Place};
 use crate::diagnose::likelihood::residuals::{Evaluator, Groups};
 
-/// Flights with the coefficients that are used.
+/// Flights with the coefficients in use.
 #[derive(Debug)]
 pub struct Observed<'a> {
-    /// The flights.
+    /// The prepared flights.
     pub flights: &'a [PreparedFlight],
-    /// What is used, for each.
+    /// The coefficients in use of each flight.
     pub layouts: Vec<Layout>,
     pub(in crate::diagnose) evaluator: &'a Evaluator,
     pub(in crate::diagnose) catalogue: &'a Catalogue,
     /// Channels that are left out.
     unused: Vec<usize>,
-    /// Runs of coefficients of one place: flight, place, start, end.
+    /// Runs of coefficients at one place.
     runs: Vec<Run>,
     pub(in crate::diagnose) counts: Vec<f64>,
-    /// Places that have one variance together.
+    /// Places that share one variance.
     pools: Vec<Vec<usize>>,
-    /// Sum of squares at each place that is left at least.
+    /// Lower limit of the sum of squares at each place.
     least: Vec<f64>,
 }
 
-/// No equation holds to better than this share of what the rotors can do. Over a short flight a
-/// place has few coefficients, which some numbers may explain to the last digit: without this the
-/// likelihood has no bound there.
+/// No equation is exact to better than this share of the rotors' full output. In a short flight a
+/// place has few coefficients, which a few numbers may fit exactly; without this limit the
+/// likelihood is unbounded there.
 const EXACT: f64 = 1e-5;
-/// What a turn of the attitude is compared with, rad/s.
+/// Body rate that the attitude's exactness refers to, rad/s.
 const TURN: f64 = 1.0;
 
-/// The least that is left at each channel: its deviation.
+/// Smallest standard deviation of the residual in each channel.
 fn least_left(vehicle: &VehicleParams) -> [f64; CHANNELS] {
     let mut most = [TURN; CHANNELS];
     if let Ok(allocation) = vehicle.allocation() {
@@ -65,11 +65,11 @@ struct Run {
     end: usize,
 }
 
-/// Residuals of every flight.
+/// Residual coefficients of each flight, in the order of its layout.
 pub type Residuals = Vec<Vec<f64>>;
 
 impl<'a> Observed<'a> {
-    /// Looks at flights.
+    /// Uses every channel that the logs hold.
     pub fn new(
         flights: &'a [PreparedFlight],
         evaluator: &'a Evaluator,
@@ -78,7 +78,7 @@ impl<'a> Observed<'a> {
         Self::without(flights, evaluator, catalogue, &[])
     }
 
-    /// The same without the channels `unused`.
+    /// As [`new`](Self::new), without the channels `unused`.
     pub fn without(
         flights: &'a [PreparedFlight],
         evaluator: &'a Evaluator,
@@ -105,8 +105,8 @@ impl<'a> Observed<'a> {
             }
         }
         let mut deviation = least_left(&catalogue.vehicle);
-        // How near a mean is to rest does not bound it: numbers that bring it there to the last
-        // digit explain nothing that was read, and their fit is to fail.
+        // Distance from assumed rest has no lower limit: numbers that reach rest exactly explain no
+        // reading, and their fit should fail.
         if layouts.iter().any(|layout| layout.is_at_rest) {
             AT_REST.iter().for_each(|channel| deviation[*channel] = 0.0);
         }
@@ -127,7 +127,7 @@ impl<'a> Observed<'a> {
         }
     }
 
-    /// The same look by another catalogue.
+    /// The same flights and channels with another catalogue.
     pub(in crate::diagnose) fn by<'b>(&self, catalogue: &'b Catalogue) -> Observed<'b>
     where
         'a: 'b,
@@ -135,7 +135,7 @@ impl<'a> Observed<'a> {
         Observed::without(self.flights, self.evaluator, catalogue, &self.unused)
     }
 
-    /// The same look at other flights.
+    /// Other flights with the same catalogue and channels.
     pub fn like<'b>(&self, flights: &'b [PreparedFlight]) -> Observed<'b>
     where
         'a: 'b,
@@ -143,7 +143,7 @@ impl<'a> Observed<'a> {
         Observed::without(flights, self.evaluator, self.catalogue, &self.unused)
     }
 
-    /// The blocks of the flights that have what is asked for, in order.
+    /// The blocks of the flights that satisfy `has`, in order.
     pub fn blocks(
         &self,
         has: impl Fn(&PreparedFlight, &Layout) -> bool,
@@ -160,13 +160,13 @@ impl<'a> Observed<'a> {
         &self.counts
     }
 
-    /// Whether the caller has stopped the diagnosis: nothing is evaluated any more.
+    /// Whether the caller has stopped the diagnosis; nothing is evaluated from then on.
     pub(in crate::diagnose) fn is_stopped(&self) -> bool {
         self.evaluator.is_stopped()
     }
 
-    /// What `values` leave unexplained; `None` for a vehicle that the physics refuses, and after
-    /// the caller has stopped the diagnosis.
+    /// Residuals at `values`. `None` for a vehicle that the physics rejects, and after the caller
+    /// has stopped the diagnosis.
     pub fn residuals(&self, values: &[f64]) -> Option<Residuals> {
         self.residuals_in(values, Groups::ALL)
     }
@@ -187,12 +187,12 @@ impl<'a> Observed<'a> {
         )
     }
 
-    /// Sum of squares at each place, with the least that is left; places of a pool share theirs.
+    /// Sum of squares at each place, with its lower limit added; the places of a pool share theirs.
     pub fn power(&self, residuals: &Residuals) -> Vec<f64> {
         self.levelled(self.squares(residuals))
     }
 
-    /// Sum of squares at each place by itself, with the least that is left.
+    /// Sum of squares at each place by itself, with its lower limit added.
     pub(in crate::diagnose) fn squares(&self, residuals: &Residuals) -> Vec<f64> {
         let least = self.least.iter().zip(self.power_of(residuals));
         least.map(|(least, q)| least + q).collect()
@@ -204,14 +204,13 @@ impl<'a> Observed<'a> {
         squares
     }
 
-    /// Sum of squares at each place.
+    /// Sum of squares at each place, without the lower limit.
     pub(in crate::diagnose) fn power_of(&self, values: &Residuals) -> Vec<f64> {
         self.dot(values, values)
     }
 
-    /// Log density of each block in nats, without constants, under noise whose strength at each
-    /// place is that of all blocks together: other flights may be rougher than those that were
-    /// fitted.
+    /// Log density of each block in nats, without constants. The noise at each place is that of all
+    /// blocks together, since other flights may be rougher than the fitted ones.
     pub fn log_density(&self, residuals: &Residuals) -> Vec<f64> {
         let power = self.power(residuals);
         let mut density: Vec<f64> = Vec::new();
@@ -232,7 +231,7 @@ impl<'a> Observed<'a> {
         density
     }
 
-    /// Derivatives of the residuals with respect to one number at `values`, where they are
+    /// Derivative of the residuals with respect to one number at `values`, where the residuals are
     /// `base`.
     pub fn column(&self, values: &[f64], base: &Residuals, number: usize) -> Option<Residuals> {
         let described = &self.catalogue.numbers[number];
@@ -245,7 +244,7 @@ impl<'a> Observed<'a> {
         };
         let up = values[number] + 2.0 * step <= described.bounds[1];
         let sign = if up { 1.0 } else { -1.0 };
-        // An effect that is on where it was off may replace another: both points have it on.
+        // Switching an effect on may replace another one; both points have it on.
         let switches = values[number] == described.reference
             && self.catalogue.vehicle.linear_drag_n_per_m_s.is_some();
         let (near, far) = if switches {
@@ -282,7 +281,7 @@ impl<'a> Observed<'a> {
     }
 }
 
-/// The sum of products, in four sums side by side: one alone waits for itself at every number.
+/// The sum of products, in four independent sums: a single one would stall on each addition.
 fn product(a: &[f64], b: &[f64]) -> f64 {
     let (fours, others) = (a.chunks_exact(4), b.chunks_exact(4));
     let rest = fours.remainder().iter().zip(others.remainder());
@@ -293,11 +292,11 @@ fn product(a: &[f64], b: &[f64]) -> f64 {
     sums.iter().sum::<f64>() + rest.map(|(a, b)| a * b).sum::<f64>()
 }
 
-/// Coefficients that tell a variance: neighbouring bands of a channel with fewer have one together.
+/// Least coefficients for a variance; neighbouring bands of a channel with fewer share one.
 const POOLED_MIN: f64 = 8.0;
 
-/// Places that share one variance, where one place alone has too few coefficients to estimate it:
-/// what a few numbers explain to the last digit there is no evidence.
+/// Places that share one variance, where a single place has too few coefficients to estimate it.
+/// There, an exact fit by a few numbers is no evidence.
 pub(in crate::diagnose) fn pools(counts: &[f64]) -> Vec<Vec<usize>> {
     let mut pools: Vec<Vec<usize>> = Vec::new();
     for channel in 0..CHANNELS {
@@ -328,13 +327,13 @@ pub(in crate::diagnose) fn level(power: &mut [f64], counts: &[f64], pool: &[usiz
     pool.iter().for_each(|place| power[*place] = counts[*place] * sum / count);
 }
 
-/// Cost of sums of squares, in nats.
+/// Cost of the sums of squares, in nats.
 pub(in crate::diagnose) fn noise_cost(power: &[f64], counts: &[f64]) -> f64 {
     power
         .iter()
         .zip(counts)
         .filter(|(_, n)| **n > 0.0)
-        // What is not a number is no fit at all.
+        // NaN means that there is no fit.
         .map(|(q, n)| match q.is_nan() {
             true => f64::INFINITY,
             false => 0.5 * n * (q.max(f64::MIN_POSITIVE) / n).ln(),

@@ -1,17 +1,18 @@
-//! What a candidate vehicle leaves unexplained of a flight, by channel and frequency.
+//! Residuals of a flight under a candidate vehicle, by channel and frequency.
 //!
 //! Each channel is an equation of motion or of measurement over a cell of [`CELL_S`], evaluated at
-//! what was reported, with the delays and trims that the candidate has:
+//! the reported state with the candidate's delays and trims:
 //!
 //! | channel | residual |
 //! |---|---|
 //! | velocity | increment of the velocity minus the acceleration of the forces, world axes |
 //! | specific force | accelerometer minus the forces over mass, body axes |
 //! | rate | increment of the body rate minus the angular acceleration of the moments |
-//! | attitude | turn of the attitude minus the body rate: kinematics, no vehicle model |
+//! | attitude | rotation of the attitude minus the body rate: kinematics, no vehicle model |
 //! | command | collective and moments of the logged outputs minus the on-board law's |
 //!
-//! The accelerometer's and the gyro's constant biases fall out with the blocks' means.
+//! Specific force and attitude leave out each block's mean, and with it the constant bias of
+//! accelerometer and gyro.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -33,14 +34,14 @@ use crate::diagnose::flights::spectrum::{CELL_S, CosineTransform, band, frequenc
 use crate::diagnose::likelihood::channels::{ATTITUDE, CHANNELS, COMMAND, FORCE, RATE, VELOCITY};
 use crate::diagnose::likelihood::layout::Layout;
 
-/// Sub-steps of the rotors' lag in a cell.
+/// Sub-steps of the rotors' lag per cell.
 const SUBSTEPS: usize = 4;
-/// The rotors' states are followed from this many time constants before a block, at most
+/// Time before a block over which the rotors' states are simulated, in time constants; at most
 /// [`WARM_UP_MAX_S`].
 const WARM_UP: f64 = 6.0;
 const WARM_UP_MAX_S: f64 = 0.5;
 
-/// Groups of channels that a candidate is compared in.
+/// Groups of channels that are evaluated together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Groups {
     /// Velocity, specific force, rate.
@@ -52,10 +53,10 @@ pub struct Groups {
 }
 
 impl Groups {
-    /// All of them.
+    /// Every group.
     pub const ALL: Self = Self { dynamics: true, kinematics: true, command: true };
 
-    /// Those in which a number shows.
+    /// The groups that a number affects.
     pub fn of(target: Target) -> Self {
         let [dynamics, kinematics, command] = match target {
             Target::Effect(EffectId::PdGain | EffectId::CommandDelay, _) => [false, false, true],
@@ -66,7 +67,7 @@ impl Groups {
         Self { dynamics, kinematics, command }
     }
 
-    /// Whether a channel belongs to them.
+    /// Whether a channel belongs to these groups.
     pub fn has(self, channel: usize) -> bool {
         match channel {
             0..ATTITUDE => self.dynamics,
@@ -76,7 +77,7 @@ impl Groups {
     }
 }
 
-/// What every evaluation needs.
+/// Inputs that all evaluations share.
 #[derive(Clone, Debug)]
 pub struct Evaluator {
     vehicle: VehicleParams,
@@ -85,19 +86,19 @@ pub struct Evaluator {
     stop: Arc<AtomicBool>,
 }
 
-/// Motion over a block as the candidate takes it to have been.
+/// Motion over a block according to the candidate.
 struct Motion {
-    /// At the edges.
+    /// At the edges of the cells.
     velocity: Vec<Ned>,
     attitude: Vec<Attitude>,
     body_rate: Vec<Frd>,
-    /// Over the cells.
+    /// Means over the cells.
     states: Vec<State>,
     specific_force: Vec<Frd>,
 }
 
 impl Evaluator {
-    /// For flights of a vehicle.
+    /// An evaluator for flights of `vehicle`, whose on-board law it knows if the file states one.
     pub fn new(vehicle: &VehicleParams) -> Self {
         Self {
             vehicle: vehicle.clone(),
@@ -107,7 +108,7 @@ impl Evaluator {
         }
     }
 
-    /// The same, until the caller sets `stop`: from then on it evaluates nothing.
+    /// Stops all evaluations once the caller sets `stop`.
     pub fn until(self, stop: &Arc<AtomicBool>) -> Self {
         Self { stop: Arc::clone(stop), ..self }
     }
@@ -117,7 +118,7 @@ impl Evaluator {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// The same, with outputs reported as `flights` report them.
+    /// Adapts the on-board law to the order of reports and ticks in `flights`.
     pub fn observing(mut self, flights: &[PreparedFlight]) -> Self {
         let shipped = self.vehicle.command_delay_s;
         let timing = |law: &OnboardLaw| {
@@ -128,13 +129,13 @@ impl Evaluator {
         self
     }
 
-    /// The on-board law, where the vehicle file states it.
+    /// The on-board law, if the vehicle file states it.
     pub fn onboard(&self) -> Option<&OnboardLaw> {
         self.onboard.as_ref()
     }
 
-    /// The coefficients of what `candidate` leaves unexplained of `flight`, in `layout`'s order;
-    /// 0 in other groups than the given ones.
+    /// The residual coefficients of `flight` under `candidate`, in `layout`'s order; 0 outside
+    /// `groups`.
     pub fn residuals(
         &self,
         flight: &PreparedFlight,
@@ -151,7 +152,7 @@ impl Evaluator {
         out
     }
 
-    /// Appends the coefficients of a block's series that are used.
+    /// Appends the coefficients in use of a block's series.
     fn transform_into(
         &self,
         out: &mut Vec<f64>,
@@ -173,8 +174,8 @@ impl Evaluator {
         }
     }
 
-    /// The coefficients of the angular acceleration as the gyro has it, in `layout`'s order; 0 in
-    /// other channels.
+    /// The coefficients of the angular acceleration from the gyro, in `layout`'s order; 0 in other
+    /// channels.
     pub fn turning(&self, flight: &PreparedFlight, layout: &Layout) -> Vec<f64> {
         let mut out = Vec::with_capacity(layout.places.len());
         let mut scratch = Vec::new();
@@ -211,7 +212,7 @@ impl Evaluator {
         series
     }
 
-    /// Velocity, specific force, rate and attitude.
+    /// Fills in the velocity, specific force, rate and attitude channels.
     fn motion(
         &self,
         flight: &PreparedFlight,
@@ -273,7 +274,7 @@ impl Evaluator {
             .collect()
     }
 
-    /// Logged outputs minus the on-board law's, as collective and moments.
+    /// Logged outputs minus the on-board law's, as collective thrust and moments.
     fn command(
         &self,
         flight: &PreparedFlight,
@@ -290,7 +291,7 @@ impl Evaluator {
         let to = times.partition_point(|t| *t <= last);
         let mut found: Vec<(f64, [f64; 4])> = Vec::with_capacity(to - from);
         for (time, logged) in times[from..to].iter().zip(&flight.outputs.values()[from..to]) {
-            // The output in force is of the loop's latest tick.
+            // The logged output is that of the loop's latest tick.
             let tick = onboard.tick_of_report(*time);
             if let Some(by_law) = onboard.outputs(&law, flight, tick, timing) {
                 let difference = std::array::from_fn(|i| logged[i] - by_law[i]);
@@ -301,7 +302,7 @@ impl Evaluator {
             return;
         }
         if found.len() < 2 || found.len() < (to - from) / 2 {
-            // A law that says nothing of what was logged explains nothing.
+            // A law that predicts less than half of the logged outputs explains nothing.
             series[COMMAND..].iter_mut().for_each(|channel| channel.fill(f64::NAN));
             return;
         }
@@ -334,7 +335,7 @@ fn put<const N: usize>(
     }
 }
 
-/// The motion as reported, with the candidate's latency and trim undone.
+/// The reported motion, with the candidate's latency and trim removed.
 fn motion(flight: &PreparedFlight, block: &Block, candidate: &Candidate) -> Motion {
     let channels = &flight.channels;
     let untrim = candidate.trim.map(|trim| trim.rotation().inverse());

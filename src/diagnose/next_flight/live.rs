@@ -1,4 +1,4 @@
-//! Hypotheses that are still alive.
+//! Hypotheses that may still be true.
 
 use vehicle::effects::{EffectId, EffectSet};
 
@@ -8,14 +8,14 @@ use crate::diagnose::catalogue::number::Target;
 /// An explanation that may be true: effects with their numbers.
 #[derive(Clone, Debug)]
 pub struct Live {
-    /// The effects, with the vehicle's true values.
+    /// The effects, with the values of the true vehicle.
     pub effects: EffectSet,
     /// Its probability.
     pub probability: f64,
 }
 
 impl Live {
-    /// No effect at all.
+    /// The vehicle as shipped.
     pub fn none(probability: f64) -> Self {
         Self { effects: EffectSet::new(), probability }
     }
@@ -26,17 +26,17 @@ impl Live {
     }
 }
 
-/// What an answer leaves open.
+/// The hypotheses that an answer leaves open.
 #[derive(Clone, Debug)]
 pub struct OpenQuestions {
-    /// Explanations that cannot be told apart; none where one is named.
+    /// Explanations that these logs do not separate; empty where one is named.
     pub explanations: Vec<Live>,
-    /// Effects that these logs cannot show for want of motion, each at its usual strength.
+    /// Effects that these logs cannot show, each at its typical strength.
     pub untested: Vec<Live>,
 }
 
-/// An effect with its numbers at `strength` of their usual distance from what the vehicle file
-/// says; `None` for one that the file lacks a number for.
+/// An effect with its numbers off the vehicle file's values by `strength` times their typical
+/// magnitude; `None` if the file lacks a number that the effect needs.
 pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option<Live> {
     let hypothesis = catalogue.hypotheses.iter().find(|h| h.effect == effect)?;
     let mut values = catalogue.references();
@@ -45,7 +45,7 @@ pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option
         let [low, high] = number.bounds;
         let up = number.reference + strength * number.magnitude;
         let down = number.reference - strength * number.magnitude;
-        // A rotor only loses thrust.
+        // A rotor can only lose thrust.
         let falls = matches!(number.target, Target::RotorScale(_));
         values[*index] = if falls || up > high { down } else { up }.clamp(low, high);
     }

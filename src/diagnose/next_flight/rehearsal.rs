@@ -1,4 +1,4 @@
-//! A manoeuvre flown in simulation with one hypothesis true, and what the others make of it.
+//! Flies a manoeuvre in simulation with one hypothesis true, and fits the others to it.
 
 use vehicle::effects::{EffectId, EffectSet};
 use vehicle::frame::{Euler, Ned};
@@ -22,45 +22,45 @@ use crate::plan::manoeuvres::Manoeuvre;
 use crate::plan::reference::ReferenceSource;
 use crate::setpoint::Reference;
 
-/// Hover before the manoeuvre, in which the vehicle settles, s.
+/// Time of hover before the manoeuvre, for the vehicle to settle, s.
 const LEAD_S: f64 = 4.0;
-/// Period of the ground's ticks, s.
+/// Period of the controller's ticks, s.
 const TICK_S: f64 = 0.01;
-/// A vehicle that tilts further is not flown safely, rad.
+/// Largest safe tilt, rad.
 const TILT_MAX_RAD: f64 = 0.75;
-/// Share of the time that a motor output may spend at a stop.
+/// Largest share of the time with a motor output at a stop.
 const SATURATED_MAX: f64 = 0.01;
-/// What counts as a stop.
+/// Outputs beyond these are at a stop.
 const STOPS: [f64; 2] = [0.001, 0.999];
-/// Distance beyond the manoeuvre's own that a vehicle which is not what it was taken for may stray,
-/// m; and its least height over that which is asked for, share.
+/// Largest distance that a vehicle that differs from its file may stray beyond the manoeuvre's own
+/// radius and height, m; and its least height, as a share of the lowest reference.
 const STRAY_MAX_M: f64 = 1.5;
 const HEIGHT_SHARE: f64 = 0.35;
 
-/// What one flight says if a hypothesis is true.
+/// The result of one flight if a hypothesis is true.
 pub(super) struct Rehearsal {
-    /// Which.
+    /// Index of that hypothesis.
     pub truth: usize,
     /// Evidence for it against each rival, nats.
     pub evidence: Vec<(usize, f64)>,
 }
 
 impl Rehearsal {
-    /// The least evidence against a rival.
+    /// The least evidence against a rival, nats.
     pub fn least(&self) -> f64 {
         self.evidence.iter().map(|(_, nats)| *nats).fold(f64::INFINITY, f64::min)
     }
 }
 
-/// A live hypothesis in the catalogue's terms.
+/// A live hypothesis in terms of the catalogue.
 struct Posed {
-    /// Indices of its hypotheses.
+    /// Indices of its hypotheses in the catalogue.
     own: Vec<usize>,
-    /// Numbers with their values, to start its fit from.
+    /// Numbers with the values that its fit starts from.
     from: Vec<(usize, f64)>,
 }
 
-/// What every rehearsal needs.
+/// Inputs that all rehearsals share.
 pub(super) struct Stage<'a> {
     proposal: &'a Proposal<'a>,
     hypotheses: &'a [Live],
@@ -85,8 +85,8 @@ impl<'a> Stage<'a> {
         })
     }
 
-    /// Flies `manoeuvre` with hypothesis `truth` true and fits all of them to it; `None` where the
-    /// vehicle would break a limit, or nothing can be fitted.
+    /// Flies `manoeuvre` with hypothesis `truth` true, and fits all hypotheses to the flight;
+    /// `None` if the vehicle breaks a limit, or nothing can be fitted.
     pub fn rehearse(&self, manoeuvre: &Manoeuvre, truth: usize) -> Option<Rehearsal> {
         let flight = self.fly(manoeuvre, &self.hypotheses[truth].effects)?;
         if !is_safe(&flight, manoeuvre) {
@@ -96,7 +96,7 @@ impl<'a> Stage<'a> {
         let evaluator = Evaluator::new(self.proposal.vehicle).observing(&flights);
         let observed = Observed::new(&flights, &evaluator, &self.catalogue);
         let references = self.catalogue.references();
-        // Nuisances within their tolerances are nearly linear; active numbers get columns of their
+        // Nuisances are nearly linear within their tolerances; active numbers get columns of their
         // own.
         let about = Linearised::new(&observed, &references, &self.nuisances)?;
         let evidence: Vec<f64> = self
@@ -112,7 +112,7 @@ impl<'a> Stage<'a> {
         Some(Rehearsal { truth, evidence })
     }
 
-    /// Where fits of a set start: at what was found, and at every hypothesis' own starts.
+    /// Starts of the fit of a set: the known values, and each hypothesis' own starts.
     fn starts(&self, Posed { own, from }: &Posed) -> Vec<Vec<(usize, f64)>> {
         let mut starts = vec![from.clone(), Vec::new()];
         for hypothesis in own.iter().map(|h| &self.catalogue.hypotheses[*h]) {
@@ -181,7 +181,7 @@ impl Posed {
     }
 }
 
-/// Whether a simulated flight keeps to its limits.
+/// Whether a simulated flight stays within its limits.
 fn is_safe(flight: &Flight, manoeuvre: &Manoeuvre) -> bool {
     let stray = manoeuvre.demands.radius_m + STRAY_MAX_M;
     let steps = (manoeuvre.trajectory.duration() / 0.1) as usize;

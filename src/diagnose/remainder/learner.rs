@@ -1,9 +1,9 @@
-//! A flexible learner: what the shipped simulator leaves of the accelerations, as a function of the
-//! state and the outputs, whatever the cause. How far it closes the gap is what an explanation by
-//! state and outputs can be measured against.
+//! A flexible learner: the residual accelerations of the shipped simulator as a function of the
+//! state and the outputs, whatever the cause. It measures how far any explanation by state and
+//! outputs could close the gap.
 //!
-//! The project's own two networks, on rows of a tenth of a second: the means of the residual
-//! increments of velocity and body rate, which nothing differentiates twice.
+//! It consists of the project's two networks, on rows of a tenth of a second. The labels are the
+//! mean residual increments of velocity and body rate, which need no second derivative.
 
 use rayon::prelude::*;
 use vehicle::frame::{Frd, Ned};
@@ -24,28 +24,30 @@ use crate::model::features::{Features, Head};
 use crate::model::learned::NetworkModel;
 use crate::model::{ACCELERATIONS, Model, Point};
 
-/// Cells that a row is the mean over, and from one row to the next.
+/// Cells that a row averages, and cells from one row to the next.
 const ROW_CELLS: usize = 10;
 const STRIDE_CELLS: usize = 5;
-/// Share of each block, at its end, that is for validation.
+/// Share of each block, at its end, for validation.
 const VALIDATION: f64 = 0.25;
-/// Weights of the squared weights that are tried.
+/// Weights of the squared network weights that are tried.
 const REGULARIZATION: [f64; 3] = [1e-4, 1e-3, 1e-2];
-/// Fewer rows teach nothing.
+/// Fewest rows for training and for validation.
 const ROWS_MIN: usize = 40;
 
-/// Accelerations that a simulator lacks, learned.
+/// Learned corrections of a simulator's accelerations.
 #[derive(Clone, Debug)]
 pub struct Learner {
     networks: NetworkModel,
     allocation: Allocation,
-    /// What it leaves of the mean square of force and moment on rows that it did not learn from, 0..1.
+    /// Residual share of the mean square of force and of moment on rows outside the training set,
+    /// 0..1.
     pub left: [f64; 2],
 }
 
 impl Learner {
-    /// Learns what `candidate` leaves of the flights of the fit; `allocation`: the firmware's
-    /// mixer. `None` where they are too few or do not report velocity, attitude and body rate.
+    /// Learns the residuals of `candidate` on the fitted flights. `allocation` is the firmware's
+    /// mixer. `None` if there are too few rows, or a flight without velocity, attitude and body
+    /// rate.
     pub fn of(
         observed: &Observed<'_>,
         evaluator: &Evaluator,
@@ -78,7 +80,7 @@ impl Learner {
         if training.len() < ROWS_MIN || validation.len() < ROWS_MIN {
             return None;
         }
-        // A force may be tied to the body, or to the world.
+        // A force may be fixed to the body or to the world.
         [Features::Body, Features::World]
             .into_iter()
             .filter_map(|features| {
@@ -95,7 +97,7 @@ impl Learner {
     }
 
     /// Acceleration in world axes, m/s^2, and angular acceleration in body axes, rad/s^2, to add to
-    /// the simulator's. `outputs`: of the motors, 0..1.
+    /// the simulator's. `outputs` are those of the motors, 0..1.
     pub fn accelerations(&self, state: &State, outputs: [f64; 4]) -> (Ned, Frd) {
         let at = Point {
             velocity: state.velocity,
@@ -122,8 +124,8 @@ fn settings(features: Features) -> TrainSettings {
     }
 }
 
-/// The row of the cells from `first` on: the middle's state, the mean of the outputs, and the means
-/// of what is left of the accelerations, `series` by channel.
+/// The row of the cells from `first`: the state at the middle, and the means of the outputs and of
+/// the residual accelerations (`series` by channel).
 fn row(
     flight: &PreparedFlight,
     block: &Block,
@@ -154,12 +156,12 @@ fn row(
     }
 }
 
-/// How far a network is right on rows that it was not trained on.
+/// The accuracy of a network on rows outside its training set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Fit {
-    /// The share of what it says that serves best, 0..1, by least squares.
+    /// The best scale of its output, 0..1, by least squares.
     share: f64,
-    /// What that leaves of the labels' mean square, 0..1.
+    /// Residual share of the labels' mean square with that scale, 0..1.
     left: f64,
 }
 
@@ -171,7 +173,7 @@ impl Fit {
         }))
     }
 
-    /// Of what is said to what was seen.
+    /// Fits pairs of an output and its label.
     fn between(pairs: impl Iterator<Item = (f64, f64)>) -> Self {
         let (mut product, mut said, mut seen) = (0.0, 0.0, 0.0);
         for (x, y) in pairs {
@@ -193,7 +195,7 @@ mod tests {
     fn what_a_network_says_twice_as_large_is_halved() {
         let fit = Fit::between([(2.0, 1.0), (-4.0, -2.0)].into_iter());
         assert_eq!(fit, Fit { share: 0.5, left: 0.0 });
-        // What goes against the labels is not taken, and what says nothing leaves all.
+        // An output opposed to the labels is scaled to 0, and an output of 0 leaves everything.
         assert_eq!(Fit::between([(1.0, -1.0)].into_iter()), Fit { share: 0.0, left: 1.0 });
         assert_eq!(Fit::between([(0.0, 1.0)].into_iter()), Fit { share: 0.0, left: 1.0 });
     }

@@ -1,8 +1,7 @@
-//! What is left of forces after the best explanation.
+//! Residual force after the best explanation.
 //!
-//! Velocity and accelerometer see the same force through noises that have nothing in common: the
-//! product of what each leaves unexplained is, on average, the power of forces that no hypothesis
-//! has, free of both noises.
+//! Velocity and accelerometer measure the same force with independent noise. The mean product of
+//! their residuals is the power of forces that no hypothesis has, without either noise.
 
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -18,25 +17,26 @@ use crate::diagnose::likelihood::channels::{FORCE, VELOCITY};
 use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::likelihood::residuals::{Evaluator, Groups};
 
-/// Forces are compared up to here, Hz: above, rotors and delays that are not quite right show.
+/// Upper limit for comparing forces, Hz: above it, errors of rotors and delays appear.
 const FORCE_MAX_HZ: f64 = 4.5;
-/// From there to here the noise that both share is looked for, Hz.
+/// The noise that both sensors share is measured between that limit and this, Hz.
 const NOISE_MAX_HZ: f64 = 11.5;
-/// Shared noise is not white for sure: below, so much of it may be.
+/// Shared noise may not be white: it may be this much stronger at low frequencies.
 const SHARED_FACTOR: f64 = 3.0;
-/// The least, Hz: the accelerometer's bias wanders below.
+/// Lower limit for comparing forces, Hz: below it, the accelerometer's bias drifts.
 const FORCE_MIN_HZ: f64 = 0.1;
 
-/// Force per mass that nothing explains.
+/// Residual force per mass on which velocity and accelerometer agree.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct UnmodelledForce {
-    /// Mean square over 0.1 to 4.5 Hz, along north, east, down, m^2/s^4; below 0 by chance only.
+    /// Mean square over 0.1 to 4.5 Hz, along north, east, down, m^2/s^4; negative only by chance.
     pub mean_square: [f64; 3],
-    /// Standard error of the sum of the three.
+    /// Standard error of the sum of the three, m^2/s^4.
     pub error: f64,
-    /// Standard errors above 0 of the sum up to some band, the most: what is slow stands out there.
+    /// Largest significance of the sum up to some band, in standard errors, where a slow force
+    /// stands out.
     pub slow_significance: f64,
-    /// Of the sum, by band: from, to (Hz) and mean square [m^2/s^4].
+    /// The sum by band: from, to (Hz) and mean square [m^2/s^4].
     pub bands: Vec<[f64; 3]>,
 }
 
@@ -51,13 +51,13 @@ impl UnmodelledForce {
         self.total().max(0.0).sqrt()
     }
 
-    /// Standard errors above 0.
+    /// Significance of the total, in standard errors.
     pub fn significance(&self) -> f64 {
         if self.error > 0.0 { self.total() / self.error } else { 0.0 }
     }
 }
 
-/// Force that `candidate` leaves unexplained; `None` where the logs lack accelerometer or velocity.
+/// Residual force of `candidate`; `None` where the logs lack accelerometer or velocity.
 pub fn unmodelled_force(
     observed: &Observed<'_>,
     evaluator: &Evaluator,
@@ -81,7 +81,7 @@ pub fn unmodelled_force(
     Some(CrossPowers::sum(&of_blocks).force())
 }
 
-/// What the accelerometer shows beyond the candidate, less its mean, turned into world axes.
+/// Residual of the accelerometer under the candidate, less its mean, rotated to world axes.
 fn in_world(
     flight: &PreparedFlight,
     block: &Block,
@@ -101,14 +101,14 @@ fn in_world(
     world
 }
 
-/// Sums over coefficients of what two sensors leave of one axis in one band.
+/// Sums over the coefficients of two sensors' residuals, for one axis in one band.
 #[derive(Clone, Copy, Debug, Default)]
 struct CrossPower {
-    /// Of the products of both.
+    /// Sum of their products.
     product: f64,
-    /// Of the squares of each.
+    /// Sum of the squares of each.
     squares: [f64; 2],
-    /// Number of the coefficients.
+    /// Number of coefficients.
     count: f64,
 }
 
@@ -121,12 +121,12 @@ impl CrossPower {
     }
 }
 
-/// The same by band and axis.
+/// Cross powers by band and axis.
 #[derive(Clone, Debug, Default)]
 struct CrossPowers([[CrossPower; 3]; BANDS.len()]);
 
 impl CrossPowers {
-    /// Of one block, by axis.
+    /// Sums over one block, by axis.
     fn of(
         transform: &CosineTransform,
         mut velocity: [Vec<f64>; 3],
@@ -195,7 +195,7 @@ impl CrossPowers {
         force
     }
 
-    /// Product of both per coefficient above the forces' band: an estimator that integrates the
+    /// Product of both per coefficient above the forces' bands: an estimator that integrates the
     /// accelerometer puts its white noise into the velocity too.
     fn shared_noise(&self, axis: usize) -> f64 {
         let mut above = CrossPower::default();

@@ -1,5 +1,5 @@
-//! Where the gap lies: what the simulator as shipped leaves unexplained, by channel and time
-//! scale, by frame and by regime, against the floor.
+//! The location of the gap: residuals of the shipped simulator against the floor, by channel and
+//! time scale, by frame and by regime.
 
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -14,56 +14,56 @@ use crate::diagnose::likelihood::layout::Place;
 use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::likelihood::residuals::{Evaluator, Groups};
 
-/// Time scales: name and upper end, Hz.
+/// Time scales, each with its upper limit in Hz.
 const SCALES: [(&str, f64); 3] = [("slow", 0.35), ("middle", 2.2), ("fast", 20.0)];
-/// Cells of time that a regime's samples are averaged over: 0.25 s.
+/// Cells over which a sample averages: 0.25 s.
 const SAMPLE_CELLS: usize = 25;
 
 /// One channel at one time scale.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Cell {
-    /// Which equation.
+    /// Name of the channel's equation.
     pub channel: &'static str,
     /// `slow` (below 0.35 Hz), `middle` (to 2.2 Hz), `fast`.
     pub scale: &'static str,
-    /// Root mean square that the shipped simulator leaves, in the channel's SI unit.
+    /// Root mean square residual of the shipped simulator, in the channel's SI unit.
     pub rms: f64,
-    /// The same of the floor: what the best explanation leaves.
+    /// The floor: root mean square residual of the best explanation.
     pub floor: f64,
     /// Excess over the floor in units of it: (rms^2 - floor^2) / floor^2.
     pub excess: f64,
 }
 
-/// How the unexplained acceleration depends on one quantity.
+/// Dependence of the unexplained acceleration on one quantity.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Regime {
-    /// The quantity.
+    /// Name of the quantity with its unit.
     pub quantity: &'static str,
-    /// Bounds of its quarters: least, quartiles, largest.
+    /// Bounds of its quarters: minimum, quartiles, maximum.
     pub bounds: [f64; 5],
     /// Root mean square of the unexplained acceleration in each quarter, m/s^2.
     pub rms: [f64; 4],
-    /// What the best explanation leaves of it in the same quarters, m/s^2.
+    /// As above for the best explanation, in the same quarters, m/s^2.
     pub rms_after: [f64; 4],
 }
 
-/// The map.
+/// The residuals by channel, frame and regime.
 #[derive(Clone, Debug, Default, JsonSchema, Serialize)]
 pub struct ResidualMap {
     /// Channels and time scales, the largest excess first.
     pub cells: Vec<Cell>,
     /// Unexplained acceleration that is constant in the world: north, east, down, m/s^2.
     pub constant_in_world: Option<[f64; 3]>,
-    /// And in the body: front, right, down, m/s^2.
+    /// Unexplained acceleration that is constant in the body: front, right, down, m/s^2.
     pub constant_in_body: Option<[f64; 3]>,
     /// Regimes, the steepest first.
     pub regimes: Vec<Regime>,
-    /// In words.
+    /// A summary of the cells and regimes.
     pub sentence: String,
 }
 
-/// Maps what `shipped` leaves of flights, and `best`, the best explanation; `power` is that of the
-/// shipped simulator, `floor` what the best explanation leaves, by place.
+/// Maps the residuals of `shipped` and of `best`, the best explanation. `power` and `floor` are
+/// their sums of squares by place.
 pub fn map(
     observed: &Observed<'_>,
     evaluator: &Evaluator,
@@ -116,7 +116,7 @@ pub fn map(
     ResidualMap { cells, constant_in_world, constant_in_body, regimes, sentence }
 }
 
-/// What regimes are defined by.
+/// Quantities that define regimes.
 pub(in crate::diagnose) const QUANTITIES: [&str; 7] = [
     "speed [m/s]",
     "climb [m/s]",
@@ -127,7 +127,7 @@ pub(in crate::diagnose) const QUANTITIES: [&str; 7] = [
     "time [s]",
 ];
 
-/// And of the body's motion and of place and time, for what depends on them.
+/// Quantities of the body's motion, of place and of heading, for further dependences.
 const OF_BODY: [&str; 6] = [
     "velocity to the front [m/s]",
     "velocity to the right [m/s]",
@@ -138,12 +138,12 @@ const OF_BODY: [&str; 6] = [
 ];
 const OF_PLACE: [&str; 3] = ["place, north [m]", "place, east [m]", "heading [rad]"];
 
-/// What is unexplained over a quarter of a second, and how the vehicle moved then.
+/// The unexplained acceleration over a quarter of a second, with the vehicle's motion.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
     /// Unexplained acceleration along north, east, down, m/s^2.
     pub world: [f64; 3],
-    /// The same along front, right, down of the body.
+    /// The same acceleration along front, right, down of the body, m/s^2.
     pub body: [f64; 3],
     /// Velocity in body axes, m/s.
     pub body_velocity: [f64; 3],
@@ -154,13 +154,13 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// Mean motor output.
+    /// Mean motor output, 0..1.
     pub fn throttle(&self) -> f64 {
         self.quantities[3]
     }
 }
 
-/// What `candidate` leaves unexplained of the acceleration, by the quarter of a second.
+/// Residual accelerations of `candidate`, one sample for each quarter of a second.
 pub fn samples(
     observed: &Observed<'_>,
     evaluator: &Evaluator,
@@ -187,7 +187,7 @@ pub fn samples(
         .collect()
 }
 
-/// The [`QUANTITIES`] of a flight at a time, which counts from its first airborne time, s.
+/// The [`QUANTITIES`] of a flight at a time, which counts from the start of its airborne time, s.
 pub(in crate::diagnose) fn quantities(
     flight: &PreparedFlight,
     time: f64,
@@ -219,7 +219,8 @@ fn sample(flight: &PreparedFlight, time: f64, world: [f64; 3]) -> Sample {
     }
 }
 
-/// By `index` of [`QUANTITIES`]; `after` are the samples at the same times with the explanation.
+/// The regime of quantity `index` of [`QUANTITIES`]. `after` holds the samples of the explanation
+/// at the same times.
 fn regime(
     samples: &[Sample],
     after: &[Sample],
@@ -249,16 +250,16 @@ fn regime(
     })
 }
 
-/// Parts of the time that a dependence is looked for in.
+/// Parts of the samples between which a dependence is sought.
 const PARTS: usize = 8;
-/// Share of the unexplained acceleration that depends on a quantity, for it to be worth a word.
+/// Least share of the unexplained acceleration that depends on a quantity worth mentioning.
 const SHARE_MIN: f64 = 0.2;
-/// Samples of a quarter of a second that count as one: what is unexplained lasts.
+/// Samples that count as one, since residuals last longer than a sample.
 const CORRELATED: f64 = 4.0;
 
-/// What the unexplained acceleration depends on: quantities of which its mean, in world or body
-/// axes, depends, the strongest first. By the correlation ratio (Pearson 1905) in eighths of the
-/// time, less what chance gives.
+/// Quantities that the mean of the unexplained acceleration depends on, in world or body axes, the
+/// strongest first. The measure is the correlation ratio (Pearson 1905) over eighths of the
+/// samples, less its value by chance.
 pub fn depends_on(samples: &[Sample]) -> Vec<String> {
     let of_sample = |sample: &Sample| -> Vec<f64> {
         let own = sample.quantities.iter().chain(&sample.body_velocity).chain(&sample.body_rate);
@@ -271,7 +272,7 @@ pub fn depends_on(samples: &[Sample]) -> Vec<String> {
             let value = |sample: &Sample| of_sample(sample).get(index).copied().unwrap_or(0.0);
             let mut order: Vec<&Sample> = samples.iter().collect();
             order.sort_by(|a, b| value(a).total_cmp(&value(b)));
-            // What stays as it is, or what the logs do not tell, would leave the order of time.
+            // A constant or missing quantity would leave the samples in order of time.
             let differs = order.first().map(|s| value(s)) < order.last().map(|s| value(s));
             let share = |of: fn(&Sample) -> [f64; 3]| correlation_ratio(&order, of);
             let most = share(|s| s.world).max(share(|s| s.body));
@@ -283,7 +284,7 @@ pub fn depends_on(samples: &[Sample]) -> Vec<String> {
     found.into_iter().map(|(share, name)| format!("{name}: {:.0} %", 100.0 * share)).collect()
 }
 
-/// Share of a vector's variance that lies between [`PARTS`] of samples in their order.
+/// Share of a vector's variance between [`PARTS`] of the ordered samples, less chance.
 fn correlation_ratio(order: &[&Sample], of: fn(&Sample) -> [f64; 3]) -> f64 {
     let n = order.len();
     if n < 4 * PARTS {
@@ -304,16 +305,16 @@ fn correlation_ratio(order: &[&Sample], of: fn(&Sample) -> [f64; 3]) -> f64 {
     if total > 0.0 { between / total - chance } else { 0.0 }
 }
 
-/// Largest over smallest quarter.
+/// Ratio of the largest quarter to the smallest.
 fn steepness(regime: &Regime) -> f64 {
     let most = regime.rms.iter().copied().fold(0.0, f64::max);
     let least = regime.rms.iter().copied().fold(f64::INFINITY, f64::min);
     most / least.max(1e-9)
 }
 
-/// Excess that is worth a word.
+/// Least excess that the summary mentions.
 const EXCESS_MIN: f64 = 0.3;
-/// A regime is worth a word if its quarters differ by this factor.
+/// Least ratio between quarters of a regime that the summary mentions.
 const STEEP: f64 = 2.0;
 
 fn sentence(cells: &[Cell], regimes: &[Regime]) -> String {

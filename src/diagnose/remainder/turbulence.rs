@@ -1,8 +1,8 @@
-//! Whether a force that nothing explains is turbulence.
+//! Decides whether an unexplained force is turbulence.
 //!
-//! Gusts act through the drag, so that the force they leave is horizontal first, as strong along
-//! north as along east, falls off with frequency without a line, and does not go with the
-//! vehicle's own motion. The gusts' strength is what makes that force through the vehicle's drags.
+//! Gusts act through the drag. Their force is mainly horizontal, equally strong along north and
+//! east, falls with frequency without a line, and is independent of the vehicle's own motion. The
+//! strength of the gusts follows from that force and the vehicle's drag.
 
 use nalgebra::{DMatrix, DVector};
 use vehicle::VehicleParams;
@@ -11,18 +11,17 @@ use vehicle::effects::{EffectId, EffectSet, Slots};
 use crate::diagnose::remainder::leftover::UnmodelledForce;
 use crate::diagnose::remainder::map::Sample;
 
-/// Turbulence is as strong along north as along east, within this factor in power: few gusts pass
-/// in a flight.
+/// Largest ratio of power between north and east for turbulence: few gusts pass in a flight.
 const ISOTROPY_MAX: f64 = 4.0;
-/// A band's density over that of both its neighbours that makes a line of it.
+/// Least ratio of a line's density to that of both neighbouring bands.
 const LINE: f64 = 2.5;
-/// No vehicle of this kind flies in gusts of more, m/s.
+/// Strongest gusts that such a vehicle flies in, m/s.
 const STORM_M_S: f64 = 20.0;
-/// Share of the force that the vehicle's own motion may explain.
+/// Largest share of the force that the vehicle's own motion may explain.
 const EXPLAINED_MAX: f64 = 0.35;
 
-/// The gusts that explain `force`, with the drag that `effects` and the file have; `None` where it
-/// is no turbulence. `samples` are of what the best explanation leaves.
+/// The gusts that explain `force` through the drag of `effects` and the file; `None` if it is not
+/// turbulence. `samples` are the residuals of the best explanation.
 pub fn gusts(
     vehicle: &VehicleParams,
     effects: &EffectSet,
@@ -52,7 +51,7 @@ pub fn gusts(
     Some(slots)
 }
 
-/// What of a vehicle's drag is along the wind: `linear` [N s/m] and `quadratic` [N s^2/m^2].
+/// A vehicle's drag along the wind: `linear` [N s/m] and `quadratic` [N s^2/m^2].
 #[derive(Clone, Copy, Debug)]
 struct Drag {
     linear: f64,
@@ -60,12 +59,12 @@ struct Drag {
 }
 
 impl Drag {
-    /// Standard deviation of gusts, m/s, that push with a force of this standard deviation along
-    /// one axis, N, on a vehicle that is slow against them; `None` where it takes more than a
-    /// storm.
+    /// Standard deviation of the gusts, m/s, that cause a force with standard deviation `force`
+    /// along one axis, N, on a vehicle that is slow relative to them; `None` above the strongest
+    /// gusts.
     fn gusts(self, force: f64) -> Option<f64> {
-        // Mean squares of normal gusts of deviations 1, 1 and 0.6: of |g| g_x, and its product with
-        // g_x.
+        // For normal gusts of deviations 1, 1 and 0.6: mean square of |g| g_x, and its mean product
+        // with g_x.
         const SQUARE: f64 = 4.36;
         const PRODUCT: f64 = 2.0;
         let Self { linear, quadratic } = self;
@@ -85,7 +84,7 @@ impl Drag {
     }
 }
 
-/// Whether one band stands out over its neighbours.
+/// Whether one band stands out from its neighbours.
 fn has_line(bands: &[[f64; 3]]) -> bool {
     let density: Vec<f64> =
         bands.iter().map(|[from, to, power]| power.max(0.0) / (to - from)).collect();
@@ -97,7 +96,7 @@ fn has_line(bands: &[[f64; 3]]) -> bool {
 }
 
 /// Share of the force in body axes that a regression on velocity, body rate and throttle explains,
-/// less what as many idle regressors would.
+/// less the share that as many unrelated regressors would explain.
 fn explained_by_motion(samples: &[Sample]) -> Option<f64> {
     let n = samples.len();
     let rows: Vec<[f64; REGRESSORS]> = samples.iter().map(regressors).collect();

@@ -1,5 +1,4 @@
-//! An explanation of flights: a set of effects with its fit, and how likely it makes each block of
-//! them.
+//! An explanation of flights: a set of effects with its fit, and the likelihood of each block.
 
 use crate::diagnose::likelihood::fit::Fit;
 use crate::diagnose::likelihood::observed::Observed;
@@ -9,15 +8,16 @@ use crate::diagnose::likelihood::observed::Observed;
 pub struct Explanation {
     /// The fit, on the flights for fitting.
     pub fit: Fit,
-    /// Log evidence of the flights for fitting, without what chance gives its hypotheses, nats.
+    /// Log evidence of the flights for fitting, less the evidence that chance gives its hypotheses,
+    /// nats.
     pub evidence: f64,
-    /// Log density of each block, nats: of the flights for fitting, whose sum is the evidence, and
-    /// then of those for choosing, predicted by the fit.
+    /// Log density of each block, nats. The blocks of the flights for fitting come first and sum to
+    /// the evidence; the fit predicts those of the flights for choosing.
     pub blocks: Vec<f64>,
 }
 
 impl Explanation {
-    /// Scores a fit. `chance`: evidence that chance gives its hypotheses, nats.
+    /// Scores a fit. `chance` is the evidence that chance gives its hypotheses, nats.
     pub fn new(
         fit: Fit,
         chance: f64,
@@ -28,7 +28,7 @@ impl Explanation {
             |observed: &Observed<'_>| Some(observed.log_density(&observed.residuals(&fit.values)?));
         let (mut blocks, mut chosen) = (density(fitted)?, density(choosing)?);
         let size = |observed: &Observed<'_>| observed.counts().iter().sum::<f64>().max(1.0);
-        // What chance gives, it gives to every flight.
+        // Chance acts on every flight, in proportion to its coefficients.
         let of_choosing = chance * size(choosing) / size(fitted) / chosen.len().max(1) as f64;
         chosen.iter_mut().for_each(|density| *density -= of_choosing);
         let evidence = fit.evidence - chance;
@@ -39,7 +39,7 @@ impl Explanation {
         Some(Self { fit, evidence, blocks })
     }
 
-    /// Log evidence of all flights but those reported on, nats.
+    /// Log evidence of all flights except the held-out ones, nats.
     pub fn score(&self) -> f64 {
         self.blocks.iter().sum()
     }

@@ -1,19 +1,19 @@
-//! Every explanation of a case, and what tells chance from them.
+//! Every explanation of a case, and the twins that measure chance.
 
 use crate::diagnose::likelihood::noise::ReportNoise;
 use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::search::twins::Twins;
 
-/// Every explanation of a case, and what tells chance from them.
+/// Every explanation of a case, and the twins that measure chance.
 #[derive(Debug)]
 pub struct Explanations {
     /// The vehicle file within its tolerances.
     pub file: Explanation,
     /// Sets of effects, the best first.
     pub sets: Vec<Explanation>,
-    /// Noise of the reports.
+    /// Noise of the reported state.
     pub noise: ReportNoise,
-    /// Twins without an effect, where any were asked for.
+    /// Twins without an effect, unless none were requested.
     pub twins: Option<Twins>,
 }
 

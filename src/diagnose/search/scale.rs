@@ -1,19 +1,19 @@
-//! How good a vehicle file is: the scale of its numbers' tolerances, estimated from the flights.
+//! The quality of a vehicle file: the scale of its numbers' tolerances, estimated from the flights.
 
 use crate::diagnose::catalogue::hypothesis::Catalogue;
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::search::Search;
 
-/// Scales that are tried: from a careful builder's file to one without an error.
+/// Scales to try, from a careful builder's file to an exact one.
 const SCALES: [f64; 6] = [1.0, 0.4, 0.15, 0.05, 0.015, 0.005];
 /// Effects that may act beside the file's errors while the scale is estimated.
 const EFFECTS: usize = 2;
 /// Least evidence of such an effect, nats: the price of choosing it.
 const EFFECT_MIN: f64 = 4.0;
 
-/// The scale under which the flights are most likely, with up to two effects beside the file's
-/// errors, and the log evidence of each scale (empirical Bayes). `at` is the catalogue at a scale;
-/// `about`: derivatives at the file's numbers by the first.
+/// The most likely scale of the flights, with up to two effects beside the file's errors, and the
+/// log evidence of each scale (empirical Bayes). `at` returns the catalogue at a scale; `about`
+/// holds the derivatives at the fit of the file's numbers.
 pub fn scale(
     search: &Search<'_>,
     about: &Linearised,

@@ -1,4 +1,4 @@
-//! Whether motor outputs tell how the body turns.
+//! Checks whether motor outputs predict the body's rotation.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,51 +11,52 @@ use crate::diagnose::likelihood::noise::{increments_of_white, report_noise};
 use crate::diagnose::search::Search;
 use crate::diagnose::search::explanation::Explanation;
 
-/// Highest frequency at which the body's turning is compared, Hz.
+/// Highest frequency at which angular acceleration is compared, Hz.
 const MAX_HZ: f64 = 6.0;
 
-/// Beyond this nothing is known of an axis.
+/// Upper limit of the unexplained share; at it, nothing is known of an axis.
 const UNEXPLAINED_MAX: f64 = 0.95;
 
-/// How well moments by the motor outputs predict the turning about one axis: mean squares of the
-/// angular acceleration, rad^2/s^4.
+/// How well moments from the motor outputs predict the angular acceleration about one axis, as mean
+/// squares in rad^2/s^4.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Turning {
-    /// As measured.
+    /// Measured by the gyro.
     pub measured: f64,
-    /// What the best explanation leaves of it.
+    /// Left by the best explanation.
     pub left: f64,
-    /// What the gyro's noise makes.
+    /// Caused by the gyro's noise.
     pub noise: f64,
     /// Whether moments about the axis are used.
     pub is_usable: bool,
 }
 
 impl Turning {
-    /// Share of the turning that the best explanation leaves, beyond the gyro's noise.
+    /// Share of the angular acceleration that the best explanation leaves, beyond the gyro's noise.
     pub fn unexplained(&self) -> f64 {
         let beyond = |power: f64| (power - self.noise).max(0.0);
         let measured = beyond(self.measured).max(f64::MIN_POSITIVE);
         (beyond(self.left) / measured).min(UNEXPLAINED_MAX)
     }
 
-    /// By how much the moment of inertia about the axis may look larger than it is, as a share: where
-    /// a share s of a regressor's power is error, least squares shrink its coefficient by 1 - s.
+    /// Possible overestimate of the moment of inertia about the axis, as a share. Where a share s
+    /// of a regressor's power is error, least squares shrink its coefficient by 1 - s.
     pub fn inflation(&self) -> f64 {
         let share = self.unexplained();
         share / (1.0 - share)
     }
 }
 
-/// How well moments predict the body's turning about each axis, and the channels of the axes that
-/// they do not. `file` and `about`: the vehicle file's numbers fitted to the flights of `search`, and
-/// the derivatives there. With a known on-board loop (`loop_known`) every axis is used.
+/// How well moments predict the angular acceleration about each axis, and the channels of the axes
+/// that are not usable. `file` and `about` are the fit of the vehicle file's numbers to the flights
+/// of `search`, and the derivatives there. With a known on-board loop (`loop_known`) every axis is
+/// usable.
 ///
 /// Moments are computed from motor outputs. Outputs that are logged more slowly than the loop runs
-/// alias; units, unmodelled torques and the feedback's own answer to them stand in others. What
-/// then remains of a fit looks like an inertia or a torque constant that is far off: least squares
-/// shrink a regressor that is mostly error. An axis whose turning the best explanation leaves more
-/// of than it explains, beyond the gyro's noise, is not used.
+/// alias. Others have wrong units, or contain torques that are not modelled and the feedback's
+/// response to them. A fit then looks like an inertia or a torque constant that is far off, because
+/// least squares shrink a regressor that is mostly error. An axis is not usable if the best
+/// explanation leaves more of its angular acceleration than it explains, beyond the gyro's noise.
 pub fn turning(
     search: &Search<'_>,
     (file, about): (&Explanation, &Linearised),
@@ -106,7 +107,7 @@ mod tests {
         assert!((half.unexplained() - 0.5).abs() < 1e-12 && (half.inflation() - 1.0).abs() < 1e-12);
         let exact = Turning { left: 0.1, ..half };
         assert_eq!((exact.unexplained(), exact.inflation()), (0.0, 0.0));
-        // Where nothing turns, nothing is known.
+        // Without rotation nothing is known.
         let still = Turning { measured: 0.1, ..half };
         assert_eq!(still.unexplained(), UNEXPLAINED_MAX);
     }

@@ -1,11 +1,11 @@
-//! Twins: the flights as a vehicle of known numbers flies them, with noise of its sensors.
+//! Twins: the flights as a vehicle with known numbers would fly them, with sensor noise.
 //!
-//! A twin is a [`Replica`] of every flight that is fitted, and goes through the same analysis. Of
-//! the vehicle with its nuisances alone, what a hypothesis gains of evidence in hardly any of many
-//! twins is what it must exceed: it holds the multiple tests, the noise that feedback puts into the
-//! outputs, and the excitation of these very flights. Of the vehicle with the effects that were
-//! chosen, twins tell what their fit is off by and how it scatters. Where no on-board law is known,
-//! twins are the same motion with other noise, of the spectrum of what the flights leave.
+//! A twin is a [`Replica`] of every fitted flight, and goes through the same analysis. Twins of the
+//! vehicle with its nuisances alone set the threshold of each hypothesis: the gain of evidence that
+//! it reaches in hardly any of them. This covers multiple testing, the noise that feedback puts
+//! into the outputs, and the excitation of these very flights. Twins of the vehicle with the chosen
+//! effects show the bias and the scatter of their fit. Without a known on-board law, twins are the
+//! same motion with other noise, which has the spectrum of the flights' residuals.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -28,80 +28,80 @@ use crate::diagnose::search::Search;
 use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::simulate::replica::Replica;
 
-/// Least evidence beyond chance that counts as more than chance, nats.
+/// Least evidence beyond the median by chance that a threshold demands, nats.
 const CHANCE_MIN: f64 = 3.0;
 /// Share of twins in which any hypothesis may reach its threshold.
 const EXCEEDED: f64 = 0.01;
 
-/// What the twins say.
+/// The thresholds from twins without an effect.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Twins {
-    /// How many there were.
+    /// Number of twins.
     pub count: u32,
-    /// The largest gain of evidence of each, over its hypothesis' threshold, ascending.
+    /// Each twin's largest gain of evidence beyond chance, as a multiple of its hypothesis'
+    /// threshold, ascending.
     pub largest: Vec<f64>,
-    /// Gain of evidence that half of the twins exceed, of each hypothesis of the catalogue: what a
-    /// fit that is off by itself gives away, nats.
+    /// Gain of evidence that half of the twins exceed, for each hypothesis of the catalogue, nats:
+    /// the gain from the bias of a fit.
     #[serde(skip)]
     pub chance: Vec<f64>,
-    /// Threshold of the gain beyond that of each hypothesis, nats. One that scatters from twin to
-    /// twin is asked for more; the others are not.
+    /// Threshold of the gain beyond that, for each hypothesis, nats. It is higher only for a
+    /// hypothesis whose gain scatters from twin to twin.
     #[serde(skip)]
     pub asked: Vec<f64>,
 }
 
-/// Twins that are flown to find what is found as noise, and how far a fit is off by itself.
+/// Pilot twins, which measure the noise estimate and the bias of a fit.
 const PILOTS: [u32; 2] = [6, 10];
-/// Of these so many tell how noisy derivatives are.
+/// Pilot twins that measure the noise of derivatives.
 const PROBES: u32 = 2;
-/// Mixed into the seed of the second pilots, whose noise is not to be the twins'.
+/// Mixed into the seed of the second pilot twins, so that their noise differs from the twins'.
 const OF_BIAS: u64 = 0xb1a5;
-/// Share of noise in a derivative's square from which on each twin has its own: flights that go
-/// about have 0.01 to 0.5 in those by a lag, a delay of the outputs, a latency and an inertia, and
-/// mostly below 0.008 in all others; a hover has 0.1 to 1 in those of the moments.
+/// Share of noise in a derivative's square above which each twin computes its own. Flights with
+/// motion have 0.01 to 0.5 in derivatives by a lag, a delay of the outputs, a latency and an
+/// inertia, and mostly below 0.008 in all others. A hover has 0.1 to 1 in those of the moments.
 const NOISY: f64 = 0.01;
 
-/// Numbers scatter more than twins': of 1260 of two exams and a round trip 87 % lay within what would
-/// be 90 % intervals without it.
+/// Numbers scatter more than those of twins: without this factor, 87 % of 1260 numbers of two exams
+/// and a round trip were within their 90 % intervals.
 const BEYOND_TWINS: f64 = 1.08;
 
-/// Nuisances of a vehicle without an effect lie within so many tolerances.
+/// Most tolerances by which a nuisance of a vehicle without an effect may be off.
 const TRUTH_WITHIN: f64 = 1.5;
 
-/// Twins of flights, fitted as the flights were.
+/// Twins of flights, fitted like the flights.
 #[derive(Clone, Debug)]
 pub struct TwinFits {
-    /// The vehicle that they are of: the flights', as far as their fit and what it is off by itself
-    /// tell.
+    /// Numbers of their vehicle: the flights' fit, less its bias.
     pub truth: Values,
-    /// Noise of their sensors: that which is found as the flights' was.
+    /// Noise of their sensors, which the analysis estimates as it did the flights'.
     pub sensors: ReportNoise,
-    /// By how much fits of pilots, whose nuisances are as expected, were off the truth on average,
-    /// each number. A prior that draws nuisances to where they are expected is no such fault: where
-    /// the flights' nuisances lie elsewhere, only the flights' fit can tell.
+    /// Mean error of each number in the fits of pilot twins, whose nuisances are as expected. It
+    /// excludes the pull of a prior towards the expected nuisances: where the flights' nuisances
+    /// are elsewhere, only the flights' fit shows it.
     pub bias: Values,
-    /// Number of those pilots.
+    /// Number of those pilot twins.
     pilots: u32,
-    /// Numbers whose derivatives are noisy: those of the flights are not the twins'.
+    /// Numbers whose derivatives are noisy: twins cannot use those of the flights.
     pub noisy: Vec<usize>,
-    /// The values that each is fitted with.
+    /// Fitted values of each twin.
     pub values: Vec<Values>,
-    /// The sum of squares that each fit leaves at each place.
+    /// Sum of squares that each fit leaves at each place.
     pub power: Vec<Vec<f64>>,
-    /// What chance is read off.
+    /// Input of the screening that measures chance.
     screened: Vec<Screened>,
 }
 
-/// A twin at the values of the flights' fit.
+/// A twin evaluated at the values of the flights' fit.
 #[derive(Clone, Debug)]
 struct Screened {
-    /// What it leaves.
+    /// Its residuals there.
     residuals: Residuals,
     /// Its derivatives by the numbers whose derivatives are noisy.
     own: Vec<(usize, Residuals)>,
 }
 
-/// A twin, analysed as the flights were.
+/// A twin, analysed like the flights.
 struct Twin {
     screened: Screened,
     values: Values,
@@ -112,9 +112,9 @@ struct Twin {
 /// How twins are flown and analysed.
 struct Analysis<'a> {
     observed: &'a Observed<'a>,
-    /// Where the flights were linearised.
+    /// The linearisation of the flights.
     about: &'a Linearised,
-    /// Numbers of the effects that are fitted.
+    /// Numbers of the fitted effects.
     active: &'a [usize],
     onboard: &'a OnboardLaw,
     /// Numbers whose derivatives are noisy.
@@ -122,8 +122,8 @@ struct Analysis<'a> {
 }
 
 impl<'a> Analysis<'a> {
-    /// The analysis, and the first of the pilots: twins whose nuisances are as expected, with
-    /// sensors of `noise`.
+    /// The analysis and the first pilot twins, whose nuisances are as expected and whose sensors
+    /// have `noise`.
     fn with_pilots(
         observed: &'a Observed<'a>,
         about: &'a Linearised,
@@ -149,7 +149,7 @@ impl<'a> Analysis<'a> {
         Ok((analysis, pilots))
     }
 
-    /// The vehicle with the effects that were found, its nuisances as expected.
+    /// The vehicle with the fitted effects and the expected nuisances.
     fn plain(&self) -> Values {
         let numbers = self.observed.catalogue.numbers.iter().enumerate();
         let value = |(i, number): (usize, &Number)| {
@@ -162,7 +162,7 @@ impl<'a> Analysis<'a> {
         Replica::new(self.observed.catalogue, truth, noise, self.onboard)
     }
 
-    /// The flights as a replica flies them, number `twin` of a seed.
+    /// The flights as a replica flies them, for twin number `twin` of a seed.
     fn flown(&self, replica: &Replica, seed: u64, twin: u32) -> Vec<PreparedFlight> {
         let first = seed.wrapping_add(u64::from(twin) << 20);
         let seeds = (0..).map(|flight| first.wrapping_add(flight));
@@ -170,8 +170,8 @@ impl<'a> Analysis<'a> {
         flights.map(|(flight, seed)| replica.fly(flight, seed)).collect()
     }
 
-    /// `count` twins of the vehicle `truth` with sensors of `noise`. Where the analysis fails, a
-    /// twin is left out.
+    /// Flies and analyses `count` twins of the vehicle `truth` with sensors of `noise`. A twin
+    /// whose analysis fails is left out.
     fn twins(
         &self,
         truth: &[f64],
@@ -195,8 +195,8 @@ impl<'a> Analysis<'a> {
         Some(Twin { screened, values: fit.values, power: fit.power, noise })
     }
 
-    /// Twins as the flights are, with sensors of `noise`: what `pilots` with these sensors are off
-    /// by is taken off the flights' fit.
+    /// Twins like the flights, with sensors of `noise`. Their vehicle is the flights' fit less the
+    /// mean error of `pilots`, which have the same sensors.
     fn draw(
         &self,
         pilots: Vec<Twin>,
@@ -217,7 +217,8 @@ impl<'a> Analysis<'a> {
                 if active.contains(&i) {
                     return value;
                 }
-                // What the null pushes to its limit is an effect, which twins must not have.
+                // A nuisance that the fit pushes to its limit is an effect, which these twins must
+                // not have.
                 let width = TRUTH_WITHIN * number.tolerance;
                 value.clamp(number.expected - width, number.expected + width)
             })
@@ -236,8 +237,8 @@ impl<'a> Analysis<'a> {
         for Twin { screened, values, power, .. } in drawn {
             twins.values.push(values);
             twins.power.push(power);
-            // Own derivatives are for the screening, which twins of effects do not go through: what
-            // else is tried on these leaves noisy numbers out.
+            // Only the screening uses a twin's own derivatives, and twins of effects are not
+            // screened. Other uses of these twins leave noisy numbers out.
             let own = if active.is_empty() { screened.own } else { Vec::new() };
             twins.screened.push(Screened { own, ..screened });
         }
@@ -245,26 +246,26 @@ impl<'a> Analysis<'a> {
     }
 }
 
-/// By how much fits are off the truth on average, of each number.
+/// Mean error of each number of the fits.
 fn off_by(twins: &[Twin], truth: &[f64]) -> Values {
     let off = |i: usize| twins.iter().map(move |twin| twin.values[i] - truth[i]);
     (0..truth.len()).map(|i| moments(off(i))[0]).collect()
 }
 
 impl TwinFits {
-    /// Flies twins of the vehicle without an effect that `about` was linearised about, and fits its
-    /// nuisances to each. `onboard`: the law that flies them. `noise`: what is found in the
-    /// flights' reports. `draws`: how many twins, and a seed.
+    /// Flies twins of the vehicle without an effect at the linearisation `about`, and fits its
+    /// nuisances to each. `onboard` is the law that flies them, `noise` the estimate from the
+    /// flights' reports. The last argument holds the number of twins and a seed.
     ///
-    /// A fit is off by itself: outputs that are logged less often than the loop ticks are noisy
-    /// inputs, which makes an inertia look larger and a lag longer, for a lag with less of a delay
-    /// smooths them; a latency between two reports does the same; and what is found as noise holds
-    /// motion. Pilot twins tell by how much, each by derivatives with its own noise as the flights
-    /// were, and the twins are of a vehicle and of sensors that are found as the flights' were
+    /// A fit is biased. Outputs that are logged less often than the loop ticks are noisy inputs,
+    /// which make an inertia look larger and a lag longer: a lag with less of a delay smooths them.
+    /// A latency between two reports does the same, and the noise estimate contains motion. Pilot
+    /// twins measure the bias, each with derivatives that have its own noise as the flights' have
+    /// theirs. The twins are then of a vehicle and of sensors whose estimates match the flights'
     /// (indirect inference; Gourieroux, Monfort and Renault 1993).
     ///
     /// # Errors
-    /// A vehicle that the physics refuses.
+    /// [`VehicleError`] for numbers that the physics rejects.
     pub fn of_null(
         observed: &Observed<'_>,
         about: &Linearised,
@@ -281,8 +282,8 @@ impl TwinFits {
         analysis.draw(pilots, &noise, (count, seed))
     }
 
-    /// The same of the vehicle with the effects whose numbers are `active`, fitted with them.
-    /// `sensors`: as twins without an effect have them.
+    /// As [`of_null`](Self::of_null) for the vehicle with the effects whose numbers are `active`,
+    /// fitted with them. `sensors` is the noise of the twins without an effect.
     ///
     /// # Errors
     /// As [`of_null`](Self::of_null).
@@ -300,8 +301,8 @@ impl TwinFits {
         analysis.draw(pilots, sensors, (count, seed))
     }
 
-    /// Twins where no on-board law is known to fly them by: the same motion with other noise, drawn
-    /// from the spectrum of what `power` leaves.
+    /// Twins without a known on-board law: the same motion with other noise, drawn from the
+    /// spectrum of the residuals (`power`).
     pub fn of_noise(observed: &Observed<'_>, power: &[f64], draws: (u32, u64)) -> Self {
         let (count, seed) = draws;
         let deviation: Vec<f64> =
@@ -331,10 +332,11 @@ impl TwinFits {
         }
     }
 
-    /// Standard error of a number that was fitted and freed of [`bias`](Self::bias): the fits'
-    /// scatter, the mean's over the pilots, and that a few twins tell the scatter itself to within a
-    /// tenth or so (the first term of Student's quantile at 95 % over the normal one, Cornish and
-    /// Fisher 1938); and what sets twins off from flights.
+    /// Standard error of a fitted number after removal of [`bias`](Self::bias). It combines the
+    /// scatter of the fits, the error of the mean over the pilot twins, the uncertainty of the
+    /// scatter itself (the first term of Student's quantile at 95 % over the normal one, Cornish
+    /// and Fisher 1938: a tenth or so with a few twins), and the difference between twins and
+    /// flights.
     pub fn error(&self, number: usize) -> f64 {
         let freedom = (self.values.len() as f64 - 1.0).max(1.0);
         let student = 1.0 + (Z90 * Z90 + 1.0) / (4.0 * freedom);
@@ -342,19 +344,19 @@ impl TwinFits {
         self.deviation(number) * student * mean.sqrt() * BEYOND_TWINS
     }
 
-    /// Standard deviation of the fits of one number.
+    /// Standard deviation of one number over the fits.
     pub fn deviation(&self, number: usize) -> f64 {
         let [_, deviation] = moments(self.values.iter().map(|values| values[number]));
         deviation
     }
 
-    /// What each leaves at the values of the flights' fit.
+    /// Residuals of each twin at the values of the flights' fit.
     pub fn residuals(&self) -> impl Iterator<Item = &Residuals> {
         self.screened.iter().map(|screened| &screened.residuals)
     }
 
-    /// Mean and standard deviation over the twins of what `of` makes of the sums of squares that
-    /// each fit leaves.
+    /// Mean and standard deviation over the twins of `of`, a function of the sums of squares that a
+    /// fit leaves.
     pub fn moments_of(&self, of: impl Fn(&[f64]) -> f64) -> [f64; 2] {
         moments(self.power.iter().map(|power| of(power)))
     }
@@ -365,7 +367,7 @@ impl TwinFits {
     }
 }
 
-/// Mean and standard deviation of draws; 0 of none, and the deviation of one.
+/// Mean and standard deviation of draws. Without a draw the mean is 0; with one the deviation is 0.
 fn moments(draws: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
     let n = draws.clone().count().max(1) as f64;
     let mean = draws.clone().sum::<f64>() / n;
@@ -373,7 +375,7 @@ fn moments(draws: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
     [mean, (squares / (n - 1.0).max(1.0)).sqrt()]
 }
 
-/// Screens twins of the flights that are fitted; `null` is the fit of the nuisances alone.
+/// Screens twins of the fitted flights. `null` is the fit of the nuisances alone.
 pub fn screened(
     search: &Search<'_>,
     null: &Explanation,
@@ -382,8 +384,9 @@ pub fn screened(
     seed: u64,
 ) -> Twins {
     let observed = search.fitted;
-    // Beyond the sensors' noise: turbulence, vibration, what the model lacks. What the best of the
-    // hypotheses explains is not noise: what lasts, like a moment, would pass for itself by chance.
+    // Adds residuals beyond the sensors' noise: turbulence, vibration and gaps in the model. The
+    // part that the best hypothesis explains is not noise: a lasting one, like a moment, would be
+    // mistaken for itself.
     let least = search.least_power(about).unwrap_or_else(|| null.fit.power.clone());
     let more: Vec<f64> = twins
         .moments()
@@ -422,8 +425,8 @@ pub fn screened(
     Twins { count, largest, chance, asked }
 }
 
-/// What chance gives of evidence, by the `gains` of twins, and what is asked beyond it of each of
-/// so many that are `tried`, nats.
+/// The evidence that chance gives, from the `gains` of twins, and the threshold beyond it for each
+/// of `tried` hypotheses, nats.
 pub(in crate::diagnose) fn chance_and_asked(mut gains: Vec<f64>, tried: usize) -> (f64, f64) {
     gains.sort_by(f64::total_cmp);
     let chance = gains.get(gains.len() / 2).map_or(0.0, |gain| gain.max(0.0));
@@ -431,7 +434,7 @@ pub(in crate::diagnose) fn chance_and_asked(mut gains: Vec<f64>, tried: usize) -
     (chance, (reached - chance).max(CHANCE_MIN))
 }
 
-/// Adds noise with a deviation at each place.
+/// Adds white noise with a standard deviation for each place.
 fn add_noise(observed: &Observed<'_>, deviation: &[f64], seed: u64, residuals: &mut Residuals) {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     for (residuals, layout) in residuals.iter_mut().zip(&observed.layouts) {
@@ -442,8 +445,8 @@ fn add_noise(observed: &Observed<'_>, deviation: &[f64], seed: u64, residuals: &
     }
 }
 
-/// The point that a share of what `ascending` is drawn from exceeds. Its upper half falls off
-/// exponentially, and carries on so beyond the largest that was drawn.
+/// The value that a share of the distribution of `ascending` exceeds. The upper half is taken as
+/// exponential, also beyond the largest draw.
 fn exceeded_by(ascending: &[f64], share: f64) -> f64 {
     let n = ascending.len();
     if n < 2 {

@@ -1,5 +1,5 @@
-//! Whole flights of a vehicle under the daemon's feedback, as SITL flies them: plant, sensors, link
-//! delay, on-board loop and the ground's controller on one clock, without the bytes in between.
+//! Simulates whole flights of a vehicle under the daemon's feedback, as SITL does: plant, sensors,
+//! link delay, on-board loop and offboard controller on one clock, without encoding messages.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -24,45 +24,46 @@ use crate::log::import::{AttitudeSetpoint, Clock, Flight, Origin};
 use crate::offboard::{EffectiveVehicle, Uncontrollable};
 use crate::setpoint::Reference;
 
-/// Rates of the streams in the daemon's logs of the bundled vehicle, Hz.
+/// Rates of the streams that the daemon logs of the bundled vehicle, Hz.
 const ATTITUDE_HZ: f64 = 250.0;
 const POSITION_HZ: f64 = 100.0;
 const IMU_HZ: f64 = 250.0;
 const OUTPUTS_HZ: f64 = 100.0;
 const VOLTAGE_HZ: f64 = 5.0;
-/// Period at which a logged voltage is read: it changes slowly against this, s.
+/// Period at which a logged voltage is read, s: it changes slowly compared with this.
 const VOLTAGE_HELD_S: f64 = 0.02;
-/// Instants closer than this are one, s.
+/// Instants closer than this are simultaneous, s.
 const SAME_TIME_S: f64 = 0.25 * Plant::STEP;
 
 /// Why a vehicle cannot be flown in simulation.
 #[derive(Debug, thiserror::Error)]
 pub enum NotSimulated {
-    /// Nobody knows how the vehicle follows an attitude.
+    /// The vehicle file does not describe the attitude loop.
     #[error("the vehicle file has no attitude_pd, so how its attitude loop answers is not known")]
     NoAttitudeLoop,
-    /// The physics refuse the vehicle.
+    /// The physics rejects the vehicle.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
-    /// Its thrust cannot be asked for.
+    /// The vehicle's thrust cannot be controlled.
     #[error(transparent)]
     Control(#[from] Uncontrollable),
-    /// There is no feedback for it.
+    /// The design of the feedback fails.
     #[error(transparent)]
     Design(#[from] DesignError),
 }
 
-/// The ground's part: the feedback and limits that the daemon flies a vehicle with, by its file.
+/// The offboard controller's part: the feedback and limits that the daemon derives from a vehicle
+/// file.
 #[derive(Clone, Debug)]
 pub struct GroundControl {
     vehicle: EffectiveVehicle,
-    /// As it begins a flight.
+    /// In its state at the start of a flight.
     controller: Controller,
     limits: Limits,
 }
 
 impl GroundControl {
-    /// The daemon's default control of the vehicle of a file.
+    /// The daemon's default control of the vehicle in a file.
     ///
     /// # Errors
     /// [`NotSimulated`].
@@ -70,7 +71,7 @@ impl GroundControl {
         Self::with(vehicle, &ControlSettings::default())
     }
 
-    /// The same by other settings: another law, or other gains.
+    /// As [`new`](Self::new), with other settings: another control law, or other gains.
     ///
     /// # Errors
     /// [`NotSimulated`].
@@ -89,8 +90,8 @@ impl GroundControl {
         Ok(Self { vehicle, controller, limits })
     }
 
-    /// The same without the daemon's limits on what it asks for: for setpoints of others, who had
-    /// their own.
+    /// The same without the daemon's limits on setpoints, for setpoints of a controller that had
+    /// its own limits.
     pub fn without_limits(&self) -> Self {
         let limits = Limits {
             thrust_min: 0.0,
@@ -103,12 +104,12 @@ impl GroundControl {
         Self { limits, ..self.clone() }
     }
 
-    /// The vehicle as its file says it is.
+    /// The vehicle according to its file.
     pub fn vehicle(&self) -> &EffectiveVehicle {
         &self.vehicle
     }
 
-    /// What `controller` sends at a state reported at `time`, s; `None` where that is not finite.
+    /// The setpoint of `controller` for a state reported at `time`, s; `None` if it is not finite.
     fn setpoint(
         &self,
         controller: &mut Controller,
@@ -128,18 +129,18 @@ impl GroundControl {
     }
 }
 
-/// Where a flight begins: in the air.
+/// The start of a flight, in the air.
 #[derive(Clone, Copy, Debug)]
 pub struct Departure {
-    /// Of the vehicle's clock, s.
+    /// Time of the vehicle's clock, s.
     pub time: f64,
     /// The true state.
     pub state: State,
-    /// The rotors' states.
+    /// The rotors' states, 0..1.
     pub rotors: [f64; ROTORS],
 }
 
-/// A vehicle that can be flown.
+/// Flies a vehicle under feedback.
 #[derive(Clone, Debug)]
 pub struct FlightSimulator<'a> {
     control: &'a GroundControl,
@@ -152,7 +153,7 @@ pub struct FlightSimulator<'a> {
 }
 
 impl<'a> FlightSimulator<'a> {
-    /// `vehicle` with `effects` put over what its file models, flown by `control`.
+    /// Flies `vehicle`, with `effects` put over those that its file models, under `control`.
     ///
     /// # Errors
     /// [`NotSimulated`].
@@ -166,7 +167,7 @@ impl<'a> FlightSimulator<'a> {
         let all = vehicle.modelled_effects.overlay(effects);
         let gains = all.get::<PdGain>().map_or(pd, |gains| gains.apply(&pd));
         let config = SitlConfig { sensors, ..SitlConfig::default() };
-        // Refused here rather than at each flight.
+        // Fails here rather than at each flight.
         Plant::new(vehicle, effects, &config.plant(), 0)?;
         Ok(Self {
             control,
@@ -181,9 +182,9 @@ impl<'a> FlightSimulator<'a> {
         })
     }
 
-    /// Flies from `departure` until the last of the ground's ticks, each at its time with what is
-    /// tracked then. The pack's voltage is `voltage` where that is given, else the pack's own. The
-    /// same arguments give the same flight.
+    /// Flies from `departure` through all `ticks` of the controller, each a time and the reference
+    /// to track at it. The pack's voltage follows `voltage` if it is given, else the pack's model.
+    /// Equal arguments give equal flights.
     ///
     /// # Errors
     /// [`VehicleError`], as in [`FlightSimulator::new`].
@@ -246,7 +247,7 @@ impl<'a> FlightSimulator<'a> {
     }
 }
 
-/// Something that is due at multiples of a period of the vehicle's clock.
+/// An event at multiples of a period of the vehicle's clock.
 struct Due {
     rate_hz: f64,
     count: f64,
@@ -257,7 +258,7 @@ impl Due {
         Self { rate_hz, count: ((from - SAME_TIME_S) * rate_hz).ceil() }
     }
 
-    /// Whether it is due by `time`, which moves on.
+    /// Whether the event is due by `time`; if so, advances to the next one.
     fn is_at(&mut self, time: f64) -> bool {
         let is_due = self.count <= (time + SAME_TIME_S) * self.rate_hz;
         if is_due {
@@ -267,7 +268,7 @@ impl Due {
     }
 }
 
-/// Writes the streams of a flight.
+/// Records the streams of a flight.
 struct Recorder {
     flight: Flight,
     attitude: Due,
@@ -295,7 +296,7 @@ impl Recorder {
         }
     }
 
-    /// What the vehicle reports at `time`, with the outputs of the latest tick before it.
+    /// Records the report of `time`, with the outputs of the latest tick before it.
     fn record(&mut self, time: f64, readings: &Readings, outputs: [f64; ROTORS]) {
         let Readings { estimate, gyro, specific_force, battery, .. } = readings;
         let flight = &mut self.flight;
@@ -340,7 +341,7 @@ mod tests {
             .expect("a vehicle")
     }
 
-    /// Hover a metre up for `seconds`, from rest there.
+    /// Hovers a metre up for `seconds`, from rest there.
     fn hover(vehicle: &VehicleParams, effects: &str, seconds: f64, seed: u64) -> Flight {
         let control = GroundControl::new(vehicle).expect("feedback");
         let mut set = EffectSet::new();
@@ -384,7 +385,7 @@ mod tests {
         }
         let first = flight.attitude.times().first().expect("a sample");
         assert!((first - 5.0).abs() < 1e-9);
-        // The gain of thrust by height holds up a twentieth of the weight after a few centimetres.
+        // The vertical position gain supports a twentieth of the weight after a few centimetres.
         let heavy = height(&hover(&vehicle, "thrust_scale:scale=0.95", 6.0, 1));
         assert!((0.9..0.985).contains(&heavy), "{heavy}");
     }

@@ -1,6 +1,6 @@
-//! How far a simulator is from flights: errors of its open-loop predictions.
+//! The gap between a simulator and flights: errors of its open-loop predictions.
 //!
-//! From many instants a simulator predicts what is reported after 0.1, 0.5 and 1 s.
+//! From many instants a simulator predicts the reports 0.1, 0.5 and 1 s later.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -15,27 +15,27 @@ use crate::diagnose::likelihood::noise::ReportNoise;
 use crate::diagnose::simulate::metric::{Metric, PARTS_MAX};
 use crate::diagnose::simulate::open_loop::{HORIZONS_S, LoopNoise, MARGIN_S, NoiseDraw, Simulator};
 
-/// Quantities with their units, each by the norm of its error.
+/// Predicted quantities with the units of their errors, which are norms.
 pub const QUANTITIES: [(&str, &str); 4] =
     [("position", "m"), ("velocity", "m/s"), ("attitude", "rad"), ("body rate", "rad/s")];
-/// Time between the starts of windows, s.
+/// Time between the starts of prediction windows, s.
 const SPACING_S: f64 = 0.25;
 
-/// Errors of one window: of each of [`HORIZONS_S`] and [`QUANTITIES`].
+/// Errors of one window, by [`HORIZONS_S`] and [`QUANTITIES`].
 pub type Window = [[f64; 4]; 3];
 
-/// Root mean squares over windows: by horizon and quantity, in m, m/s, rad, rad/s.
+/// Root mean square errors over windows, by horizon and quantity, in m, m/s, rad, rad/s.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Errors(pub Window);
 
 impl Errors {
-    /// The mean of what `metric` looks at, each over its noise.
+    /// The gap: the mean over the parts of `metric` of each error divided by its noise.
     pub fn over(&self, noise: &Errors, metric: Metric) -> f64 {
         let parts = metric.parts().len();
         self.parts_over(noise, metric)[..parts].iter().sum::<f64>() / parts as f64
     }
 
-    /// What `metric` looks at, each over its noise; 0 beyond its parts.
+    /// Each part of `metric` divided by its noise; 0 beyond its parts.
     pub fn parts_over(&self, noise: &Errors, metric: Metric) -> [f64; PARTS_MAX] {
         let mut over = [0.0; PARTS_MAX];
         for (over, (h, q)) in over.iter_mut().zip(metric.parts()) {
@@ -44,35 +44,35 @@ impl Errors {
         over
     }
 
-    /// The metric `mean`.
+    /// The gap by the metric `mean`.
     pub fn mean_over(&self, noise: &Errors) -> f64 {
         self.over(noise, Metric::Mean)
     }
 }
 
-/// What noise alone leaves of predictions.
+/// The floor: prediction errors from noise alone.
 #[derive(Clone, Copy, Debug)]
 pub struct Floor {
-    /// Root mean squares over windows and draws of the noise.
+    /// Root mean square errors over windows and draws of the noise.
     pub errors: Errors,
-    /// By how much the metric `mean` of one draw scatters about 1: where the body turns fast, a few
-    /// windows are most of it.
+    /// Scatter about 1 of the metric `mean` over draws of the noise. Where the body turns fast, a
+    /// few windows dominate it.
     pub scatter: f64,
 }
 
-/// Draws of the noise over flights.
+/// Draws of the noise for each flight.
 const FLOOR_DRAWS: u64 = 4;
-/// What so few draws tell of their scatter counts with what flights mostly have, as if of two more
-/// draws: half of 300 nulls of an exam had more.
+/// Usual scatter, which counts as two more draws because so few estimate the scatter poorly. Half
+/// of 300 nulls of an exam had more.
 const USUAL_SCATTER: f64 = 0.024;
 const USUAL_DRAWS: f64 = 2.0;
 
-/// The metric `mean` in units of what noise alone leaves.
+/// The metric `mean` in units of the floor.
 #[derive(Clone, Copy, Debug, JsonSchema, Serialize)]
 pub struct OverNoise {
-    /// The metric.
+    /// The gap, which is 1 for noise alone.
     pub gap: f64,
-    /// By how much noise alone scatters it.
+    /// Scatter of the gap from noise alone.
     pub scatter: f64,
 }
 
@@ -82,7 +82,7 @@ impl Simulator {
         root_mean_square(&self.windows(flights))
     }
 
-    /// The errors of each window of flights, in order; not a number where one cannot be predicted.
+    /// The errors of each window of flights, in order; NaN for a window that cannot be predicted.
     pub fn windows(&self, flights: &[PreparedFlight]) -> Vec<Window> {
         windows(flights, |index, start| {
             let flight = &flights[index];
@@ -95,9 +95,9 @@ impl Simulator {
         })
     }
 
-    /// The errors that noise alone leaves: predictions from noisy starts, compared with noisy
-    /// reports of what the same simulator does from the start as it was, its on-board loop flying
-    /// with the sensors' noise, the gyro's bias and the link's jitter.
+    /// The floor. Predictions from noisy starts are compared with noisy reports of the same
+    /// simulator from the true start, whose on-board loop flies with sensor noise, gyro bias and
+    /// link jitter.
     pub fn floor(
         &self,
         flights: &[PreparedFlight],
@@ -127,7 +127,7 @@ impl Simulator {
         Some(Floor { errors, scatter })
     }
 
-    /// The errors that noise alone leaves in the window of `flight` from `start`.
+    /// The errors from noise alone in the window of `flight` from `start`.
     fn by_noise(
         &self,
         flight: &PreparedFlight,
@@ -169,7 +169,7 @@ impl Simulator {
         ]
     }
 
-    /// The metric `mean` on one flight; `None` without a window.
+    /// The gap on one flight by the simulator's metric; `None` without a window.
     pub fn gap(
         &self,
         flight: &PreparedFlight,
@@ -182,7 +182,7 @@ impl Simulator {
     }
 }
 
-/// The reported state at `time`; the body rate is not late.
+/// The reported state at `time`. `latency` delays all of it except the body rate.
 fn reported(flight: &PreparedFlight, time: f64, latency: f64) -> State {
     State {
         position: flight.position.at(time).into(),
@@ -192,12 +192,12 @@ fn reported(flight: &PreparedFlight, time: f64, latency: f64) -> State {
     }
 }
 
-/// `state` with a body rate that is larger by `rate`.
+/// `state` with `rate` added to its body rate.
 fn turning_faster(rate: Frd, state: State) -> State {
     State { body_rate: state.body_rate + rate, ..state }
 }
 
-/// Starts of the windows of a flight.
+/// Starts of the prediction windows of a flight.
 fn starts(flight: &PreparedFlight) -> Vec<f64> {
     let channels = &flight.channels;
     if !(channels.velocity && channels.attitude && channels.body_rate) {
@@ -214,7 +214,7 @@ fn starts(flight: &PreparedFlight) -> Vec<f64> {
     starts
 }
 
-/// `window` of the index of each flight and each start in it.
+/// Evaluates `window` for the index of each flight and each start in it, in parallel.
 fn windows(
     flights: &[PreparedFlight],
     window: impl Fn(usize, f64) -> Option<Window> + Sync,
@@ -230,7 +230,7 @@ fn windows(
         .collect()
 }
 
-/// Root mean squares over windows that count by `weights`; `None` without a window.
+/// Root mean square errors over windows with `weights`; `None` without a finite window.
 pub fn weighted(windows: &[Window], weights: &[f64]) -> Option<Errors> {
     let finite = |(e, _): &(&Window, &f64)| e.iter().flatten().all(|x| x.is_finite());
     let mut sums = [[0.0; 4]; 3];

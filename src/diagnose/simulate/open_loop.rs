@@ -1,7 +1,7 @@
-//! The open loop: what a simulator predicts from an instant of a flight on.
+//! Open-loop predictions of a simulator from an instant of a flight.
 //!
-//! From the reported state the plant is driven by the logged setpoints through the on-board law, or
-//! by the logged outputs where there is none.
+//! The plant starts at the reported state. The logged setpoints drive it through the on-board law,
+//! or the logged outputs drive it directly where no law is known.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, Exp1};
@@ -27,15 +27,15 @@ use crate::diagnose::remainder::learner::Learner;
 use crate::diagnose::simulate::metric::Metric;
 use crate::log::import::{AttitudeSetpoint, Stream};
 
-/// Horizons, s.
+/// Prediction horizons, s.
 pub const HORIZONS_S: [f64; 3] = [0.1, 0.5, 1.0];
 /// Time before a start that delays and lags reach back to, s.
 pub(in crate::diagnose) const MARGIN_S: f64 = 0.4;
-/// Steps of the plant from one look of a learner to the next.
+/// Steps of the plant between evaluations of a learner.
 const LEARNER_STEPS: usize = 10;
-/// Steps from one reading of the pack's voltage to the next: it changes slowly against this.
+/// Steps between readings of the pack's voltage, which changes slowly compared with this.
 const VOLTAGE_STEPS: usize = 20;
-/// Rotors forget their states within this many time constants.
+/// Time constants after which rotors forget their states.
 const MEMORY: f64 = 6.0;
 
 /// A simulator: the vehicle file with effects put over it.
@@ -46,28 +46,28 @@ pub struct Simulator {
     trim: Attitude,
     latency: f64,
     command_delay: f64,
-    /// What its predictions are compared by; but for the mean, position and velocity are predicted
-    /// with the body turning as reported.
+    /// The metric of its predictions. Under any other than the mean, position and velocity are
+    /// predicted with the body rotating as reported.
     metric: Metric,
-    /// The axes about which the body's turning is compared: front, right, down.
+    /// The axes about which rotation is compared: front, right, down.
     axes: [bool; 3],
-    /// What is added to the plant's accelerations.
+    /// Adds to the plant's accelerations.
     learner: Option<Learner>,
 }
 
 impl Simulator {
-    /// The vehicle with `effects` put over what its file models. `setpoint_leg`: driven by
-    /// setpoints, else by outputs.
+    /// The vehicle with `effects` put over those that its file models, driven by setpoints
+    /// (`setpoint_leg`) or by outputs.
     ///
     /// # Errors
-    /// A vehicle that the physics refuses.
+    /// A vehicle that the physics rejects.
     pub fn new(
         vehicle: &VehicleParams,
         effects: &EffectSet,
         setpoint_leg: bool,
     ) -> Result<Self, VehicleError> {
         let mut calm = effects.clone();
-        // One draw of turbulence is not the one that the flight met.
+        // A draw of turbulence differs from the flight's.
         calm.remove(Gusts::ID);
         let all = vehicle.modelled_effects.overlay(&calm);
         let law = match vehicle.attitude_pd.filter(|_| setpoint_leg) {
@@ -89,11 +89,11 @@ impl Simulator {
         })
     }
 
-    /// The same simulator with the plant of another vehicle and effects, flown by the same on-board
-    /// law: the numbers of a vehicle that its firmware does not know.
+    /// The same on-board law with the plant of another vehicle and effects: a vehicle that differs
+    /// from the one in its firmware.
     ///
     /// # Errors
-    /// A vehicle that the physics refuses.
+    /// A vehicle that the physics rejects.
     pub fn flying(
         self,
         vehicle: &VehicleParams,
@@ -105,40 +105,40 @@ impl Simulator {
         Ok(Self { plant, ..self })
     }
 
-    /// The same simulator with predictions compared by `metric`, their turning about `axes` (front,
-    /// right, down).
+    /// The same simulator with its predictions compared by `metric`, their rotation about `axes`
+    /// (front, right, down).
     pub fn compared_by(self, metric: Metric, axes: [bool; 3]) -> Self {
         Self { metric, axes, ..self }
     }
 
-    /// The same simulator with what a learner adds to its accelerations.
+    /// The same simulator with a learner's accelerations added.
     pub fn with_learner(self, learner: Learner) -> Self {
         Self { learner: Some(learner), ..self }
     }
 
-    /// What its predictions are compared by.
+    /// The metric of its predictions.
     pub fn metric(&self) -> Metric {
         self.metric
     }
 
-    /// The axes about which the body's turning is compared: front, right, down.
+    /// The axes about which rotation is compared: front, right, down.
     pub(in crate::diagnose) fn turning_axes(&self) -> [bool; 3] {
         self.axes
     }
 
-    /// How late the vehicle reports its attitude, s.
+    /// Latency of the reported attitude, s.
     pub(in crate::diagnose) fn latency(&self) -> f64 {
         self.latency
     }
 
-    /// From the body's true attitude to the reported one.
+    /// Rotation from the true attitude to the reported one.
     pub(in crate::diagnose) fn trim(&self) -> Attitude {
         self.trim
     }
 
-    /// What will be reported at `start` plus each horizon, from the reported state `from` at
-    /// `start`. Latency and trim are undone at the start and applied again at the end. `None`
-    /// where no setpoint rules at the start. `sensed`: the noise that the on-board loop flies with.
+    /// Predicted reports at `start` plus each horizon, from the report `from` at `start`. Latency
+    /// and trim are removed at the start and applied again at the end. `None` where no setpoint is
+    /// in force. `sensed` is the noise that the on-board loop flies with.
     pub(in crate::diagnose) fn predict(
         &self,
         flight: &PreparedFlight,
@@ -187,8 +187,8 @@ impl Simulator {
         Some(reported)
     }
 
-    /// The plant in the state that is reported as `from`, its rotors as the outputs logged by
-    /// `start` left them.
+    /// The plant in the state reported as `from`, with its rotors driven by the outputs logged
+    /// until `start`.
     fn set_off(&self, flight: &PreparedFlight, start: f64, from: &State) -> Plant {
         let mut plant = self.plant.clone();
         let tau = plant.physics().constants().motor_time_constant;
@@ -209,14 +209,14 @@ impl Simulator {
         plant
     }
 
-    /// How much later than logged outputs act, s: where the setpoints drive the loop the delay is
-    /// theirs.
+    /// Delay from logged outputs to their action, s; 0 where setpoints drive the loop, as the delay
+    /// is then theirs.
     fn output_delay(&self) -> f64 {
         if self.law.is_some() { 0.0 } else { self.command_delay }
     }
 }
 
-/// Adds a learner's accelerations to what a plant's step did.
+/// Adds a learner's accelerations over one step of the plant.
 fn push(plant: &mut Plant, (linear, angular): (Ned, Frd)) {
     let state = *plant.state();
     plant.set_state(State {
@@ -226,7 +226,7 @@ fn push(plant: &mut Plant, (linear, angular): (Ned, Frd)) {
     });
 }
 
-/// A second plant whose body turns as reported, under the same outputs: forces by themselves.
+/// A second plant that rotates as reported under the same outputs, to isolate the forces.
 struct Turned<'a> {
     plant: Plant,
     attitude: Cursor<'a, 4>,
@@ -256,7 +256,7 @@ impl<'a> Turned<'a> {
     }
 }
 
-/// What drives a plant: the logged outputs, or the on-board loop under the logged setpoints.
+/// Drives a plant: the logged outputs, or the on-board loop under the logged setpoints.
 enum Inputs<'a> {
     Logged { outputs: Cursor<'a, ROTORS>, delay: f64 },
     Loop(Loop<'a>),
@@ -284,7 +284,8 @@ impl<'a> Inputs<'a> {
         }
     }
 
-    /// The outputs of the step from `time` on, of a plant in `state`.
+    /// The outputs for the step from `time`, of a plant in `state`; `None` where no setpoint is in
+    /// force.
     fn at(&mut self, time: f64, state: &State) -> Option<[f64; ROTORS]> {
         match self {
             Self::Logged { outputs, delay } => Some(outputs.at(time + 0.5 * Plant::STEP - *delay)),
@@ -293,7 +294,7 @@ impl<'a> Inputs<'a> {
     }
 }
 
-/// The on-board loop as it goes along.
+/// The running on-board loop.
 struct Loop<'a> {
     law: &'a AttitudeLoop,
     rate_hz: f64,
@@ -301,12 +302,12 @@ struct Loop<'a> {
     command_delay: f64,
     setpoints: &'a Stream<AttitudeSetpoint>,
     sensed: Option<LoopNoise<'a>>,
-    /// The last tick, and the outputs that it gave.
+    /// The last tick and its outputs.
     held: Option<(f64, [f64; ROTORS])>,
 }
 
 impl Loop<'_> {
-    /// The outputs in force at `time`; `None` where no setpoint rules.
+    /// The outputs in force at `time`; `None` where no setpoint is in force.
     fn at(&mut self, time: f64, state: &State) -> Option<[f64; ROTORS]> {
         let tick = ((time + TICK_TOLERANCE_S) * self.rate_hz).floor();
         if let Some((_, outputs)) = self.held.filter(|(last, _)| tick <= *last) {
@@ -318,7 +319,7 @@ impl Loop<'_> {
         if let Some(noise) = &mut self.sensed {
             attitude = attitude.compose(noise.attitude_error(1.0 / self.rate_hz));
             rate += noise.gyro_error();
-            // Jitter is a part of the delay.
+            // The delay includes jitter, and cannot become negative.
             sent -= noise.lateness().max(-self.command_delay);
         }
         let asked = setpoint_at(self.setpoints, sent)?;
@@ -328,12 +329,12 @@ impl Loop<'_> {
     }
 }
 
-/// A flight as it is under one draw of its noise.
+/// The noise of a flight in one draw.
 pub(in crate::diagnose) struct NoiseDraw<'a> {
     pub(in crate::diagnose) noise: &'a ReportNoise,
-    /// What the gyro shows beyond the body rate.
+    /// Offset of the gyro's reading from the body rate, rad/s.
     pub(in crate::diagnose) gyro_bias: Frd,
-    /// The setpoints with a draw of those that the log lacks.
+    /// The setpoints, with a draw of those that the log lacks.
     setpoints: Stream<AttitudeSetpoint>,
     pub(in crate::diagnose) seed: u64,
 }
@@ -350,11 +351,10 @@ impl<'a> NoiseDraw<'a> {
     }
 }
 
-/// What disturbs the on-board loop: its sensors' noise, the link's jitter, and setpoints that the
-/// log lacks.
+/// Disturbances of the on-board loop: sensor noise, link jitter, and setpoints that the log lacks.
 pub(in crate::diagnose) struct LoopNoise<'a> {
     draw: &'a NoiseDraw<'a>,
-    /// The attitude's present error about each axis, rad.
+    /// Current error of the attitude about each axis, rad.
     attitude: [f64; 3],
     rng: Pcg64Mcg,
 }
@@ -376,13 +376,13 @@ impl<'a> LoopNoise<'a> {
         small_rotation(self.attitude)
     }
 
-    /// The gyro's, rad/s.
+    /// The gyro's error with its bias, rad/s.
     fn gyro_error(&mut self) -> Frd {
         let deviation = self.draw.noise.body_rate;
         self.draw.gyro_bias + Frd::from(normals(&mut self.rng).map(|z| deviation * z))
     }
 
-    /// How much longer than on average the setpoint in force has been under way, s.
+    /// Delay of the setpoint in force beyond the mean delay, s.
     fn lateness(&mut self) -> f64 {
         let jitter: f64 = Exp1.sample(&mut self.rng);
         JITTER_MEAN_S * (jitter - 1.0)

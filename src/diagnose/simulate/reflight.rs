@@ -1,9 +1,9 @@
-//! Flights flown again in simulation, in closed loop, and compared with their logs.
+//! Flies flights again in closed-loop simulation, and compares them with their logs.
 //!
 //! Feedback hides a plant's errors in the trajectory and shows them in the commands: a vehicle that
-//! is heavier than believed flies nearly the same path with more thrust. Both are compared, with
-//! the vehicle as shipped and with the effects that were named, each flown by the daemon's feedback
-//! as it is designed for the vehicle as shipped.
+//! is heavier than its file flies nearly the same path with more thrust. Both are compared, for the
+//! vehicle as shipped and with the named effects. The daemon's feedback flies each of them,
+//! designed for the vehicle as shipped.
 
 mod course;
 
@@ -27,22 +27,22 @@ use crate::diagnose::simulate::flight_simulator::{
 };
 use crate::log::import::{Flight, Stream};
 
-/// A difference beyond the floor by less, in units of it, is none that could be closed: a floor is
-/// of two draws only.
+/// Least excess over the floor that counts as closable, as a share of the floor. A floor comes from
+/// two draws only.
 const GAP_MIN: f64 = 0.2;
-/// Times at which flights are compared are this far apart, s.
+/// Time between the compared instants, s.
 const SPACING_S: f64 = 0.02;
-/// Commands are compared as means over this many of these times: the gyro's noise is in every
-/// output, and says nothing about the plant.
+/// Instants over which commands are averaged: the gyro's noise is in every output, and shows
+/// nothing of the plant.
 const MEAN_OVER: usize = 5;
 
-/// Why nothing was flown again.
+/// Why no flight was flown again.
 #[derive(Debug, thiserror::Error)]
 pub enum NotReflown {
     /// The vehicle cannot be flown in simulation.
     #[error(transparent)]
     NotSimulated(#[from] NotSimulated),
-    /// No flight held out tells where it was.
+    /// No held-out flight has the motion and outputs to compare with.
     #[error(
         "no flight held out has position, velocity, attitude and outputs over three seconds or more"
     )]
@@ -61,28 +61,28 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// How much of what can be closed is: (before - after) / (before - floor), where there is
-    /// anything to close.
+    /// The closed share of the closable difference: (before - after) / (before - floor); `None`
+    /// where nothing is closable.
     pub fn closure(&self) -> Option<f64> {
         let closable = self.before - self.floor;
         (closable > GAP_MIN * self.floor).then(|| (self.before - self.after) / closable)
     }
 }
 
-/// Flights held out and the same flown again in simulation.
+/// The held-out flights compared with the same flights flown again in simulation.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct ClosedLoop {
     /// Length of the position's difference, m.
     pub position_m: Difference,
     /// Angle between the attitudes, rad.
     pub attitude_rad: Difference,
-    /// Collective thrust of the motor outputs, by the firmware's mixer, N.
+    /// Collective thrust of the motor outputs through the firmware's mixer, N.
     pub thrust_n: Difference,
-    /// Length of the moments' difference, likewise, N m.
+    /// Length of the moments' difference through the same mixer, N m.
     pub moment_nm: Difference,
-    /// Of one motor output, 0..1.
+    /// Motor output, 0..1, root mean square over the motors.
     pub output: Difference,
-    /// The flights.
+    /// Each flight, or unbroken part of one, that was flown again.
     pub flights: Vec<Reflown>,
 }
 
@@ -91,7 +91,7 @@ pub struct ClosedLoop {
 pub struct Reflown {
     /// The flight's name.
     pub name: String,
-    /// Where the reference comes from.
+    /// Source of the reference that was tracked.
     pub reference: ReferenceOrigin,
     /// Its length, s.
     pub seconds: f64,
@@ -103,21 +103,21 @@ pub struct Reflown {
 /// Differences of one flight over time.
 #[derive(Clone, Debug, Default)]
 pub struct Traces {
-    /// From the part's start, s.
+    /// Time since the part's start, s.
     pub time_s: Vec<f64>,
     /// Length of the position's difference, before and after, m.
     pub position_m: [Vec<f64>; 2],
     /// Simulated less logged thrust, before and after, N.
     pub thrust_n: [Vec<f64>; 2],
-    /// What was logged: north, east, down, m, and thrust, N.
+    /// Logged values: north, east, down, m, and thrust, N.
     pub logged: [Vec<f64>; 4],
-    /// The same as simulated, before and after.
+    /// Simulated values of the same, before and after.
     pub simulated: [[Vec<f64>; 4]; 2],
 }
 
-/// Flies the flights held out again, with the vehicle as shipped and with `effects` put over it,
-/// under reports with this `noise`, along what [`ReferenceOrigin`] says. Turbulence is left out:
-/// one draw is not another.
+/// Flies the held-out flights again, with the vehicle as shipped and with `effects` put over it.
+/// Reports have `noise`; the reference is chosen by [`ReferenceOrigin`]. Turbulence is left out,
+/// since its draw would differ from the flight's.
 ///
 /// # Errors
 /// [`NotReflown`].
@@ -173,7 +173,7 @@ pub fn reflight(
     })
 }
 
-/// The vehicle as shipped and with `effects`, under one ground's control.
+/// The vehicle as shipped and with `effects`, under one controller.
 fn simulators<'a>(
     control: &'a GroundControl,
     vehicle: &'a VehicleParams,
@@ -185,7 +185,7 @@ fn simulators<'a>(
     Ok([simulator(&EffectSet::new())?, simulator(effects)?])
 }
 
-/// What parts of flights are flown again in: the vehicle as shipped, and with the effects.
+/// The simulators for parts of flights: the vehicle as shipped, and with the effects.
 struct Simulation<'a> {
     /// Under the daemon's limits, and without them.
     limited: [FlightSimulator<'a>; 2],
@@ -195,8 +195,8 @@ struct Simulation<'a> {
 }
 
 impl Simulation<'_> {
-    /// One part flown again: how the log differs from the vehicle as shipped, from that with the
-    /// effects, and this from another draw of its noise.
+    /// Flies one part again. Returns the differences of the log from the vehicle as shipped, of the
+    /// log from the vehicle with the effects, and of the latter from another draw of its noise.
     fn compare(
         &self,
         flight: &PreparedFlight,
@@ -222,7 +222,7 @@ impl Simulation<'_> {
         Ok((reflown, sums))
     }
 
-    /// The motion of the vehicle of this index along a course.
+    /// The motion of the vehicle with index `vehicle` along a course.
     fn fly(
         &self,
         vehicle: usize,
@@ -246,7 +246,7 @@ impl Simulation<'_> {
     }
 }
 
-/// How a vehicle reports its state.
+/// How a vehicle's reports differ from its true state.
 struct Reports {
     latency_s: f64,
     untrim: Attitude,
@@ -263,7 +263,7 @@ impl Reports {
         }
     }
 
-    /// The true state behind what `flight` reports about `time`.
+    /// The true state behind the report of `flight` at `time`.
     fn departure(&self, flight: &PreparedFlight, time: f64) -> Departure {
         let reported = state_at(flight, time + self.latency_s);
         Departure {
@@ -287,7 +287,7 @@ fn state_at(flight: &PreparedFlight, time: f64) -> State {
     }
 }
 
-/// What a flight did at the times that are compared.
+/// Motion and commands of a flight at the compared instants.
 struct Motion {
     states: Vec<(Ned, Attitude)>,
     /// Collective [N], moments [N m] and outputs.
@@ -348,7 +348,7 @@ impl Motion {
         pairs.map(|((p, _), (q, _))| (*p - *q).norm()).collect()
     }
 
-    /// By how much the thrust of `other` is greater.
+    /// Thrust of `other` beyond that of `self`, N.
     fn thrust_beyond(&self, other: &Self) -> Vec<f64> {
         let pairs = self.commands.iter().zip(&other.commands);
         pairs.map(|((a, _), (b, _))| b[0] - a[0]).collect()
@@ -383,7 +383,7 @@ fn nearest(stream: &Stream<Attitude>, time: f64) -> Option<Attitude> {
     stream.values().get(if is_nearer { next } else { index }).copied()
 }
 
-/// Sums of squares of position, attitude, thrust, moment and output.
+/// Sums of squared differences of position, attitude, thrust, moment and output.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     squares: [f64; 5],

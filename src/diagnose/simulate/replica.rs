@@ -1,12 +1,12 @@
 //! Replicas: flights as a candidate vehicle would have flown them.
 //!
-//! The plant flies the logged course in closed loop: the on-board law follows the setpoints as they
-//! were logged. A soft loop about the smoothed position and velocity of the log, slow against
-//! everything that is compared, corrects the setpoints, so that model errors do not carry the
-//! replica off its course. Without the smoothing it would take out of the setpoints the noise that
-//! the ground's feedback put there. Sensors report with noise at the very stamps of the log,
-//! so that a replica goes through the same analysis as the flight: noise that feedback puts into
-//! the outputs, aliasing between rates and interpolation come along.
+//! The plant flies the logged course in closed loop, and the on-board law follows the logged
+//! setpoints. A soft loop about the smoothed position and velocity of the log corrects the
+//! setpoints, so that model errors do not carry the replica off its course. It is slow compared
+//! with everything that is measured. Without the smoothing it would remove the noise that the
+//! controller's feedback put into the setpoints. Sensors report with noise at the exact stamps of
+//! the log. A replica thus goes through the same analysis as the flight, including the noise that
+//! feedback puts into the outputs, aliasing between rates, and interpolation.
 
 use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, Exp1};
@@ -30,17 +30,17 @@ use crate::diagnose::flights::setpoints::{as_flown, infer};
 use crate::diagnose::likelihood::noise::ReportNoise;
 use crate::log::import::{AttitudeSetpoint, Stream};
 
-/// Bandwidth of the loop about the logged course, rad/s, and the most that it asks for, m/s^2.
+/// Bandwidth of the loop about the logged course, rad/s, and its acceleration limit, m/s^2.
 const COURSE_RAD_S: f64 = 1.0;
 const COURSE_MAX: f64 = 3.0;
-/// The course is the mean over so much time to each side, s.
+/// The course is averaged over this time to each side, s.
 const COURSE_SMOOTHING_S: f64 = 0.12;
-/// Gain from an attitude's error to a body rate where setpoints are body rates, 1/s.
+/// Gain from attitude error to body rate, where setpoints are body rates, 1/s.
 const RATE_GAIN: f64 = 4.0;
-/// Time from which rotors and delays reach into a span, s.
+/// Time before a span over which rotors and delays act on it, s.
 const WARM_UP_S: f64 = 0.4;
 
-/// A vehicle that flies again what was logged.
+/// A vehicle that flies logged flights again.
 #[derive(Clone, Debug)]
 pub struct Replica {
     plant: Plant,
@@ -57,11 +57,11 @@ pub struct Replica {
 }
 
 impl Replica {
-    /// The vehicle that `values` stand for, whose sensors have `noise`. `onboard`: the law that
+    /// The vehicle with the numbers `values`, whose sensors have `noise`. `onboard` is the law that
     /// follows the setpoints.
     ///
     /// # Errors
-    /// A vehicle that the physics refuses.
+    /// A vehicle that the physics rejects.
     pub fn new(
         catalogue: &Catalogue,
         values: &[f64],
@@ -87,7 +87,7 @@ impl Replica {
         })
     }
 
-    /// Flies `flight` again; outside of its airborne spans nothing changes.
+    /// Flies `flight` again; data outside its airborne spans stay as they are.
     pub fn fly(&self, flight: &PreparedFlight, seed: u64) -> PreparedFlight {
         let mut replica = flight.clone();
         let mut flown = as_flown(&flight.setpoint, &flight.inferred, !seed);
@@ -95,7 +95,7 @@ impl Replica {
             let seed = seed.wrapping_add((index as u64) << 40);
             self.fly_span(flight, span.clone(), seed, &mut flown, &mut replica);
         }
-        // What the log lacks is on a line again.
+        // Setpoints that the log lacks are interpolated again.
         let mut setpoints = flown.into_values();
         infer(&mut setpoints, &flight.inferred);
         replica.send(setpoints);
@@ -111,7 +111,7 @@ impl Replica {
         replica: &mut PreparedFlight,
     ) {
         let steps_per_second = (1.0 / Plant::STEP).round();
-        // On whole milliseconds the loop's ticks and most stamps fall on steps.
+        // On whole milliseconds the loop's ticks and most stamps coincide with steps.
         let first = (span.start * steps_per_second).ceil();
         let time_of = |k: usize| (first + k as f64) * Plant::STEP;
         let steps = ((span.end * steps_per_second).floor() - first).max(0.0) as usize;
@@ -165,7 +165,7 @@ impl Replica {
         }
     }
 
-    /// Puts the plant where the flight was, its rotors as the logged outputs left them.
+    /// Puts the plant at the flight's state, with its rotors driven by the logged outputs.
     fn settle(&self, flight: &PreparedFlight, start: f64, plant: &mut Plant) {
         let mut outputs = flight.outputs.cursor();
         let steps = (WARM_UP_S / Plant::STEP).round() as usize;
@@ -180,8 +180,8 @@ impl Replica {
         plant.set_state(self.course(flight, start));
     }
 
-    /// Where the flight was at `time`: as reported, smoothed where it is slow, with the vehicle's
-    /// latency and trim undone.
+    /// The flight's state at `time`: position and velocity as reported and smoothed, with the
+    /// vehicle's latency and trim removed.
     fn course(&self, flight: &PreparedFlight, time: f64) -> State {
         let seen = time + self.latency;
         let smoothed = |series: &Series<3>| series.mean_about(seen, COURSE_SMOOTHING_S);
@@ -193,7 +193,7 @@ impl Replica {
         }
     }
 
-    /// Acceleration that leads back to the course, north, east, down, m/s^2.
+    /// Acceleration back to the course, north, east, down, m/s^2.
     fn back(&self, wanted: &State, state: &State) -> Ned {
         let asked = (wanted.position - state.position) * COURSE_RAD_S.powi(2)
             + (wanted.velocity - state.velocity) * (2.0 * COURSE_RAD_S);
@@ -201,7 +201,7 @@ impl Replica {
         if norm > COURSE_MAX { asked * (COURSE_MAX / norm) } else { asked }
     }
 
-    /// Pitch, roll and collective [N] for an acceleration.
+    /// Changes of pitch and roll [rad] and of collective thrust [N] for an acceleration.
     fn tilt(&self, asked: Ned, heading: f64) -> [f64; 3] {
         let [north, east, down] = asked.to_array();
         let (sin, cos) = heading.sin_cos();
@@ -209,7 +209,7 @@ impl Replica {
         [-front / self.gravity, right / self.gravity, -down * self.mass]
     }
 
-    /// Corrects a setpoint that is sent at `time` towards the course.
+    /// Corrects a setpoint sent at `time` towards the course.
     fn correct(
         &self,
         setpoint: &mut AttitudeSetpoint,
@@ -237,11 +237,11 @@ impl Replica {
     }
 }
 
-/// Which setpoints have been sent and which has arrived last.
+/// The setpoints under way and the one in force.
 struct Arrivals {
-    /// The next to be sent.
+    /// Index of the next setpoint to send.
     next: usize,
-    /// Sent ones: when they arrive.
+    /// Arrival times and indices of the sent ones.
     under_way: Vec<(f64, usize)>,
     acting: Option<usize>,
 }
@@ -252,7 +252,7 @@ impl Arrivals {
         Self { next, under_way: Vec::new(), acting: None }
     }
 
-    /// A setpoint that is sent by `time`, and when.
+    /// Index and time of the next setpoint, if it is sent by `time`.
     fn sent(&mut self, setpoints: &Stream<AttitudeSetpoint>, time: f64) -> Option<(usize, f64)> {
         let sent = *setpoints.times().get(self.next)?;
         (sent <= time).then_some((self.next, sent))
@@ -266,7 +266,7 @@ impl Arrivals {
         self.next = index + 1;
     }
 
-    /// The newest that has arrived by `time`.
+    /// The newest setpoint that has arrived by `time`.
     fn acting(&mut self, time: f64) -> Option<usize> {
         let acting = &mut self.acting;
         self.under_way.retain(|(arrives, index)| {
@@ -280,7 +280,7 @@ impl Arrivals {
     }
 }
 
-/// Puts readings at the stamps of a log.
+/// Writes readings at the stamps of a log.
 struct Recorder {
     position: usize,
     velocity: usize,
@@ -305,7 +305,7 @@ impl Recorder {
         }
     }
 
-    /// Whether a stamp lies nearest to `time`.
+    /// Whether the step at `time` is the nearest to any stamp.
     fn is_due(&self, replica: &PreparedFlight, time: f64) -> bool {
         fn due<const N: usize>(series: &Series<N>, next: usize, time: f64) -> bool {
             series.times().get(next).is_some_and(|stamp| *stamp < time + 0.5 * Plant::STEP)
@@ -318,7 +318,7 @@ impl Recorder {
             || due(&replica.outputs, self.outputs, time)
     }
 
-    /// Writes what was read at `time` to the stamps around it.
+    /// Writes the readings of `time` to the stamps around it.
     fn write(
         &mut self,
         replica: &mut PreparedFlight,
@@ -354,7 +354,8 @@ impl Recorder {
     }
 }
 
-/// Sets the samples whose stamps lie nearest to `time`; `value` gets how much later they are, s.
+/// Sets the samples whose stamps are nearest to `time`. `value` receives the time from `time` to
+/// the stamp, s.
 fn put<const N: usize>(
     series: &mut Series<N>,
     next: &mut usize,

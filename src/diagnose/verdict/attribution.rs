@@ -1,9 +1,9 @@
-//! The attribution: the squared gap as shipped, parted into shares.
+//! The attribution: the squared gap as shipped, split into shares.
 //!
-//! Each effect's share and that of the vehicle file's numbers are the mean over the orders of
-//! adding them of what each takes off the squared gap (Shapley 1953), on flights that chose
-//! nothing; what is left is noise, and a remainder. Shares add up to one; one is negative where it
-//! makes predictions worse.
+//! The share of each effect and of the vehicle file's numbers is its Shapley value (Shapley 1953):
+//! the reduction of the squared gap, averaged over the orders of adding them, on held-out flights.
+//! The rest is noise and a remainder. Shares add up to one; one that makes predictions worse is
+//! negative.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, Exp1};
@@ -16,20 +16,20 @@ use serde::Serialize;
 pub struct Share {
     /// An effect's id, `file`, `remainder` or `noise`.
     pub of: String,
-    /// The share.
+    /// The share; negative where it makes predictions worse.
     pub share: f64,
-    /// Its 90 % interval over the windows that predictions are made in.
+    /// Its 90 % interval over the prediction windows.
     pub interval: [f64; 2],
 }
 
-/// Draws of the windows (Bayesian bootstrap over runs of them) for intervals.
+/// Draws of the prediction windows (Bayesian bootstrap over runs of them) for intervals.
 const DRAWS: usize = 400;
-/// Windows that overlap or follow one another are drawn together: five seconds of them.
+/// Windows that overlap or are adjacent are drawn together: five seconds of them.
 const RUN: usize = 20;
 
-/// Shares of the squared gap, given the squared gap with each subset of the players (the bits of
-/// its index) under weights of the windows. `noise`: what noise leaves of it as shipped, at most.
-/// `names`: of the players, then of the remainder and of noise.
+/// Shares of the squared gap. `squares` returns the squared gap with each subset of the players
+/// (the bits of its index) under weights of the windows. `noise` is an upper limit on the part of
+/// the squared gap that is noise. `names` holds the players, then the remainder and the noise.
 pub fn shares(
     names: &[&str],
     windows: usize,
@@ -73,8 +73,8 @@ pub fn shares(
     )
 }
 
-/// Shapley values of `players`, given the squared gap with each subset of them, whose members are
-/// the bits of its index: what each takes off.
+/// Shapley values of `players`: the reduction that each brings. `square` holds the squared gap with
+/// each subset, whose members are the bits of its index.
 pub fn shapley(players: usize, square: &[f64]) -> Vec<f64> {
     let factorial = |n: usize| (1..=n).map(|k| k as f64).product::<f64>();
     (0..players)
@@ -98,7 +98,7 @@ mod tests {
 
     #[test]
     fn what_one_run_of_windows_shows_alone_has_a_wide_share() {
-        // One effect closes 3 of 4 in every window; the other 3 of 4 in the first run only.
+        // One effect closes 3 of 4 in every window; the other closes 3 of 4 in the first run only.
         let squares = |steady: bool| {
             move |weights: &[f64]| {
                 let total: f64 = weights.iter().sum();
@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn shares_add_up_and_what_does_nothing_has_none() {
-        // Two that overlap, and one that does nothing.
+        // Two players that overlap, and one that does nothing.
         let square = |set: usize| match set & 3 {
             0 => 9.0,
             1 => 4.0,

@@ -1,30 +1,32 @@
-//! What is calibrated of the decision: the numbers that turn evidence into probabilities.
+//! The calibrated numbers that turn evidence into probabilities.
 //!
-//! `downwash exam --decide DIR --calibrate FILE` makes `calibration.toml`, which is compiled in and
-//! says from which exams it is, and how it fares on families of cases that it is not made on.
+//! `downwash exam --decide DIR --calibrate FILE` writes `calibration.toml`, which is compiled in.
+//! It records the exams that it was fitted on, and its scores on families of cases that it was not
+//! fitted on.
 
 use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
 
-/// Signs that the cause is not in the catalogue: 1, and what an explanation leaves of the gap.
+/// Number of signs that the cause is outside the catalogue: the constant 1, and the share of the
+/// closable gap that an explanation leaves open.
 pub const SIGNS: usize = 2;
 
-/// Numbers of the decision.
+/// The calibrated numbers of the decision.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// Version of the file.
     pub version: u32,
-    /// No law of the catalogue is right to more than about this share of its evidence: the standard
-    /// deviation of what each explanation's evidence is off by; and a number is off by this share of
-    /// its distance from the vehicle file's, beside its fit's scatter.
+    /// Inexactness of the catalogue's laws, as a share. It is the standard deviation of each
+    /// explanation's evidence relative to its size. A number also errs by this share of its
+    /// distance from the vehicle file's value, beside its fit's scatter.
     pub law: f64,
-    /// Log odds that the cause is not in the catalogue, by its [signs](SIGNS).
+    /// Log odds that the cause is outside the catalogue: the weights of its [signs](SIGNS).
     pub discrepancy: [f64; SIGNS],
 }
 
 static SHIPPED: LazyLock<Calibration> = LazyLock::new(|| {
-    // Compiled in, and read by a test.
+    // Compiled in, and parsed by a test.
     toml::from_str(include_str!("calibration.toml")).expect("the calibration is a table of numbers")
 });
 
@@ -34,13 +36,14 @@ impl Calibration {
         &SHIPPED
     }
 
-    /// Probability that the cause is not in the catalogue.
+    /// Probability that the cause is outside the catalogue.
     pub fn discrepancy(&self, signs: &[f64; SIGNS]) -> f64 {
         let log_odds: f64 = self.discrepancy.iter().zip(signs).map(|(w, x)| w * x).sum();
         1.0 / (1.0 + (-log_odds).exp())
     }
 
-    /// Standard deviation of a number, by that of its fit and how far it is from the file's.
+    /// Standard deviation of a number, from its fit's (`fitted`) and its distance from the file's
+    /// value (`off`).
     pub fn deviation(&self, fitted: f64, off: f64) -> f64 {
         fitted.hypot(self.law * off)
     }

@@ -1,4 +1,4 @@
-//! Parameters of an effect as an answer tells them.
+//! Parameters of an effect in the form of an answer.
 
 use std::collections::BTreeMap;
 
@@ -6,11 +6,11 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::effects::{EffectId, EffectSet, Kind, ParameterValue};
 
-/// A parameter's value.
+/// A parameter's value, untagged in JSON.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 #[serde(untagged)]
 pub enum Parameter {
-    /// A place in a list.
+    /// An index, such as a rotor's.
     Index(u64),
     /// A number.
     Number(f64),
@@ -18,7 +18,7 @@ pub enum Parameter {
     Vector(Vec<f64>),
 }
 
-/// All parameters of an effect that is on in `set`.
+/// All parameters of effect `id`, by name; empty where it is off in `set`.
 pub fn parameters(set: &EffectSet, id: EffectId) -> BTreeMap<&'static str, Parameter> {
     let Some(slots) = set.slots(id) else { return BTreeMap::new() };
     id.spec()

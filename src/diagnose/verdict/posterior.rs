@@ -1,4 +1,4 @@
-//! The posterior masses of the explanations, and which of them a verdict rests on.
+//! The posterior masses of the explanations, and the choice of one for the verdict.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,23 +10,24 @@ use vehicle::effects::EffectId;
 use crate::diagnose::verdict::calibration::Calibration;
 use crate::diagnose::verdict::evidence::{Evidence, Explained};
 
-/// The price of an effect, nats: about forty may act, and one does in half of the cases.
+/// Price of an effect, nats: about forty could act, and in half of the cases one does.
 pub(in crate::diagnose) const PRICE: f64 = 3.7;
-/// Draws of the flights (Bayesian bootstrap over blocks) that masses are the mean over.
+/// Draws of the flights (Bayesian bootstrap over blocks) for the mean of the masses.
 const DRAWS: usize = 400;
-/// Share of what the file leaves open that an effect must close to change predictions.
+/// Share of the file's open gap that an effect must close to count as changing predictions.
 pub(in crate::diagnose) const CHANGES: f64 = 0.12;
-/// Or share of the evidence: the body rate shows a lag that is over before a position tells.
+/// Or its share of the evidence: the body rate shows a lag that ends before it reaches the
+/// position.
 pub(in crate::diagnose) const CARRIES: f64 = 0.3;
 /// Least evidence that counts, nats: odds of twenty thousand to one, for a model that is never
 /// quite right.
 const EVIDENCE: f64 = 10.0;
-/// Least mass of an effect that would explain the flights as well as what is named.
+/// Least mass of an effect that explains the flights as well as the named ones.
 pub(super) const RIVAL: f64 = 0.1;
-/// A gap that is open, in units of what noise alone leaves, beyond four times its scatter.
+/// An open gap in units of the floor, beyond four times its scatter.
 pub(in crate::diagnose) const OPEN: f64 = 1.15;
 
-/// Effects that act alike have one name here.
+/// The common name of effects that act alike.
 pub(super) fn class(effect: &str) -> &str {
     effect.parse::<EffectId>().map_or(effect, |id| id.class().name())
 }
@@ -39,8 +40,8 @@ pub(super) struct Posterior<'a> {
 }
 
 /// Posterior masses of the explanations: the mean over draws of the flights' blocks (pseudo-BMA+;
-/// Yao, Vehtari, Simpson and Gelman 2018), each explanation's evidence off by what its law is not
-/// exact, and by what chance gives it. What stands for something else has none.
+/// Yao, Vehtari, Simpson and Gelman 2018). Each explanation's evidence errs by the inexactness of
+/// its law and by chance. Implausible explanations get no mass.
 fn masses(evidence: &Evidence, calibration: &Calibration, scores: &[f64]) -> Vec<f64> {
     let explanations = &evidence.explanations;
     let Some(file) = explanations.first() else { return Vec::new() };
@@ -82,7 +83,7 @@ fn masses(evidence: &Evidence, calibration: &Calibration, scores: &[f64]) -> Vec
 }
 
 impl<'a> Posterior<'a> {
-    /// Of evidence, by a calibration.
+    /// Weighs the evidence with a calibration.
     pub fn new(evidence: &'a Evidence, calibration: &Calibration) -> Self {
         let scores = evidence.scores();
         let masses = masses(evidence, calibration, &scores);
@@ -93,22 +94,23 @@ impl<'a> Posterior<'a> {
         &self.evidence.explanations[index]
     }
 
-    /// The squared gap on the flights for choosing, at most as shipped: the file's numbers need not
-    /// be off.
+    /// The squared gap on the flights for choosing. For the file it is at most the gap as shipped:
+    /// its numbers need not be off.
     fn chosen(&self, index: usize) -> Option<f64> {
         let own = self.explained(index).choosing_square()?;
         let shipped = self.evidence.shipped[0]?.powi(2);
         Some(if index == 0 { own.min(shipped) } else { own })
     }
 
-    /// The same on the flights reported on.
+    /// The squared gap on the held-out flights, with the same limit.
     pub fn reported(&self, index: usize) -> Option<f64> {
         let own = self.explained(index).reported_square()?;
         let shipped = self.evidence.shipped[1]?.powi(2);
         Some(if index == 0 { own.min(shipped) } else { own })
     }
 
-    /// The explanation of the most mass with these effects, or what acts as they do.
+    /// The explanation with the most mass among those with these effects, or with ones that act
+    /// alike.
     fn of(&self, effects: &BTreeSet<&str>) -> Option<usize> {
         let is_it = |index: &usize| {
             let own = &self.explained(*index).effects;
@@ -118,12 +120,12 @@ impl<'a> Posterior<'a> {
         all.max_by(|a, b| self.masses[*a].total_cmp(&self.masses[*b]))
     }
 
-    /// The share of what the file leaves open on the flights for choosing that the explanation
-    /// `less` leaves more than `more`; of the evidence, where nothing is predicted.
+    /// How much more `less` leaves open than `more` on the flights for choosing, as a share of the
+    /// file's open gap. Where nothing is predicted, a share of the evidence.
     fn share(&self, more: usize, less: usize) -> f64 {
         match (self.chosen(0), self.chosen(more), self.chosen(less)) {
             (Some(file), Some(more), Some(less)) => {
-                // Near the floor shares are large and say little.
+                // Near the floor, shares are large and mean little.
                 (less - more) / (file - 1.0).max(2.0 * (OPEN * OPEN - 1.0))
             }
             _ => self.evidence_share(more, less),
@@ -136,7 +138,7 @@ impl<'a> Posterior<'a> {
         if gain > EVIDENCE { gain / self.scores[more] } else { 0.0 }
     }
 
-    /// The explanation of the most mass without effects that change no prediction.
+    /// The explanation with the most mass, without effects that change no prediction.
     pub fn best(&self) -> usize {
         let by_mass = |a: &usize, b: &usize| self.masses[*a].total_cmp(&self.masses[*b]);
         let Some(likeliest) = (0..self.masses.len()).max_by(by_mass) else { return 0 };
@@ -144,8 +146,8 @@ impl<'a> Posterior<'a> {
         if best == likeliest { best } else { self.best_part(likeliest, best) }
     }
 
-    /// Of the parts of an explanation with as many effects as `best` the one that predicts the flights
-    /// for choosing best.
+    /// Among the parts of an explanation with as many effects as `best`, the one that best predicts
+    /// the flights for choosing.
     fn best_part(&self, whole: usize, best: usize) -> usize {
         let own: BTreeSet<&str> = self.explained(whole).effects.iter().map(|e| class(e)).collect();
         let count = self.explained(best).effects.len();
@@ -163,7 +165,7 @@ impl<'a> Posterior<'a> {
         left.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(best, |(index, _)| index)
     }
 
-    /// An explanation without effects that change no prediction.
+    /// The explanation without its effects that change no prediction.
     fn without_idle(&self, mut best: usize) -> usize {
         loop {
             let effects = &self.explained(best).effects;
@@ -194,7 +196,7 @@ impl<'a> Posterior<'a> {
         inclusion
     }
 
-    /// Whether an effect stands in the place of one of an explanation's, rather than beside it.
+    /// Whether an effect replaces one of the explanation's effects rather than joining them.
     pub fn is_in_place(&self, best: usize, effect: &str) -> bool {
         let own: BTreeSet<&str> = self.explained(best).effects.iter().map(|e| class(e)).collect();
         let with = self.evidence.explanations.iter().zip(&self.masses).filter(|(explained, _)| {

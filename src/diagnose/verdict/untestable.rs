@@ -1,4 +1,4 @@
-//! Which effects of the catalogue a log's channels cannot show, whatever was flown.
+//! Effects of the catalogue that a log's channels cannot show, whatever was flown.
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -7,7 +7,7 @@ use vehicle::effects::{EffectId, Need};
 use crate::audit::{Channels, FAST_HZ, Rates};
 use crate::log::import::Flight;
 
-/// A voltage that changes less than this share shows no sag.
+/// A voltage whose range is below this share of its maximum shows no sag.
 const VOLTAGE_RANGE: f64 = 0.02;
 
 /// An effect that a log cannot show.
@@ -16,7 +16,7 @@ pub struct Untestable {
     /// Its id in the catalogue.
     #[schemars(with = "String")]
     pub effect: EffectId,
-    /// What is missing.
+    /// What is missing in the log.
     pub reason: String,
 }
 
@@ -25,12 +25,12 @@ pub(in crate::diagnose) fn voltage_range(voltages: impl Iterator<Item = f64>) ->
     voltages.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)])
 }
 
-/// Whether voltages within a range show no sag.
+/// Whether voltages in this range are too constant to show a sag.
 pub(in crate::diagnose) fn is_flat([low, high]: [f64; 2]) -> bool {
     high - low < VOLTAGE_RANGE * high
 }
 
-/// The effects of the catalogue that these channels cannot show, whatever was flown.
+/// The effects of the catalogue that these channels cannot show, with the reason.
 pub fn of(flight: &Flight, channels: &Channels) -> Vec<Untestable> {
     let missing = |effect: EffectId| {
         reason(effect, flight, channels).map(|reason| Untestable { effect, reason })
@@ -42,7 +42,7 @@ fn reason(id: EffectId, flight: &Flight, channels: &Channels) -> Option<String> 
     id.spec().needs.iter().find_map(|need| lacking(*need, flight, channels))
 }
 
-/// What of a need these channels lack.
+/// Why these channels do not meet a need, if they do not.
 fn lacking(need: Need, flight: &Flight, channels: &Channels) -> Option<String> {
     let lacks = |has: bool, what: &str| (!has).then(|| what.to_owned());
     let driven = channels.outputs || channels.rotor_speed || channels.setpoint;

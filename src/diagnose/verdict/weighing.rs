@@ -1,5 +1,5 @@
-//! From explanations to evidence: what each makes of the flights for choosing and of those reported
-//! on.
+//! Evidence from explanations: how each fares on the flights for choosing and on the held-out
+//! flights.
 
 use vehicle::VehicleError;
 use vehicle::effects::{EffectId, EffectSet};
@@ -25,18 +25,18 @@ use crate::diagnose::verdict::evidence::{Evidence, Explained, FileNumber, ForceL
 use crate::diagnose::verdict::parameter::parameters;
 use crate::diagnose::verdict::untestable::{is_flat, voltage_range};
 
-/// Explanations whose predictions are made.
+/// Explanations that are predicted on the held-out flights, besides the file and parts of these.
 const PREDICTED: usize = 8;
-/// Time over which a force is compared with the velocity's noise, s.
+/// Time scale for comparing a force with the velocity's noise, s.
 const FORCE_TIME_S: f64 = 0.5;
-/// A smaller force matters to nobody, in units of the weight.
+/// Least force that matters, in units of the weight.
 const FORCE_MIN_WEIGHTS: f64 = 0.01;
-/// Quantile of the normal distribution for one in a hundred.
+/// Normal quantile at 99 %.
 const Z99: f64 = 2.326;
 
-/// What the file's errors bring about of a number, one standard deviation, and where the on-board
-/// loop is not known (`leg`) so that no twin tells, as much of what the error of the logged moments does
-/// that [`TOLERANCES_MAX`] of these are all of it.
+/// Standard deviation that the vehicle file's errors give a number. Without a known on-board loop
+/// (`leg`) no twin measures the effect of errors in the logged moments; this adds them such that
+/// [`TOLERANCES_MAX`] standard deviations cover them in full.
 pub(in crate::diagnose) fn unremarkable(number: &Number, turning: &[Turning; 3], leg: bool) -> f64 {
     let by_moments = match number.target {
         _ if leg => 0.0,
@@ -48,9 +48,9 @@ pub(in crate::diagnose) fn unremarkable(number: &Number, turning: &[Turning; 3],
 }
 
 impl Inquiry<'_> {
-    /// An explanation with the vehicle file's numbers as other flights have them, within their
+    /// An explanation with the vehicle file's numbers fitted to other flights within their
     /// tolerances: a trim, the balance of the torques and the level of the thrust differ from
-    /// flight to flight. `about`: derivatives on those flights.
+    /// flight to flight. `about` holds derivatives on those flights.
     fn adapted(
         &self,
         explanation: &Explanation,
@@ -71,7 +71,7 @@ impl Inquiry<'_> {
         adapted
     }
 
-    /// The gaps with parts of an explanation, on some flights.
+    /// The gaps on `flights` with the effects alone, the file's numbers alone, and both.
     fn gaps(
         &self,
         explanation: &Explanation,
@@ -87,7 +87,7 @@ impl Inquiry<'_> {
         Ok(Some(Gaps::over([effects, file, both], floor, self.metric)))
     }
 
-    /// An explanation in plain numbers.
+    /// An explanation in plain numbers, before its predictions.
     fn explained(
         &self,
         explanation: &Explanation,
@@ -103,7 +103,7 @@ impl Inquiry<'_> {
                 let value = fit.values[*index];
                 let near = 1e-3 * number.magnitude;
                 let off = (value - number.reference).abs() > near;
-                // That an effect of the file is not there is no end of what occurs.
+                // An absent effect of the file is at a bound, but that is a valid value.
                 let is_absent =
                     number.target.absent().is_some_and(|absent| (value - absent).abs() < near);
                 Found {
@@ -138,7 +138,7 @@ impl Inquiry<'_> {
         }
     }
 
-    /// What the vehicle file alone moves of its numbers, the furthest off first.
+    /// The vehicle file's numbers as the file alone fits them, the furthest off first.
     fn file_numbers(&self, file: &Explanation) -> Vec<FileNumber> {
         let of_number = |index: usize| {
             let Number { target, expected, tolerance, .. } = self.catalogue.numbers[index];
@@ -155,8 +155,8 @@ impl Inquiry<'_> {
         numbers
     }
 
-    /// Everything that a verdict rests on. `turning`: what motor outputs tell; `scale` and `scales`: how
-    /// good the vehicle file is.
+    /// Everything that a verdict rests on. `turning` rates the moments from motor outputs; `scale`
+    /// and `scales` rate the vehicle file.
     pub fn evidence(
         &self,
         found: &Explanations,
@@ -213,12 +213,12 @@ impl Inquiry<'_> {
             force: None,
             gusts_m_s: None,
         };
-        // Only what may be chosen is predicted on the flights reported on.
+        // Only candidates for the verdict are predicted on the held-out flights.
         let scores = evidence.scores();
         let mut ranks: Vec<usize> = (1..scores.len()).collect();
         ranks.sort_by(|a, b| scores[*b].total_cmp(&scores[*a]).then(a.cmp(b)));
         ranks.truncate(PREDICTED);
-        // A verdict may rest on a part of what is chosen.
+        // A verdict may rest on a part of a candidate.
         let is_part = |rank: &usize| {
             let own = &found.sets[rank - 1].fit.hypotheses;
             let has_all = |of: &usize| {
@@ -243,14 +243,14 @@ impl Inquiry<'_> {
         Ok(evidence)
     }
 
-    /// What a flexible learner finds beyond an explanation.
+    /// A flexible learner of the residuals of an explanation.
     fn learner(&self, explanation: &Explanation) -> Option<Learner> {
         let candidate = self.catalogue.candidate(&explanation.fit.values).ok()?;
         let allocation = self.case.vehicle.allocation().ok()?;
         Learner::of(&self.all, self.evaluator, &candidate, &allocation)
     }
 
-    /// Force that the best explanation leaves, and the gusts that it looks like.
+    /// The residual force of the best explanation, and the gusts that it resembles.
     fn force(
         &self,
         found: &Explanations,
@@ -275,8 +275,8 @@ impl Inquiry<'_> {
     }
 }
 
-/// Whether the pack's voltage varies enough, within flights or from one to the next, to tell a sag
-/// from another level of the thrust.
+/// Whether the pack's voltage varies enough, within or between flights, to distinguish a sag from
+/// another level of the thrust.
 pub(in crate::diagnose) fn voltages_differ(flights: &[PreparedFlight]) -> bool {
     let all = flights.iter().flat_map(|flight| flight.voltage.values().iter().map(|[v]| *v));
     flights.iter().all(|flight| flight.channels.voltage) && !is_flat(voltage_range(all))

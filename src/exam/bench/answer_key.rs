@@ -1,4 +1,4 @@
-//! The answer key of a case: what its vehicle has, and what a right answer says of it.
+//! The answer key of a case: its vehicle's truth and the right answer.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ use crate::exam::strength::Strength;
 use crate::exam::world::World;
 
 impl Bench {
-    /// The entry of a truth whose flights are logged in `condition`.
+    /// The key entry of a truth whose flights are logged in `condition`.
     pub(super) fn key(&self, kind: Kind, condition: Condition, drawn: &Drawn) -> KeyEntry {
         let Drawn { truth, sizes, candidates, whole } = drawn;
         let verdict = match kind {
@@ -105,7 +105,7 @@ fn true_effect(
     }
 }
 
-/// The inertia of a payload, which is no effect of its own.
+/// A payload's inertia, as a deviation: it is not an effect of its own.
 fn payload(nominal: &VehicleParams, effects: &EffectSet) -> Option<Deviation> {
     effects.contains(EffectId::Inertia).then(|| {
         let TrueEffect { id, parameters, neutral, .. } =

@@ -1,5 +1,4 @@
-//! What a case's vehicle has beyond its file: drawn, and given the size at which it shows as strongly
-//! as wanted.
+//! Draws a case's truth, and searches for the size at which it shows as strongly as wanted.
 
 use vehicle::effects::EffectId;
 
@@ -12,31 +11,32 @@ use crate::exam::magnitude::Direction;
 use crate::exam::order::{Kind, Order};
 use crate::exam::stranger::Stranger;
 
-/// A pair's effects show at least and at most so strongly by themselves.
+/// Range of the ratio over noise of each effect of a pair alone.
 const PAIR_RATIOS: [f64; 2] = [2.0, 10.0];
-/// The same of an effect that the catalogue is to lack: what hardly shows is not missed.
+/// Range of the ratio for an effect left out of the catalogue: one that hardly shows is not missed.
 const LEFT_OUT_RATIOS: [f64; 2] = [1.0, 10.0];
-/// The same of a disturbance from outside.
+/// Range of the ratio for a disturbance from outside.
 const FOREIGN_RATIOS: [f64; 2] = [1.0, 10.0];
-/// And of what a trap hides, on flights that would show it.
+/// Range of the ratio for a trap's hidden effect, on flights that would show it.
 const TRAP_RATIOS: [f64; 2] = [3.0, 12.0];
-/// Sizes of a pair's effects and of what a trap hides, and of what is not in the catalogue.
+/// Sizes relative to the practical one: of a pair's or a trap's effects, and of effects outside the
+/// catalogue.
 const PAIR_SIZES: [f64; 2] = [1.15, 4.0];
 const UNKNOWN_SIZES: [f64; 2] = [1.3, 4.0];
-/// A truth as it was drawn.
+/// A drawn truth.
 #[derive(Debug, Default)]
 pub(super) struct Drawn {
     pub truth: Truth,
-    /// Its effects, and how strongly each shows by itself, where that was measured.
+    /// Its effects with how strongly each shows alone, where that was measured.
     pub sizes: Vec<(EffectId, Option<Shown>)>,
-    /// What a trap's flights cannot tell from it.
+    /// Effects that a trap's flights do not distinguish from it.
     pub candidates: Vec<EffectId>,
-    /// How strongly all of it shows.
+    /// How strongly the whole truth shows.
     pub whole: Option<Shown>,
 }
 
 impl Bench {
-    /// A truth that `order` asks for.
+    /// Draws a truth according to `order`.
     pub(super) fn truth(&self, draw: &mut Draw, order: &Order) -> Result<Drawn, FlightError> {
         let mut drawn = Drawn::default();
         if order.kind == Kind::Null {
@@ -62,7 +62,7 @@ impl Bench {
                 let effect = self.trap.map_or(EffectId::GroundEffect, |trap| trap.effect);
                 drawn.candidates = self.trap.map_or(&[][..], |trap| trap.candidates).to_vec();
                 let (sized, shown) = if drawn.candidates.is_empty() {
-                    // As much as other flights would show plainly.
+                    // Of a size that other flights would show clearly.
                     (Direction::draw(draw, &self.nominal, effect).at(0.5), None)
                 } else {
                     let wanted = self.measure(TRAP_RATIOS, PAIR_SIZES);
@@ -89,7 +89,7 @@ impl Bench {
         Ok(drawn)
     }
 
-    /// The effects of a case, and how strongly each is to show.
+    /// The effects of a case, with the strength that each should have.
     fn wanted(&self, draw: &mut Draw, order: &Order) -> Vec<(EffectId, Wanted)> {
         if let Some(trip) = &order.round_trip {
             return vec![(trip.effect, Wanted::Ratio([trip.ratio; 2]))];
@@ -111,7 +111,7 @@ impl Bench {
         }
     }
 
-    /// An effect that this vehicle may have.
+    /// Draws an effect that this vehicle may have and that satisfies `wanted`.
     pub(in crate::exam) fn effect(
         &self,
         draw: &mut Draw,
@@ -123,7 +123,7 @@ impl Bench {
             let possible = match effect {
                 _ if NEED_DRAG.contains(&effect) => has_drag,
                 EffectId::RotorGyroscopic => self.nominal.rotor_max_rpm.is_some(),
-                // Between setpoints and outputs nothing is known.
+                // With an unknown loop, nothing is known between setpoints and outputs.
                 EffectId::PdGain | EffectId::CommandDelay => self.setting.on_board.is_known(),
                 _ => !self.nominal.modelled_effects.contains(effect),
             };

@@ -1,11 +1,12 @@
-//! Another vehicle of a bench's type.
+//! Other vehicles of a bench's type.
 
 use super::Bench;
 use crate::exam::draw::Draw;
 use crate::exam::programme::{Restriction, Vigour, programme};
 
 impl Bench {
-    /// Another vehicle of the type: built and flown by itself, on the same kind of link, loop and log.
+    /// Another vehicle of the type: its own build and flights, with the same kind of link, loop and
+    /// log.
     pub(in crate::exam) fn sibling(&self, draw: &mut Draw) -> Self {
         let vigour = Vigour::draw(draw, self.nominal.rotor_radius_m);
         let motions = programme(draw, &vigour, Restriction::None, self.motions.len(), self.seconds);

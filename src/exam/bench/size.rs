@@ -1,5 +1,5 @@
-//! How large a truth is: how strongly it shows over noise, and how much of that is left when the
-//! numbers of the vehicle file have moved within their tolerances to explain it.
+//! The size of a truth: its strength over noise, and the strength that remains after the vehicle
+//! file's numbers have moved within their tolerances to explain it.
 
 use sitl::autopilot::VehicleRefused;
 use vehicle::VehicleParams;
@@ -17,55 +17,56 @@ use crate::exam::stranger::Stranger;
 use crate::exam::strength::{DETECTABLE, Errors, Model, Moved, Predictor, Strength};
 use crate::exam::world::World;
 
-/// Searches for a size of the wanted strength.
+/// Most trials to find a size with the wanted strength.
 const SEARCHES: usize = 4;
-/// A strength within this factor of the wanted one is as good.
+/// A strength within this factor of the wanted one is accepted.
 const CLOSE: f64 = 1.35;
-/// Sizes of effects over the practical one: of most cases, and of those below it.
+/// Sizes of effects relative to the practical one: of most cases, and of small ones.
 const PRACTICAL: [f64; 2] = [1.15, 7.0];
 const SMALL: [f64; 2] = [0.15, 0.9];
-/// Share of single effects that are drawn below the practical size.
+/// Share of single effects that are smaller than the practical size.
 const SMALL_SHARE: f64 = 0.2;
-/// The practical size: so many tolerances off the file, and so strong when every number of the file
-/// has moved by as many.
+/// The practical size: this many tolerances off the file, and this ratio over noise after every
+/// number of the file has moved by as many.
 const PRACTICAL_TOLERANCES: f64 = 3.0;
 const PRACTICAL_RATIO: f64 = 3.0;
-/// Half of a typical drag, which a file may lack: over the mass, 1/s, and that along the thrust over
-/// that across.
+/// Half of a typical drag, which a file may lack, divided by the mass, 1/s; and the drag along the
+/// thrust, as a share of that across.
 const LACKING_DRAG: f64 = 0.15;
 const LACKING_DRAG_ALONG: f64 = 0.4;
 
-/// How strongly a truth shows.
+/// The strength of a truth.
 #[derive(Clone, Debug)]
 pub(in crate::exam) struct Shown {
-    /// By itself.
+    /// Strength of the truth alone.
     pub strength: Strength,
-    /// What is left when the numbers of the file have moved.
+    /// Strength that remains after the file's numbers have moved.
     pub beyond: Strength,
-    /// How many tolerances the effects are off the file, of those that numbers of it are.
+    /// Distance of each effect from the file in tolerances; `None` where the file has no such
+    /// number.
     pub tolerances: Vec<Option<f64>>,
 }
 
 impl Shown {
-    /// Its size over the practical one.
+    /// Its size relative to the practical one.
     pub fn size(&self) -> f64 {
         let off = self.tolerances.iter().flatten().map(|off| off / PRACTICAL_TOLERANCES);
         off.fold(self.beyond.ratio / PRACTICAL_RATIO, f64::min)
     }
 }
 
-/// How strongly a truth is to show.
+/// The wanted strength of a truth.
 #[derive(Clone, Copy)]
 pub(in crate::exam) enum Wanted {
-    /// Over noise alone.
+    /// Ratio over noise alone.
     Ratio([f64; 2]),
-    /// Over the practical size.
+    /// Size relative to the practical one.
     Size([f64; 2]),
 }
 
 impl Bench {
-    /// The vehicle that is there without a truth, which predictions are made with: were what is off
-    /// the file known. `change` is made to its numbers and effects.
+    /// A predictor with the vehicle without the truth, as if its differences from the file were
+    /// known. `change` modifies its numbers and effects.
     fn predictor(
         &self,
         truth: &Truth,
@@ -73,7 +74,7 @@ impl Bench {
     ) -> Result<Predictor, VehicleRefused> {
         let deviations = self.deviations_beside(truth);
         let (mut body, mut effects) = (deviations.body(&self.believed), deviations.effects());
-        // Reports are compared as they are without these.
+        // Reports are compared without latency and trim.
         let trim =
             effects.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation());
         effects.remove(EffectId::AttitudeTrim);
@@ -91,7 +92,7 @@ impl Bench {
         Ok(Predictor::new(&model, self.configs[0].sensors)?)
     }
 
-    /// The numbers of the file, each moved by a tolerance.
+    /// Predictors with each number of the file moved by a tolerance.
     fn moved(&self, truth: &Truth) -> Result<Vec<Moved>, VehicleRefused> {
         let sigma = self.deviations.tolerances;
         let by = |most: f64, change: &dyn Fn(&mut VehicleParams, &mut EffectSet)| {
@@ -99,7 +100,7 @@ impl Bench {
         };
         let most = PRACTICAL_TOLERANCES;
         let mut moved = Vec::new();
-        // No log tells a thrust common to all rotors from the mass.
+        // Logs do not distinguish a common thrust error from a mass error.
         let level = sigma.thrust_common + sigma.mass;
         moved.push(by(most, &|body, _| {
             body.rotors.iter_mut().for_each(|rotor| rotor.thrust_max_n *= 1.0 + level);
@@ -143,22 +144,22 @@ impl Bench {
                 let more = LACKING_DRAG * mass;
                 let mut slots = Slots::default();
                 (slots[0], slots[1]) = (across + more, along + LACKING_DRAG_ALONG * more);
-                // A drag within what the catalogue accepts.
+                // The catalogue accepts a drag of this size.
                 let _ = effects.insert(EffectId::RotorDrag, slots);
             })?);
         }
         Ok(moved)
     }
 
-    /// What predictions are off by without any truth.
+    /// Prediction errors without any truth.
     pub(in crate::exam) fn baseline(&self) -> Result<Errors, FlightError> {
         let nothing = Truth::default();
         let predictor = self.predictor(&nothing, |_, _| {})?;
         Ok(predictor.errors(&self.tracks(&nothing)?, &EffectSet::new(), self.seed))
     }
 
-    /// How strongly the truth shows, flown without sensor noise, and in [`World::Builders`] how much
-    /// of that the file's numbers leave.
+    /// The strength of a truth, from flights without sensor noise. In [`World::Builders`] this
+    /// includes the part that the file's numbers cannot explain.
     pub(in crate::exam) fn shown(
         &self,
         baseline: &Errors,
@@ -173,7 +174,7 @@ impl Bench {
             World::Builders => {
                 let moved = self.moved(truth)?;
                 let beyond = predictor.beyond(&tracks, &truth.effects, &moved, &errors, baseline);
-                // Of another law, only its cause is what the file's number is off.
+                // Under another law, only the cause is a number that the file has off.
                 let cause = |id: &EffectId| truth.causes.first().is_none_or(|cause| cause == id);
                 let sigma = &self.deviations.tolerances;
                 let off = |id: EffectId| sigma.beyond(&self.nominal, &truth.effects, id);
@@ -183,7 +184,7 @@ impl Bench {
         Ok(Shown { strength, beyond, tolerances })
     }
 
-    /// A truth of a size that shows about as strongly as wanted, as far as that is sensible.
+    /// The truth at a size that shows about as strongly as wanted, within sensible sizes.
     fn sized(
         &self,
         draw: &mut Draw,
@@ -212,7 +213,7 @@ impl Bench {
             };
             last = Ok((truth, shown));
             let off = goal / reached.max(1e-6);
-            // A size on the wrong side of the practical one is not close.
+            // The size must be on the right side of the practical one.
             let is_close = (1.0 / CLOSE..CLOSE).contains(&off)
                 && (matches!(wanted, Wanted::Ratio(_)) || (goal < 1.0) == (reached < 1.0));
             if is_close || (size >= 1.0 && off > 1.0) {
@@ -253,7 +254,8 @@ impl Bench {
         self.sized(draw, baseline, &at, 1.0, wanted)
     }
 
-    /// By this world's measure: a ratio over noise, or a size over the practical one.
+    /// The wanted strength in this world: a ratio over noise, or a size relative to the practical
+    /// one.
     pub(in crate::exam) fn measure(&self, ratio: [f64; 2], size: [f64; 2]) -> Wanted {
         match self.world {
             World::Exact => Wanted::Ratio(ratio),
@@ -261,13 +263,13 @@ impl Bench {
         }
     }
 
-    /// The same of a single effect, which may be below the practical size.
+    /// The wanted strength of a single effect, which may be below the practical size.
     pub(in crate::exam) fn single(&self, draw: &mut Draw) -> Wanted {
         let is_small = self.world == World::Builders && draw.chance(SMALL_SHARE);
         self.measure(self.ratios, if is_small { SMALL } else { PRACTICAL })
     }
 
-    /// Whether what shows so is to be named.
+    /// Whether an answer should name a truth of this strength.
     pub(in crate::exam) fn is_practical(&self, shown: &Shown) -> bool {
         match self.world {
             World::Exact => shown.strength.ratio >= DETECTABLE,

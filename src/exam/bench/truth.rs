@@ -1,16 +1,16 @@
-//! What a case's vehicle has beyond its file.
+//! The truth of a case: what its vehicle has beyond its file.
 
 use vehicle::effects::{EffectId, EffectSet};
 use vehicle::foreign::Foreign;
 
-/// What the vehicle has as an effect.
+/// The effects, or the disturbance, that a vehicle has beyond its file.
 #[derive(Clone, Debug, Default)]
 pub(in crate::exam) struct Truth {
     pub effects: EffectSet,
     pub foreign: Option<Foreign>,
-    /// The causes of what the catalogue does not have.
+    /// Effects of the catalogue that have the same cause as `foreign`.
     pub causes: &'static [EffectId],
-    /// The rotor that this acts on.
+    /// The rotor that `foreign` acts on.
     pub rotor: Option<usize>,
 }
 
@@ -20,7 +20,7 @@ impl From<EffectSet> for Truth {
     }
 }
 
-/// Which effects a set has.
+/// Ids of the effects in a set.
 pub(super) fn ids(effects: &EffectSet) -> Vec<EffectId> {
     effects.iter().map(|(effect, _)| effect).collect()
 }

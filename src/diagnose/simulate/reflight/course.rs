@@ -1,4 +1,4 @@
-//! What a flight is given to track when it is flown again.
+//! References to track when a flight is flown again.
 
 use std::ops::Range;
 
@@ -12,37 +12,38 @@ use crate::diagnose::simulate::flight_simulator::GroundControl;
 use crate::log::import::Flight;
 use crate::setpoint::{Reference, Setpoint};
 
-/// Shorter parts are left out, s.
+/// Least length of a part that is flown again, s.
 const SECONDS_MIN: f64 = 3.0;
-/// A logged reference with a longer pause is not one, s.
+/// Longest pause within a part, s.
 const PAUSE_MAX_S: f64 = 0.1;
-/// Period of the ground's ticks where the log does not have them, s.
+/// Period of the controller's ticks where the log has none, s.
 const TICK_S: f64 = 0.01;
-/// Reported motion is averaged over this much to each side, and its acceleration is the slope of
-/// the velocity over as much: what the vehicle was asked for has no noise, and feed-forward that
-/// had would shake it, s.
+/// Time to each side over which reported motion is averaged, s. Its acceleration is the slope of
+/// the velocity over the same time. The flight's own commands had no such noise, and noisy
+/// feed-forward would shake the vehicle.
 const SMOOTHING_S: f64 = 0.1;
-/// The same where setpoints are the feed-forward: motion is only what feedback compares with, s.
+/// As above where setpoints are the feed-forward, s: only feedback uses the motion.
 const SENT_SMOOTHING_S: f64 = 0.03;
-/// Rounds in which a reported motion's reference is learned.
+/// Rounds of learning the reference of a reported motion.
 const ROUNDS: usize = 3;
-/// Ticks to each side over which a miss must last to be learned from.
+/// Ticks to each side over which a tracking error is averaged for learning.
 const LASTING_TICKS: usize = 20;
 
-/// Where the reference of a flight comes from.
+/// The source of a flight's reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ReferenceOrigin {
-    /// The log holds what was tracked.
+    /// The log holds the tracked reference.
     Logged,
-    /// The logged setpoints as feed-forward, and the reported motion: whoever made them, feedback
-    /// only adds what a vehicle other than the real one needs to stay with it.
+    /// The logged setpoints as feed-forward, with the reported motion. Whatever controller made
+    /// them, feedback adds only the corrections that a vehicle other than the real one needs.
     Setpoints,
-    /// The reported motion alone; it is learned by flying what is asked for to follow it.
+    /// The reported motion alone. Flying the reference repeatedly corrects it until the flight
+    /// follows the motion.
     Reported,
 }
 
-/// The ground's ticks over an unbroken part of a flight.
+/// The controller's ticks over an unbroken part of a flight.
 #[derive(Clone)]
 pub(super) struct Course {
     pub origin: ReferenceOrigin,
@@ -51,23 +52,23 @@ pub(super) struct Course {
 }
 
 impl Course {
-    /// s
+    /// Time of the first tick, s.
     pub fn start(&self) -> f64 {
         self.ticks[0].0
     }
 
-    /// s
+    /// Time from the first tick to the last, s.
     pub fn seconds(&self) -> f64 {
         self.ticks[self.ticks.len() - 1].0 - self.ticks[0].0
     }
 
-    /// How often it is to be learned by flying before it is flown to be compared.
+    /// Number of learning flights before the one that is compared.
     pub fn rounds(&self) -> usize {
         if self.origin == ReferenceOrigin::Reported { ROUNDS } else { 0 }
     }
 
-    /// What to ask for next, so that a vehicle which made `flown` of `asked` comes closer to this:
-    /// `asked` moved by what was missing, where that lasts.
+    /// The next reference, for a vehicle which flew `flown` under `asked`: `asked` plus its lasting
+    /// errors relative to this course.
     pub fn learned(&self, asked: &Self, flown: &Flight) -> Self {
         let position = Series::<3>::of(&flown.position, |p| p.to_array());
         let missed: Vec<Ned> = self
@@ -86,7 +87,8 @@ impl Course {
     }
 }
 
-/// The parts of `flight` that can be flown again; none without position, velocity and attitude.
+/// The parts of `flight` that can be flown again; none without position, velocity, attitude and
+/// body rate.
 pub(super) fn courses(flight: &PreparedFlight, control: &GroundControl) -> Vec<Course> {
     let channels = &flight.channels;
     if !(channels.velocity && channels.attitude && channels.body_rate) || flight.position.is_empty()
@@ -113,7 +115,7 @@ fn within<T>(span: &Range<f64>) -> impl Fn(&(f64, T)) -> bool {
     move |(time, _)| span.contains(time)
 }
 
-/// Ticks in parts without pauses.
+/// Splits ticks into parts at pauses.
 fn parts(origin: ReferenceOrigin, ticks: impl Iterator<Item = (f64, Reference)>) -> Vec<Course> {
     let mut parts: Vec<Course> = Vec::new();
     for (time, reference) in ticks {
@@ -128,7 +130,7 @@ fn parts(origin: ReferenceOrigin, ticks: impl Iterator<Item = (f64, Reference)>)
     parts
 }
 
-/// The setpoints that were sent over a span, each with the motion as it was reported then.
+/// The setpoints sent over a span, each with the motion reported at the time.
 fn as_sent<'a>(
     flight: &'a PreparedFlight,
     span: &'a Range<f64>,
@@ -152,8 +154,8 @@ fn as_sent<'a>(
     })
 }
 
-/// The reported motion over a span as a reference: thrust and tilt are those that its acceleration
-/// needs of a vehicle without drag, and feedback adds what is missing.
+/// The reported motion over a span as a reference. Thrust and tilt are those that a vehicle without
+/// drag needs for its acceleration; feedback adds the rest.
 fn reported(flight: &PreparedFlight, span: &Range<f64>, control: &GroundControl) -> Course {
     let hover = control.vehicle().hover;
     let count = ((span.end - span.start - 2.0 * SMOOTHING_S) / TICK_S) as usize;
@@ -192,15 +194,15 @@ fn reported(flight: &PreparedFlight, span: &Range<f64>, control: &GroundControl)
     Course { origin: ReferenceOrigin::Reported, ticks }
 }
 
-/// The mean of a series about a time.
+/// The mean of a series over `half` a window to each side of a time.
 fn smoothed(series: &Series<3>, time: f64, half: f64) -> Ned {
     series.mean_about(time, half).into()
 }
 
-/// Roll and pitch that turn thrust along the specific force `force`, at a yaw.
+/// Roll and pitch that point the thrust along the specific force `force`, at a yaw.
 fn along(force: Ned, yaw: f64) -> Euler {
     let (sin, cos) = yaw.sin_cos();
-    // In axes turned by yaw; thrust is along -z body.
+    // In axes rotated by yaw; thrust is along -z of the body.
     let front = cos * force.north() + sin * force.east();
     let right = cos * force.east() - sin * force.north();
     let up = -force.down();
