@@ -52,7 +52,8 @@ pub fn fly(
     fly_disturbed(vehicle, station, limit_s, log, watch, |_, _| {})
 }
 
-/// As [`fly`]; `act` may do something to the vehicle before each of its steps in time.
+/// As [`fly`]; `act` may do something to the vehicle, or ask the station for something, before each of
+/// the vehicle's steps in time.
 ///
 /// # Errors
 /// [`Endless`] after `limit_s` of simulated time.
@@ -62,7 +63,7 @@ pub fn fly_disturbed(
     limit_s: f64,
     mut log: impl FnMut(Record),
     mut watch: impl FnMut(&Station, HostTime),
-    mut act: impl FnMut(&mut Vehicle, &Station),
+    mut act: impl FnMut(&mut Vehicle, &mut Station),
 ) -> Result<End, Endless> {
     vehicle.connect(STATION, LinkKind::Datagrams);
     let limit_us = vehicle.now_us() + (limit_s * 1e6) as u64;

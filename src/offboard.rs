@@ -1,8 +1,10 @@
 //! The line from a message to a setpoint: state -> reference -> feedback -> supervisor -> guard.
 //! Pure: time comes with the messages, requests and setpoints are handed out.
 
+mod adjustment;
 mod condition;
 mod effective_vehicle;
+mod goal;
 mod guidance;
 mod tick;
 
@@ -12,6 +14,7 @@ use message::Inbound;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use self::adjustment::{Adjusted, Adjustment, AdjustmentSettings};
 pub use self::effective_vehicle::{EffectiveVehicle, Uncontrollable};
 use self::guidance::Guidance;
 pub use self::guidance::GuidanceSettings;
@@ -48,6 +51,8 @@ pub struct OffboardSettings {
     pub limits: Limits,
     /// Feedback that leaves no steady error.
     pub offset_free: OffsetFreeSettings,
+    /// Bounds of what may be changed in flight.
+    pub adjustment: AdjustmentSettings,
 }
 
 /// What the controller must know of the vehicle.

@@ -108,6 +108,9 @@ impl OffboardController {
         if after != before {
             self.tracking_error = 0.0;
         }
+        if after.is_over() {
+            self.end_adjustment(now);
+        }
         // What led here was a reaction: stay where the vehicle is, not where it should be.
         let stopped = after != before && before != FlightState::Hold;
         if matches!(after, FlightState::Hold | FlightState::Land) && (stopped || jumped) {

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 use vehicle::rigid_body::State;
 
+use super::goal::GoalOffset;
 use crate::clock::VehicleTime;
 use crate::plan::reference::ReferenceSource;
 use crate::setpoint::{Expected, Reference, Setpoint};
@@ -77,6 +78,17 @@ pub(super) struct Guided {
     pub reached: Option<(Trigger, &'static str)>,
 }
 
+/// How far what is to be flown reaches, from the anchor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Extent {
+    /// Horizontally, m.
+    pub radius_m: f64,
+    /// Greatest height, m.
+    pub highest_m: f64,
+    /// Least height, m.
+    pub lowest_m: f64,
+}
+
 /// Chooses the reference. The trajectory's origin is the anchor: the place where the vehicle took
 /// off, or last stood, or else the floor of the local frame below it; its axes are the world's.
 pub(super) struct Guidance {
@@ -98,6 +110,9 @@ pub(super) struct Guidance {
     entered: VehicleTime,
     segment: Segment,
     held: Option<Reference>,
+    /// How far the goal was moved, and had been when that was first held.
+    goal: GoalOffset,
+    held_at: Ned,
     /// How the next sample is to be held, if it is.
     latch: Option<Latch>,
     last: Option<Reference>,
@@ -125,6 +140,8 @@ impl Guidance {
             entered: VehicleTime::default(),
             segment: Segment::default(),
             held: None,
+            goal: GoalOffset::default(),
+            held_at: Ned::zero(),
             latch: None,
             last: None,
             settled_since: None,
@@ -134,6 +151,40 @@ impl Guidance {
     /// Where the trajectory's origin is, once the flight has begun.
     pub fn anchor(&self) -> Option<Ned> {
         self.anchor
+    }
+
+    /// How far the goal was moved from where the flight has it, or is being moved, m.
+    pub fn goal(&self) -> Ned {
+        self.goal.asked()
+    }
+
+    /// Leads what is flown to lie this far from where the flight has it, m.
+    pub fn move_goal(&mut self, offset: Ned) {
+        self.goal.lead_to(offset);
+    }
+
+    /// What is flown lies where the flight has it.
+    pub fn forget_goal(&mut self) {
+        self.goal = GoalOffset::default();
+    }
+
+    /// How far what is flown reaches with its goal moved by `offset`, for a vehicle at `position`.
+    pub fn extent(&self, offset: Ned, position: Ned) -> Extent {
+        let anchor = self.anchor.unwrap_or_else(|| self.anchor_below(position));
+        let (mut radius_m, mut highest_m, mut lowest_m) = (0.0_f64, f64::MIN, f64::MAX);
+        let mut reach = |point: Ned| {
+            radius_m = radius_m.max(point.north().hypot(point.east()));
+            (highest_m, lowest_m) = (highest_m.max(-point.down()), lowest_m.min(-point.down()));
+        };
+        match self.held.filter(|_| self.state == FlightState::Hold) {
+            Some(held) => reach(held.position - self.held_at + offset - anchor),
+            None => {
+                let step_s = self.trajectory.duration() / EXTENT_STEPS as f64;
+                (0..=EXTENT_STEPS)
+                    .for_each(|step| reach(self.trajectory.desired(step as f64 * step_s) + offset));
+            }
+        }
+        Extent { radius_m, highest_m, lowest_m }
     }
 
     /// As the reference has it.
@@ -156,6 +207,7 @@ impl Guidance {
     /// began there, m.
     pub fn start_distance_m(&self, position: Ned) -> f64 {
         let start = self.trajectory.sample(0.0).position + self.anchor_below(position);
+        let start = start + self.goal.asked();
         (start.north() - position.north()).hypot(start.east() - position.east())
     }
 
@@ -174,6 +226,7 @@ impl Guidance {
         if state != self.state {
             self.enter(state, sample);
         }
+        self.goal.step(sample.vehicle);
         let t = sample.vehicle.seconds_since(self.entered);
         let here = &sample.state;
         let mut guided = match state {
@@ -210,7 +263,8 @@ impl Guidance {
             FlightState::TakeOff => {
                 self.anchor = Some(position);
                 (self.lowest_down, self.lifted) = (position.down(), 0.0);
-                let start = self.trajectory.sample(0.0).position + position;
+                self.goal.arrive();
+                let start = self.trajectory.sample(0.0).position + self.goal.at() + position;
                 let top = Ned::new(position.north(), position.east(), start.down());
                 let yaw = here.attitude.yaw();
                 self.segment = Segment::between(
@@ -228,6 +282,8 @@ impl Guidance {
                 let below = self.anchor_below(position);
                 let anchor = *self.anchor.get_or_insert(below);
                 let start = self.trajectory.sample(0.0);
+                self.goal.arrive();
+                let anchor = anchor + self.goal.at();
                 self.segment = Segment::between(
                     (from.position, from.attitude.yaw),
                     (start.position + anchor, start.attitude.yaw),
@@ -237,7 +293,9 @@ impl Guidance {
             }
             FlightState::Hold if self.latch.is_none() => {
                 self.held = self.last.map(|end| self.level(end.position, end.attitude.yaw));
+                self.held_at = self.goal.at();
             }
+            FlightState::Land => self.goal.stay(),
             FlightState::Standby => (self.anchor, self.held, self.latch) = (None, None, None),
             _ => {}
         }
@@ -250,10 +308,23 @@ impl Guidance {
             let [north, east, _] = (here.velocity * ahead_s).to_array();
             let share = (STOPPING_MAX_M / north.hypot(east)).min(1.0);
             let position = here.position + Ned::new(north, east, 0.0) * share;
-            self.held = Some(self.stay(&State { position, ..*here }));
+            self.held = None;
+            self.goal.stay();
+            return self.hold_at(&State { position, ..*here });
+        }
+        self.hold_at(here)
+    }
+
+    /// What is held, moved with the goal; `here` where nothing is held yet.
+    fn hold_at(&mut self, here: &State) -> Reference {
+        if self.held.is_none() {
+            self.held_at = self.goal.at();
         }
         let stay = self.stay(here);
-        *self.held.get_or_insert(stay)
+        let mut held = *self.held.get_or_insert(stay);
+        held.position += self.goal.at() - self.held_at;
+        held.velocity += self.goal.velocity();
+        held
     }
 
     fn anchor_below(&self, position: Ned) -> Ned {
@@ -319,10 +390,11 @@ impl Guidance {
     }
 
     fn track(&self, t: f64, here: &State) -> Guided {
-        let anchor = self.anchor.unwrap_or_default();
+        let anchor = self.anchor.unwrap_or_default() + self.goal.at();
         self.trajectory.observe(t, &State { position: here.position - anchor, ..*here });
         let mut reference = self.trajectory.sample(t);
         reference.position += anchor;
+        reference.velocity += self.goal.velocity();
         let over = t >= self.trajectory.duration();
         Guided {
             desired: self.trajectory.desired(t) + anchor,
@@ -407,6 +479,8 @@ const STOPPING_S: f64 = 0.6;
 const STOPPING_MAX_M: f64 = 2.0;
 /// Thrust beyond weight, over it, at which a vehicle is taken to have left the ground.
 const LIFTING_EXCESS: f64 = 0.1;
+/// Points of a trajectory that are looked at for how far it reaches.
+const EXTENT_STEPS: usize = 200;
 /// Shortest way, s.
 const SEGMENT_MIN_S: f64 = 1.0;
 /// Peak of the minimum-jerk profile's slope.
