@@ -37,7 +37,9 @@ pub use self::signing::{SetupArgs, SigningCommand};
 pub use self::simulate::SimulateArgs;
 pub use self::sweep::{Shard, SweepArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
-pub use self::view::{ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs};
+pub use self::view::{
+    FlightViewArgs, ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs,
+};
 use crate::control::{LAWS, Law};
 use crate::exam::order::Kind;
 

@@ -16,6 +16,7 @@ use crate::link::connection::{Connection, Input};
 use crate::link::tee::TeeThread;
 use crate::log::LogSink;
 use crate::station::{End, PAUSE, Station, Status};
+use crate::view::Changes;
 
 /// Period at which the status is refreshed.
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
@@ -104,6 +105,8 @@ pub struct Outlets {
     pub sink: LogSink,
     /// Frames from other ground stations for the vehicle.
     pub guests: Option<Guests>,
+    /// What viewers may change.
+    pub changes: Option<Changes>,
 }
 
 /// Starts the control thread. It ends when the station's flight has ended and nothing more is to be
@@ -121,9 +124,10 @@ pub fn start(
     let shared = Arc::new(Shared::default());
     let seen = Arc::clone(&shared);
     let thread = thread::Builder::new().name("control".into()).spawn(move || {
-        let Outlets { tee, sink, guests } = outlets;
+        let Outlets { tee, sink, guests, changes } = outlets;
         let (shared, open_failure) = (&*seen, String::new());
-        let mut control = Control { clock, connection, tee, sink, guests, shared, open_failure };
+        let mut control =
+            Control { clock, connection, tee, sink, guests, changes, shared, open_failure };
         let end = runtime.block_on(control.run(&mut station));
         let log = control.sink.finish();
         let tlog = control.tee.map(TeeThread::finish);
@@ -165,6 +169,7 @@ struct Control<'a> {
     tee: Option<TeeThread>,
     sink: LogSink,
     guests: Option<Guests>,
+    changes: Option<Changes>,
     shared: &'a Shared,
     /// The last reported reason why the endpoint did not open.
     open_failure: String,
@@ -204,6 +209,10 @@ impl Control<'_> {
             station.take_records(|record| self.sink.log(record));
             if now >= status_due {
                 status_due = now + STATUS_PERIOD;
+                // One at a time, so that no viewer fills the log with what it asks for.
+                if let Some(asked) = self.changes.as_ref().and_then(Changes::take) {
+                    station.adjust(now, &asked);
+                }
                 if let Ok(mut status) = self.shared.status.try_lock() {
                     *status = Status {
                         updated: Some(now),

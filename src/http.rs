@@ -79,7 +79,16 @@ impl Request {
         Ok(Self::parse(head))
     }
 
-    fn parse(head: Vec<u8>) -> Option<Self> {
+    /// A header's value, by its name in lower case.
+    pub(crate) fn header(&self, name: &str) -> Option<&str> {
+        let end = self.head.windows(4).position(|end| end == b"\r\n\r\n")?;
+        let lines = self.head.get(..end)?.split(|byte| *byte == b'\n').skip(1);
+        lines.filter_map(|line| std::str::from_utf8(line).ok()?.split_once(':')).find_map(
+            |(found, value)| found.trim().eq_ignore_ascii_case(name).then(|| value.trim()),
+        )
+    }
+
+    pub(crate) fn parse(head: Vec<u8>) -> Option<Self> {
         let all = String::from_utf8_lossy(&head);
         let (text, _) = all.split_once("\r\n\r\n")?;
         let mut lines = text.split("\r\n");

@@ -64,7 +64,7 @@ pub fn fly_disturbed(
     limit_s: f64,
     mut log: impl FnMut(Record),
     mut watch: impl FnMut(&Station, HostTime),
-    mut act: impl FnMut(&mut Vehicle, &Station),
+    mut act: impl FnMut(&mut Vehicle, &mut Station),
 ) -> Result<End, Endless> {
     vehicle.connect(STATION, LinkKind::Datagrams);
     let limit_us = vehicle.now_us() + (limit_s * 1e6) as u64;

@@ -2,8 +2,10 @@
 //! guard. It does no I/O and reads no clock: messages bring the time, and the caller sends the
 //! requests and setpoints.
 
+mod adjustment;
 mod condition;
 mod effective_vehicle;
+mod goal;
 mod guidance;
 mod tick;
 
@@ -13,6 +15,7 @@ use message::Inbound;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use self::adjustment::{Adjusted, Adjustment, AdjustmentSettings};
 pub use self::effective_vehicle::{EffectiveVehicle, Uncontrollable};
 use self::guidance::Guidance;
 pub use self::guidance::GuidanceSettings;
@@ -49,6 +52,8 @@ pub struct OffboardSettings {
     pub limits: Limits,
     /// Feedback that leaves no steady error.
     pub offset_free: OffsetFreeSettings,
+    /// Bounds of what may be changed in flight.
+    pub adjustment: AdjustmentSettings,
 }
 
 /// What the controller must know about the vehicle.

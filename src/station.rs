@@ -32,7 +32,7 @@ use crate::link::profile::Profile;
 use crate::link::received::Received;
 use crate::link::session::{Heard, Session, SetpointError};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
-use crate::offboard::{LinkEvent, OffboardController, Tick};
+use crate::offboard::{Adjustment, LinkEvent, OffboardController, Tick};
 use crate::supervisor::FlightState;
 
 /// Gap between two turns of the control path, beyond which this process counts as paused: by a
@@ -233,6 +233,18 @@ impl Station {
     /// Forwards a frame from another ground station to the vehicle.
     pub fn pass_on(&mut self, frame: &[u8]) {
         self.session.pass_on(frame);
+    }
+
+    /// Takes what a viewer asks to be changed. Never makes a setpoint; an event says what became of it.
+    pub fn adjust(&mut self, now: HostTime, asked: &Adjustment) {
+        match &mut self.offboard {
+            Some(offboard) => offboard.adjust(now, asked),
+            None => {
+                let text = "a viewer's change is refused: no vehicle is flown yet";
+                self.tell(now, Severity::Warning, text.to_owned());
+            }
+        }
+        self.follow_pilot(now);
     }
 
     /// Does what is due at `now`. Never makes a setpoint.

@@ -333,6 +333,16 @@ impl Supervisor {
         }
     }
 
+    /// Whether viewers may change what is flown: while a trajectory is tracked or a place held, and on
+    /// the ground before a flight.
+    pub fn heeds_viewers(&self, airborne: Option<bool>) -> bool {
+        match self.state {
+            FlightState::Track | FlightState::Hold => true,
+            FlightState::Standby => airborne == Some(false),
+            state => state.precedes_stream() && airborne == Some(false),
+        }
+    }
+
     /// Records whether the newest sample was answered with a setpoint that left.
     pub fn sent(&mut self, is_sent: bool) {
         self.streamed = is_sent;

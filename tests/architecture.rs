@@ -29,12 +29,12 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("report", &["control", "diagnose", "exam", "learn", "model", "onset", "plan"]),
         ("station", &["guard", "control", "link", "offboard", "plan", "supervisor", "telemetry"]),
         ("lockstep", &["link", "station"]),
-        ("daemon", &["forward", "guard", "link", "station", "supervisor"]),
+        ("daemon", &["forward", "guard", "link", "station", "supervisor", "view"]),
         ("forward", &[]),
         ("mocap", &["link"]),
         ("http", &[]),
         ("service", &["health", "http", "station", "supervisor"]),
-        ("view", &["http", "station"]),
+        ("view", &["http", "offboard", "station"]),
         ("config", &["control", "link", "mocap", "offboard", "plan", "supervisor", "telemetry"]),
     ])
 }

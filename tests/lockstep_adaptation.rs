@@ -28,7 +28,7 @@ fn changed(settings: StationSettings, change: &Foreign, seed: u64) -> (End, Vec<
         Vehicle::new(params(QUAD), EffectSet::new(), config, seed).expect("a vehicle that flies");
     let mut station = Station::new(settings, lockstep::host_time(0));
     let (mut records, mut due) = (Vec::new(), true);
-    let act = |vehicle: &mut Vehicle, station: &Station| {
+    let act = |vehicle: &mut Vehicle, station: &mut Station| {
         let time_s = station.status().progress.map(|(time_s, _)| time_s);
         if due && time_s.is_some_and(|time_s| time_s >= CHANGE_S) {
             due = false;

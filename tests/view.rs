@@ -22,7 +22,7 @@ fn start(course: CoursePath) -> (LiveView, LiveFeed) {
         address: "127.0.0.1:0".to_owned(),
         name: "test".to_owned(),
         parameters: parameters.map(|(name, value)| (name.to_owned(), value.to_owned())).into(),
-        playback: None,
+        ..ViewSettings::default()
     };
     LiveView::start(settings, &run_info().rotors, course).expect("a view")
 }

@@ -179,7 +179,7 @@ fn fly(
     };
     let due_s = if since_start { 0.0 } else { draw.at_s };
     let mut has_acted = false;
-    let act = |vehicle: &mut Vehicle, station: &Station| {
+    let act = |vehicle: &mut Vehicle, station: &mut Station| {
         let time_s = station.status().progress.map(|(time_s, _)| time_s);
         if !has_acted && time_s.is_some_and(|time_s| time_s >= due_s) {
             has_acted = true;

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use self::processes::{Process, pin};
 use self::vehicle::{Vehicle, receive, socket_to};
+use self::viewer::Manner;
 
 const HELP: &str = "\
 Latency of the control line beside a C echo, over loopback UDP.
@@ -24,6 +25,8 @@ cargo bench --bench latency -- [OPTIONS]
     --pin CORE      the core for all processes [the last]
     --no-pin        leave them to the scheduler
     --view          serve the live view, to one client on any core that takes all topics
+    --view-stalls   the same, to one that asks for all topics and never reads
+    --view-sets     the same, to one that sets the feedback's factor twenty times a second
     --daemon PATH   the downwash to measure [the one that was just built]
     --json          one line of JSON";
 
@@ -40,7 +43,7 @@ struct Options {
     rate_hz: f64,
     pin: Option<usize>,
     daemon: PathBuf,
-    is_viewed: bool,
+    viewer: Option<Manner>,
     json: bool,
 }
 
@@ -51,7 +54,7 @@ fn options() -> Options {
         rate_hz: 100.0,
         pin: Some(last),
         daemon: env!("CARGO_BIN_EXE_downwash").into(),
-        is_viewed: false,
+        viewer: None,
         json: false,
     };
     let mut args = std::env::args().skip(1);
@@ -71,7 +74,9 @@ fn options() -> Options {
             "--pin" => options.pin = Some(number() as usize),
             "--no-pin" => options.pin = None,
             "--daemon" => options.daemon = args.next().unwrap_or_default().into(),
-            "--view" => options.is_viewed = true,
+            "--view" => options.viewer = Some(Manner::Takes),
+            "--view-stalls" => options.viewer = Some(Manner::Stalls),
+            "--view-sets" => options.viewer = Some(Manner::Sets),
             "--json" => options.json = true,
             "--bench" => {} // cargo adds it
             "--help" | "-h" => {
@@ -243,7 +248,7 @@ fn main() {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("latency");
     std::fs::create_dir_all(&folder).expect("a folder");
     let echo = Process::echo(&folder);
-    let daemon = Process::daemon(&options.daemon, &folder, options.rate_hz, options.is_viewed);
+    let daemon = Process::daemon(&options.daemon, &folder, options.rate_hz, options.viewer);
     let mut vehicle = Vehicle::new(daemon.port);
     let period = Duration::from_secs_f64(1.0 / options.rate_hz);
     if !vehicle.is_streamed_to(period, START_LIMIT) {
@@ -256,7 +261,7 @@ fn main() {
         );
         std::process::exit(1);
     }
-    let viewer = options.is_viewed.then(|| viewer::watch(&daemon));
+    let viewer = options.viewer.map(|manner| viewer::watch(&daemon, manner));
     let measured = measure(&options, &mut vehicle, &daemon, echo.port);
     report(&options, &measured, &load_before);
     if let Some(viewer) = viewer {

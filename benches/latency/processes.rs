@@ -6,6 +6,8 @@ use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
+use crate::viewer::Manner;
+
 /// A process that is killed when dropped.
 pub struct Process {
     child: Child,
@@ -38,7 +40,7 @@ impl Process {
 
     /// Starts `PROGRAM daemon` on a free port, with control at `rate_hz`, and with the live view on
     /// another port.
-    pub fn daemon(program: &Path, folder: &Path, rate_hz: f64, is_viewed: bool) -> Self {
+    pub fn daemon(program: &Path, folder: &Path, rate_hz: f64, viewer: Option<Manner>) -> Self {
         let probe = UdpSocket::bind("127.0.0.1:0").expect("a socket");
         let port = probe.local_addr().expect("its address").port();
         drop(probe);
@@ -54,7 +56,8 @@ impl Process {
         let child = Command::new(program)
             .args(["daemon", "--config"])
             .arg(config)
-            .args(is_viewed.then_some("--view=127.0.0.1:0"))
+            .args(viewer.map(|_| "--view=127.0.0.1:0"))
+            .args(viewer.filter(|manner| *manner == Manner::Sets).map(|_| "--view-write"))
             .stdout(Stdio::null())
             .stderr(File::create(&log).expect("a file for its words"))
             .spawn()

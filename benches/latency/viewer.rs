@@ -3,6 +3,7 @@
 use std::net::TcpStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use tungstenite::Message;
@@ -10,6 +11,20 @@ use tungstenite::client::IntoClientRequest;
 use tungstenite::http::HeaderValue;
 
 use crate::processes::{Process, unpin};
+
+/// What a viewer does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Manner {
+    /// It takes what comes.
+    Takes,
+    /// It reads nothing of what it asked for.
+    Stalls,
+    /// It takes what comes, and sets the feedback's factor all the time.
+    Sets,
+}
+
+/// Between two settings.
+const SET_PERIOD: Duration = Duration::from_millis(50);
 
 /// A viewer on a separate thread.
 pub struct Viewer(Arc<AtomicU64>);
@@ -22,7 +37,7 @@ impl Viewer {
 }
 
 /// Subscribes to every topic of the daemon's view.
-pub fn watch(daemon: &Process) -> Viewer {
+pub fn watch(daemon: &Process, manner: Manner) -> Viewer {
     let words = daemon.log.as_ref().and_then(|log| std::fs::read_to_string(log).ok());
     let words = words.unwrap_or_default();
     let address = words.split("http://").nth(1).and_then(|rest| rest.split('/').next());
@@ -36,7 +51,15 @@ pub fn watch(daemon: &Process) -> Viewer {
     let counter = Arc::clone(&count);
     std::thread::spawn(move || {
         unpin();
+        let (mut set, mut factor) = (Instant::now(), 1.0);
         while let Ok(message) = socket.read() {
+            if manner == Manner::Sets && set.elapsed() >= SET_PERIOD {
+                (set, factor) = (Instant::now(), 2.1 - factor);
+                let name = "flight.feedback_scale";
+                let asked = json!([{"name": name, "value": factor, "type": "float64"}]);
+                let asked = json!({"op": "setParameters", "id": "set", "parameters": asked});
+                socket.send(Message::text(asked.to_string())).expect("set");
+            }
             match message {
                 Message::Text(text) => {
                     let value: Value = serde_json::from_str(&text).expect("JSON");
@@ -47,6 +70,9 @@ pub fn watch(daemon: &Process) -> Viewer {
                     if !asked.is_empty() {
                         let asked = json!({"op": "subscribe", "subscriptions": asked});
                         socket.send(Message::text(asked.to_string())).expect("subscribed");
+                        while manner == Manner::Stalls {
+                            std::thread::park();
+                        }
                     }
                 }
                 Message::Binary(bytes) if bytes.first() == Some(&1) => {

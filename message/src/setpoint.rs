@@ -27,6 +27,16 @@ impl Setpoint {
         }
     }
 
+    /// Each component times `factor`.
+    pub fn scaled(self, factor: f64) -> Self {
+        let Euler { roll, pitch, yaw } = self.attitude;
+        Self {
+            thrust_n: self.thrust_n * factor,
+            attitude: Euler::new(roll * factor, pitch * factor, yaw * factor),
+            body_rate: self.body_rate * factor,
+        }
+    }
+
     /// Whether every component is finite.
     pub fn is_finite(&self) -> bool {
         let Euler { roll, pitch, yaw } = self.attitude;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::view::{ForwardArgs, ServiceArgs, ViewArgs};
+use super::view::{FlightViewArgs, ForwardArgs, ServiceArgs};
 use crate::control::Law;
 use crate::model::file::ModelKind;
 
@@ -49,7 +49,7 @@ pub struct FlyArgs {
     pub check: bool,
     /// The live view.
     #[command(flatten)]
-    pub view: ViewArgs,
+    pub view: FlightViewArgs,
     /// The fan-out.
     #[command(flatten)]
     pub forward: ForwardArgs,
@@ -160,7 +160,7 @@ pub struct DaemonArgs {
     pub tlog: Option<PathBuf>,
     /// The live view.
     #[command(flatten)]
-    pub view: ViewArgs,
+    pub view: FlightViewArgs,
     /// The fan-out.
     #[command(flatten)]
     pub forward: ForwardArgs,

@@ -48,3 +48,15 @@ pub struct ViewArgs {
     )]
     pub view: Option<String>,
 }
+
+/// Flags of the live view of what is flown.
+#[derive(Clone, Debug, Default, Args)]
+pub struct FlightViewArgs {
+    /// The view itself.
+    #[command(flatten)]
+    pub watch: ViewArgs,
+    /// Lets viewers move the goal and scale the feedback, within offboard.adjustment of the
+    /// configuration and where the supervisor heeds them; each change is in the log.
+    #[arg(long, requires = "view")]
+    pub view_write: bool,
+}

@@ -10,7 +10,9 @@ use super::screen::Screen;
 use super::status_line::StatusLine;
 use super::stop::Stop;
 use super::{Exit, ExitContext, say};
-use crate::cli::{ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs};
+use crate::cli::{
+    FlightViewArgs, ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs,
+};
 use crate::clock::HostTime;
 use crate::config::Config;
 use crate::forward::{AllowList, Forward, Guests};
@@ -20,7 +22,7 @@ use crate::log::sink::Listeners;
 use crate::onset::detector::Settings;
 use crate::service::Service;
 use crate::station::Status;
-use crate::view::{CoursePath, LiveView, ViewSettings};
+use crate::view::{Changes, CoursePath, LiveView, ViewSettings};
 
 /// Period of the points that a course is drawn with, and the most of them.
 const COURSE_PERIOD_S: f64 = 0.05;
@@ -49,7 +51,27 @@ impl Audience {
         course: &Course,
     ) -> anyhow::Result<Self> {
         let Some(asked) = &args.view else { return Ok(Self::default()) };
-        let settings = view_settings(asked, run, config);
+        Self::seen(view_settings(asked, run, config), run, course)
+    }
+
+    /// The same of a flight, in which viewers may have a say.
+    pub fn start_for_flight(
+        args: &FlightViewArgs,
+        config: &Config,
+        run: &RunInfo,
+        course: &Course,
+    ) -> anyhow::Result<Self> {
+        let Some(asked) = &args.watch.view else { return Ok(Self::default()) };
+        let is_writable = args.view_write;
+        let settings = ViewSettings { is_writable, ..view_settings(asked, run, config) };
+        let audience = Self::seen(settings, run, course)?;
+        if is_writable {
+            say(format_args!("viewers may move the goal and scale the feedback"));
+        }
+        Ok(audience)
+    }
+
+    fn seen(settings: ViewSettings, run: &RunInfo, course: &Course) -> anyhow::Result<Self> {
         let (view, feed) =
             LiveView::start(settings, &run.rotors, path(course)).or_exit(Exit::Usage)?;
         say_address(view.address());
@@ -104,6 +126,11 @@ impl Audience {
     /// What others may say to the vehicle; a second call gives none.
     pub fn take_guests(&mut self) -> Option<Guests> {
         self.guests.take()
+    }
+
+    /// What viewers ask to be changed, where they may; a second call gives none.
+    pub fn take_changes(&mut self) -> Option<Changes> {
+        self.view.as_ref().and_then(LiveView::take_changes)
     }
 
     /// Who is to hear the records; a second call gives none.
@@ -168,6 +195,7 @@ pub(super) fn view_settings(asked: &str, run: &RunInfo, config: &Config) -> View
         name: format!("downwash: {}, {}", run.vehicle, run.run),
         parameters: settings.collect::<BTreeMap<_, _>>(),
         playback: None,
+        is_writable: false,
     }
 }
 

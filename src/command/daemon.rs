@@ -39,7 +39,7 @@ pub(super) fn run(args: &DaemonArgs, preparation: Interruption) -> anyhow::Resul
     let clock = HostClock::start();
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
     let info = run_info(&config, &vehicle, &name, false, None);
-    let mut audience = Audience::start(&args.view, &config, &info, &course)?
+    let mut audience = Audience::start_for_flight(&args.view, &config, &info, &course)?
         .monitored(&vehicle.params, &config)?
         .forwarding(&args.forward, &config)?
         .served(&args.service)?
@@ -49,7 +49,8 @@ pub(super) fn run(args: &DaemonArgs, preparation: Interruption) -> anyhow::Resul
         .context("cannot start the log's thread")?;
     let tee = args.tlog.as_deref().map(tee).transpose()?;
     let station = Station::new(station_settings, clock.now());
-    let outlets = Outlets { tee, sink, guests: audience.take_guests() };
+    let outlets =
+        Outlets { tee, sink, guests: audience.take_guests(), changes: audience.take_changes() };
     let running = daemon::start(station, clock, Connection::new(endpoint), outlets)
         .context("cannot start the control thread")?;
     let finished = watch(running, clock, &mut audience, &mut signals);

@@ -85,8 +85,8 @@ pub(super) fn run(args: &FlyArgs, preparation: Interruption) -> anyhow::Result<E
     let info = run_info(&config, &vehicle, &name, false, None);
     let tee = args.tlog.as_deref().map(tee).transpose()?;
     let mut signals = StopSignals::after(Some(preparation))?;
-    let audience =
-        Audience::start(&args.view, &config, &info, &course)?.forwarding(&args.forward, &config)?;
+    let audience = Audience::start_for_flight(&args.view, &config, &info, &course)?
+        .forwarding(&args.forward, &config)?;
     let audience = audience.monitored(&vehicle.params, &config)?;
     let audience = audience.served(&args.service)?.on_screen(args.tui, &info)?;
     let run = Run { settings: station_settings, endpoint, tee, audience };
@@ -140,7 +140,7 @@ fn check(
     let sink =
         LogSink::per_flight(Box::new(none), Vec::new()).context("cannot start the log's thread")?;
     let station = Station::new(settings, clock.now()).checking();
-    let outlets = Outlets { tee: None, sink, guests: None };
+    let outlets = Outlets { tee: None, sink, guests: None, changes: None };
     let running = daemon::start(station, clock, Connection::new(endpoint), outlets)
         .context("cannot start the control thread")?;
     let finished = watch(running, clock, &mut Audience::default(), &mut signals);
@@ -208,7 +208,8 @@ impl Run {
         let path = writer.path().to_owned();
         let sink = LogSink::threaded(writer, audience.take_listeners())?;
         let station = Station::new(settings, clock.now());
-        let outlets = Outlets { tee, sink, guests: audience.take_guests() };
+        let outlets =
+            Outlets { tee, sink, guests: audience.take_guests(), changes: audience.take_changes() };
         let running = daemon::start(station, clock, Connection::new(endpoint), outlets)
             .context("cannot start the control thread")?;
         let finished = watch(running, clock, &mut audience, signals);

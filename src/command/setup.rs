@@ -92,6 +92,10 @@ pub(super) fn station_settings(
     };
     let mut offboard = settings.offboard.clone();
     offboard.telemetry.rate_hz = settings.control.rate_hz;
+    if !settings.plan.keep_out.is_empty() {
+        // A plan that is moved leads through what it was led around.
+        offboard.adjustment.goal_max_m = 0.0;
+    }
     Ok(StationSettings {
         session,
         offboard,

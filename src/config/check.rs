@@ -76,6 +76,12 @@ pub(super) fn check_offboard(settings: &OffboardSettings) -> Result<(), Impossib
     let OffsetFreeSettings { time_constant_s, velocity_time_constant_s, .. } = settings.offset_free;
     positive(&["offboard.offset_free.time_constant_s"], time_constant_s)?;
     positive(&["offboard.offset_free.velocity_time_constant_s"], velocity_time_constant_s)?;
+    let feedback_scale_max = settings.adjustment.feedback_scale_max;
+    require(feedback_scale_max >= 1.0, || Impossible {
+        settings: &["offboard.adjustment.feedback_scale_max"],
+        expected: "a factor of at least 1".to_owned(),
+        found: feedback_scale_max,
+    })?;
     check_times(&settings.supervisor)
 }
 

@@ -28,6 +28,8 @@ pub struct Controller {
     way_back: Option<WayBack>,
     /// Whether a model leads, and the expectation passed last.
     expected: (bool, Expected),
+    /// Factor on the law's feedback.
+    feedback_scale: f64,
 }
 
 impl Controller {
@@ -44,6 +46,7 @@ impl Controller {
             sent: None,
             way_back: None,
             expected: (false, Expected::default()),
+            feedback_scale: 1.0,
         }
     }
 
@@ -64,6 +67,16 @@ impl Controller {
     /// Sets the disturbance observer. Without one, the controller is the law's feedback alone.
     pub fn observing(self, observer: Option<DisturbanceObserver>) -> Self {
         Self { observer, ..self }
+    }
+
+    /// Takes the law's feedback times `factor` from now on.
+    pub fn scale_feedback(&mut self, factor: f64) {
+        self.feedback_scale = factor;
+    }
+
+    /// What the law's feedback is taken times.
+    pub fn feedback_scale(&self) -> f64 {
+        self.feedback_scale
     }
 
     /// Discards every estimate.
@@ -151,8 +164,14 @@ impl Controller {
         let dt_s = self.asked_s.replace(time_s).map_or(0.0, |before| (time_s - before).max(0.0));
         let yaw = state.attitude.yaw();
         let led = self.led_back(time_s, state, reference, yaw);
+        let scale = self.feedback_scale;
         let command = match self.observer.as_ref().filter(|observer| !observer.is_idle()) {
-            None => self.law.command(state, reference, dt_s),
+            None => match self.law.command(state, reference, dt_s) {
+                command if scale == 1.0 => command,
+                Command { feedback, is_cut, .. } => {
+                    Command::correcting(reference, feedback.scaled(scale), is_cut)
+                }
+            },
             Some(observer) => {
                 let shift = observer.shift(&led, yaw);
                 let mut held = led;
@@ -162,7 +181,7 @@ impl Controller {
                 held.feedforward = led.feedforward.plus(shift.input);
                 let Command { feedback, is_cut, .. } = self.law.command(state, &held, dt_s);
                 let more = Command::absolute(reference, led.feedforward, false).feedback;
-                let mut correction = more.plus(shift.input).plus(feedback);
+                let mut correction = more.plus(shift.input).plus(feedback.scaled(scale));
                 if observer.parameters().is_some() {
                     let fed_n = reference.feedforward.thrust_n;
                     correction.thrust_n = observer.thrust_n(fed_n + correction.thrust_n) - fed_n;

@@ -109,6 +109,9 @@ impl OffboardController {
         if after != before {
             self.tracking_error = 0.0;
         }
+        if after.is_over() {
+            self.end_adjustment(now);
+        }
         // A reaction led here: stay near the vehicle's position, not at the reference.
         let stopped = after != before && before != FlightState::Hold;
         if matches!(after, FlightState::Hold | FlightState::Land) && (stopped || jumped) {

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 use vehicle::rigid_body::State;
 
+use super::goal::GoalOffset;
 use crate::clock::VehicleTime;
 use crate::plan::reference::ReferenceSource;
 use crate::setpoint::{Expected, Reference, Setpoint};
@@ -78,6 +79,17 @@ pub(super) struct Guided {
     pub reached: Option<(Trigger, &'static str)>,
 }
 
+/// How far what is to be flown reaches, from the anchor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Extent {
+    /// Horizontally, m.
+    pub radius_m: f64,
+    /// Greatest height, m.
+    pub highest_m: f64,
+    /// Least height, m.
+    pub lowest_m: f64,
+}
+
 /// Chooses the reference. The trajectory's origin is the anchor: the place where the vehicle took
 /// off or last stood, or else the point of the local frame's floor below it. Its axes are those of
 /// the world.
@@ -101,6 +113,9 @@ pub(super) struct Guidance {
     entered: VehicleTime,
     segment: Segment,
     held: Option<Reference>,
+    /// How far the goal was moved, and had been when that was first held.
+    goal: GoalOffset,
+    held_at: Ned,
     /// How the next sample sets the hold, if it does.
     latch: Option<Latch>,
     last: Option<Reference>,
@@ -128,6 +143,8 @@ impl Guidance {
             entered: VehicleTime::default(),
             segment: Segment::default(),
             held: None,
+            goal: GoalOffset::default(),
+            held_at: Ned::zero(),
             latch: None,
             last: None,
             settled_since: None,
@@ -137,6 +154,40 @@ impl Guidance {
     /// The trajectory's origin, once the flight has begun.
     pub fn anchor(&self) -> Option<Ned> {
         self.anchor
+    }
+
+    /// How far the goal was moved from where the flight has it, or is being moved, m.
+    pub fn goal(&self) -> Ned {
+        self.goal.asked()
+    }
+
+    /// Leads what is flown to lie this far from where the flight has it, m.
+    pub fn move_goal(&mut self, offset: Ned) {
+        self.goal.lead_to(offset);
+    }
+
+    /// What is flown lies where the flight has it.
+    pub fn forget_goal(&mut self) {
+        self.goal = GoalOffset::default();
+    }
+
+    /// How far what is flown reaches with its goal moved by `offset`, for a vehicle at `position`.
+    pub fn extent(&self, offset: Ned, position: Ned) -> Extent {
+        let anchor = self.anchor.unwrap_or_else(|| self.anchor_below(position));
+        let (mut radius_m, mut highest_m, mut lowest_m) = (0.0_f64, f64::MIN, f64::MAX);
+        let mut reach = |point: Ned| {
+            radius_m = radius_m.max(point.north().hypot(point.east()));
+            (highest_m, lowest_m) = (highest_m.max(-point.down()), lowest_m.min(-point.down()));
+        };
+        match self.held.filter(|_| self.state == FlightState::Hold) {
+            Some(held) => reach(held.position - self.held_at + offset - anchor),
+            None => {
+                let step_s = self.trajectory.duration() / EXTENT_STEPS as f64;
+                (0..=EXTENT_STEPS)
+                    .for_each(|step| reach(self.trajectory.desired(step as f64 * step_s) + offset));
+            }
+        }
+        Extent { radius_m, highest_m, lowest_m }
     }
 
     /// The exponent of thrust over voltage that the reference uses.
@@ -158,6 +209,7 @@ impl Guidance {
     /// Horizontal distance from `position` to the trajectory's start, if the flight began there, m.
     pub fn start_distance_m(&self, position: Ned) -> f64 {
         let start = self.trajectory.sample(0.0).position + self.anchor_below(position);
+        let start = start + self.goal.asked();
         (start.north() - position.north()).hypot(start.east() - position.east())
     }
 
@@ -175,6 +227,7 @@ impl Guidance {
         if state != self.state {
             self.enter(state, sample);
         }
+        self.goal.step(sample.vehicle);
         let t = sample.vehicle.seconds_since(self.entered);
         let here = &sample.state;
         let mut guided = match state {
@@ -211,7 +264,8 @@ impl Guidance {
             FlightState::TakeOff => {
                 self.anchor = Some(position);
                 (self.lowest_down, self.lifted) = (position.down(), 0.0);
-                let start = self.trajectory.sample(0.0).position + position;
+                self.goal.arrive();
+                let start = self.trajectory.sample(0.0).position + self.goal.at() + position;
                 let top = Ned::new(position.north(), position.east(), start.down());
                 let yaw = here.attitude.yaw();
                 self.segment = Segment::between(
@@ -229,6 +283,8 @@ impl Guidance {
                 let below = self.anchor_below(position);
                 let anchor = *self.anchor.get_or_insert(below);
                 let start = self.trajectory.sample(0.0);
+                self.goal.arrive();
+                let anchor = anchor + self.goal.at();
                 self.segment = Segment::between(
                     (from.position, from.attitude.yaw),
                     (start.position + anchor, start.attitude.yaw),
@@ -238,7 +294,9 @@ impl Guidance {
             }
             FlightState::Hold if self.latch.is_none() => {
                 self.held = self.last.map(|end| self.level(end.position, end.attitude.yaw));
+                self.held_at = self.goal.at();
             }
+            FlightState::Land => self.goal.stay(),
             FlightState::Standby => (self.anchor, self.held, self.latch) = (None, None, None),
             _ => {}
         }
@@ -251,10 +309,23 @@ impl Guidance {
             let [north, east, _] = (here.velocity * ahead_s).to_array();
             let share = (STOPPING_MAX_M / north.hypot(east)).min(1.0);
             let position = here.position + Ned::new(north, east, 0.0) * share;
-            self.held = Some(self.stay(&State { position, ..*here }));
+            self.held = None;
+            self.goal.stay();
+            return self.hold_at(&State { position, ..*here });
+        }
+        self.hold_at(here)
+    }
+
+    /// What is held, moved with the goal; `here` where nothing is held yet.
+    fn hold_at(&mut self, here: &State) -> Reference {
+        if self.held.is_none() {
+            self.held_at = self.goal.at();
         }
         let stay = self.stay(here);
-        *self.held.get_or_insert(stay)
+        let mut held = *self.held.get_or_insert(stay);
+        held.position += self.goal.at() - self.held_at;
+        held.velocity += self.goal.velocity();
+        held
     }
 
     fn anchor_below(&self, position: Ned) -> Ned {
@@ -320,10 +391,11 @@ impl Guidance {
     }
 
     fn track(&self, t: f64, here: &State) -> Guided {
-        let anchor = self.anchor.unwrap_or_default();
+        let anchor = self.anchor.unwrap_or_default() + self.goal.at();
         self.trajectory.observe(t, &State { position: here.position - anchor, ..*here });
         let mut reference = self.trajectory.sample(t);
         reference.position += anchor;
+        reference.velocity += self.goal.velocity();
         let over = t >= self.trajectory.duration();
         Guided {
             desired: self.trajectory.desired(t) + anchor,
@@ -408,6 +480,8 @@ const STOPPING_S: f64 = 0.6;
 const STOPPING_MAX_M: f64 = 2.0;
 /// Thrust beyond hover thrust, as a share of it, at which the vehicle counts as off the ground.
 const LIFTING_EXCESS: f64 = 0.1;
+/// Points of a trajectory that are looked at for how far it reaches.
+const EXTENT_STEPS: usize = 200;
 /// Shortest duration of a segment, s.
 const SEGMENT_MIN_S: f64 = 1.0;
 /// Peak slope of the minimum-jerk profile.

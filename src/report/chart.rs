@@ -230,7 +230,7 @@ impl<'a> Chart<'a> {
                 let (left, width) = (100.0 * x.at(from), 100.0 * (x.at(to) - x.at(from)));
                 let name = escape(&band.name);
                 // What a name needs of a frame as wide as on a phone, and as on a desk.
-                let needs = 6.5 * band.name.chars().count() as f64;
+                let needs = 7.2 * band.name.chars().count() as f64;
                 let fits = match 0.01 * width {
                     share if needs < share * PHONE => "",
                     share if needs < share * DESK => " more",

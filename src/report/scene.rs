@@ -57,8 +57,9 @@ impl Scene<'_> {
             Ned::new(pick(north, c & 1 == 1), pick(east, c & 2 == 2), floor)
         });
         let middle = |(from, to): (f64, f64)| (from + to) / 2.0;
+        let pole = Ned::new(grid[0].1, grid[1].0, floor - step);
         let mut picture = Picture {
-            view: View::fit(all().copied().chain(corners)),
+            view: View::fit(all().copied().chain(corners).chain([pole])),
             centre: Ned::new(middle(grid[0]), middle(grid[1]), (low[2] + floor) / 2.0),
             unit: span * 1e-4,
             svg: String::new(),

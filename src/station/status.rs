@@ -7,6 +7,7 @@ use wire::signing::Refused;
 
 use crate::clock::HostTime;
 use crate::link::counters::LinkState;
+use crate::offboard::Adjusted;
 use crate::supervisor::FlightState;
 
 /// A snapshot of the station for the status line.
@@ -38,6 +39,8 @@ pub struct Status {
     pub battery: Option<f64>,
     /// Round trip of the link, s.
     pub round_trip_s: Option<f64>,
+    /// What viewers changed.
+    pub adjusted: Adjusted,
     /// The link's frame counters.
     pub counts: LinkCounts,
     /// When the driver took this snapshot.
@@ -105,6 +108,7 @@ impl Station {
         if let Some(offboard) = &self.offboard {
             let telemetry = offboard.telemetry();
             status.phase = Some(offboard.flight_state());
+            status.adjusted = offboard.adjusted();
             status.mode = telemetry.status().mode;
             status.mode_name = telemetry.status().mode.and_then(|word| self.mode_name(word));
             status.armed = telemetry.status().armed;

@@ -12,6 +12,7 @@ use vehicle::frame::{Frd, Ned};
 
 use super::server::{Server, ViewError, ViewSettings};
 use super::trail::Trail;
+use super::write::Changes;
 use crate::clock::HostTime;
 use crate::log::encoder::{Definition, Encoder, MessageSink, Times, Topic};
 use crate::log::record::{PARAMETER_FACT, Record, Tick};
@@ -23,6 +24,8 @@ use crate::station::Status;
 /// Viewers get the time this often, and the trail this often.
 const TIME_PERIOD: Duration = Duration::from_millis(100);
 const TRAIL_PERIOD: Duration = Duration::from_millis(500);
+/// The plan is drawn anew when its origin has moved by more than this, m.
+const ORIGIN_MOVED_M: f64 = 0.1;
 /// Events that who comes late is shown.
 const EVENTS: usize = 100;
 
@@ -116,8 +119,14 @@ impl LiveView {
         self.server.address()
     }
 
+    /// What viewers ask to be changed, where they may; a second call gives none.
+    pub fn take_changes(&self) -> Option<Changes> {
+        self.server.take_changes()
+    }
+
     /// Shows where the flight stands.
     pub fn show(&self, now: HostTime, status: &Status) {
+        self.server.show_adjusted(&status.adjusted);
         if self.status.has_sinks() {
             let time = PartialMetadata { log_time: Some(now.as_ns()) };
             self.status.log_with_meta(&message(status).encode_to_vec(), time);
@@ -217,9 +226,10 @@ impl LiveFeed {
 
     fn follow(&mut self, tick: &Tick) {
         self.trail.add(tick.stamp.host, tick.state.position);
-        if self.origin.is_none()
-            && let (Some(time), Some(desired)) = (tick.trajectory_time, tick.desired)
+        if let (Some(time), Some(desired)) = (tick.trajectory_time, tick.desired)
             && let Some(origin) = self.course.origin(time, desired)
+            // A goal that is moved takes the plan with it.
+            && self.origin.is_none_or(|shown| (origin - shown).norm() > ORIGIN_MOVED_M)
         {
             self.origin = Some(origin);
             self.trail_due = HostTime::default();

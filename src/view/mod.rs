@@ -12,8 +12,10 @@ mod recording;
 mod relay;
 mod server;
 mod trail;
+mod write;
 
 pub use self::feed::{CoursePath, LiveFeed, LiveView};
 pub use self::playback::Playback;
 pub use self::recording::Recording;
 pub use self::server::{ViewError, ViewSettings};
+pub use self::write::Changes;

@@ -1,6 +1,6 @@
 //! The server's thread: Foxglove's protocol behind our own front.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io;
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,9 +17,11 @@ use foxglove::websocket::{
 use foxglove::{ChannelBuilder, Context, RawChannel, Schema, SinkId, WebSocketServerHandle};
 use tokio::sync::oneshot;
 
-use super::front;
+use super::front::{self, Gate};
+use super::write::{Changes, WRITABLE, Writer, shown_as};
 use crate::http;
 use crate::log::encoder::Definition;
+use crate::offboard::Adjusted;
 
 /// Messages that wait for one viewer; the oldest are dropped. Half a second of a busy flight.
 const BACKLOG: usize = 1024;
@@ -59,6 +61,8 @@ pub struct ViewSettings {
     pub parameters: BTreeMap<String, String>,
     /// First and last time of what is played back, ns; `None` is live.
     pub playback: Option<(u64, u64)>,
+    /// Whether viewers may set goal and gains.
+    pub is_writable: bool,
 }
 
 /// Answers a viewer's request to play, pause or seek.
@@ -72,6 +76,7 @@ struct Shared {
     newcomers: Mutex<Vec<(SinkId, String)>>,
     has_newcomers: AtomicBool,
     on_playback: Option<OnPlayback>,
+    writer: Option<Writer>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -84,6 +89,7 @@ pub(super) struct Server {
     handle: WebSocketServerHandle,
     shared: Arc<Shared>,
     address: SocketAddr,
+    changes: Mutex<Option<Changes>>,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -95,11 +101,20 @@ impl Server {
         on_playback: Option<OnPlayback>,
     ) -> Result<Self, ViewError> {
         let context = Context::new();
-        let parameters = Mutex::new(settings.parameters);
-        let shared = Arc::new(Shared { parameters, on_playback, ..Shared::default() });
+        let mut parameters = settings.parameters;
+        let (writer, changes) = settings.is_writable.then(Writer::new).unzip();
+        let gate = Gate::new(&settings.address, writer.as_ref().map(Writer::led));
+        let mut info = HashMap::new();
+        if writer.is_some() {
+            parameters.extend(shown_as(&Adjusted::default()));
+            info.insert("writable".to_owned(), WRITABLE.join(" "));
+        }
+        let parameters = Mutex::new(parameters);
+        let shared = Arc::new(Shared { parameters, on_playback, writer, ..Shared::default() });
         let mut server = context
             .websocket_server()
             .name(settings.name)
+            .server_info(info)
             // Viewers reach it through the front alone.
             .bind("127.0.0.1", 0)
             .message_backlog_size(BACKLOG)
@@ -127,7 +142,7 @@ impl Server {
                     let inner = SocketAddr::from(([127, 0, 0, 1], handle.port()));
                     if started.send(Ok((at, handle))).is_ok() {
                         tokio::select! {
-                            () = front::serve(listener, inner) => {}
+                            () = front::serve(listener, inner, gate) => {}
                             // What was said last is still on its way.
                             _ = stopped => tokio::time::sleep(LAST_WORDS).await,
                         }
@@ -140,7 +155,27 @@ impl Server {
         let (address, handle) = start
             .recv()
             .map_err(|_| io::Error::other("its thread ended before it had begun"))??;
-        Ok(Self { context, handle, shared, address, stop: Some(stop), thread: Some(thread) })
+        let (changes, stop) = (Mutex::new(changes), Some(stop));
+        Ok(Self { context, handle, shared, address, changes, stop, thread: Some(thread) })
+    }
+
+    /// What viewers set, where they may; a second call gives none.
+    pub fn take_changes(&self) -> Option<Changes> {
+        lock(&self.changes).take()
+    }
+
+    /// Shows what holds of what viewers may set.
+    pub fn show_adjusted(&self, held: &Adjusted) {
+        if self.shared.writer.is_none() {
+            return;
+        }
+        let mut news = shown_as(held);
+        let parameters = lock(&self.shared.parameters);
+        news.retain(|(name, value)| parameters.get(name) != Some(value));
+        drop(parameters);
+        if !news.is_empty() {
+            self.add_parameters(news);
+        }
     }
 
     /// Where it listens.
@@ -231,7 +266,8 @@ impl ParameterHandler for Shared {
         responder.respond(wanted.map(|(name, value)| parameter(name, value)).collect());
     }
 
-    /// Sets nothing: answers with the values that hold.
+    /// Sets nothing by itself: answers with the values that hold. What the control thread makes of it
+    /// is shown as it comes.
     fn set(
         &self,
         _: AnyClient,
@@ -239,6 +275,9 @@ impl ParameterHandler for Shared {
         _: Option<String>,
         responder: SetParametersResponder,
     ) {
+        if let Some(writer) = &self.writer {
+            writer.offer(&asked);
+        }
         let parameters = lock(&self.parameters);
         let held = asked.iter().filter_map(|Parameter { name, .. }| {
             parameters.get(name).map(|value| parameter(name, value))
@@ -248,6 +287,14 @@ impl ParameterHandler for Shared {
 }
 
 impl ServerListener for Shared {
+    fn on_client_connect(&self) {
+        self.writer.iter().for_each(Writer::came);
+    }
+
+    fn on_client_disconnect(&self) {
+        self.writer.iter().for_each(Writer::went);
+    }
+
     fn on_subscribe(&self, client: Client, channel: ChannelView<'_>) {
         let Some(sink) = client.sink_id() else { return };
         let mut newcomers = lock(&self.newcomers);

@@ -80,15 +80,45 @@ def pages(tmp_path_factory):
         "diagnose", *logs["b"], "--vehicle", vehicle, "--twins", 4, "--report", folder / "diagnosis", folder=folder
     )
     found["diagnosis"] = folder / "diagnosis/report.html"
+    downwash("onset", logs["b"][0], "--vehicle", vehicle, "--report", folder / "onset", folder=folder)
+    found["onset"] = folder / "onset/report.html"
+    downwash("plan", trajectory, "--vehicle", vehicle, "--report", folder / "plan", "-o", folder / "plan.json", folder=folder)
+    found["plan"] = folder / "plan/report.html"
     return found
 
 
-PAGES = ("flight", "recording", "compare", "diagnosis")
+@pytest.fixture(scope="module")
+def slow_pages(tmp_path_factory):
+    """The pages of commands that work for long."""
+    folder = tmp_path_factory.mktemp("slow")
+    downwash("demo", "--out", folder / "demo", folder=folder)
+    # Of so few cases it says so, which is no failure of the page.
+    downwash("exam", "--round-trip", "--cases", 2, "--out", folder / "exam", folder=folder, codes=(0, 10))
+    return {
+        "experiment": folder / "demo/report.html",
+        "training": folder / "demo/training/report.html",
+        "exam": folder / "exam/report.html",
+    }
+
+
+PAGES = ("flight", "recording", "compare", "diagnosis", "onset", "plan")
+
+
+@pytest.mark.long
+@pytest.mark.computes
+@pytest.mark.parametrize("name", ("experiment", "training", "exam"))
+@pytest.mark.parametrize(("width", "dark"), LOOKS)
+def test_a_page_of_long_work_fits_and_can_be_read(slow_pages, browser, name, width, dark):
+    check_look(slow_pages, browser, name, width, dark)
 
 
 @pytest.mark.parametrize("name", PAGES)
 @pytest.mark.parametrize(("width", "dark"), LOOKS)
 def test_a_page_fits_and_can_be_read(pages, browser, name, width, dark):
+    check_look(pages, browser, name, width, dark)
+
+
+def check_look(pages, browser, name, width, dark):
     browser.open(pages[name], width, dark=dark)
     browser.frame()
     assert browser.complaints == []
@@ -109,7 +139,7 @@ def test_a_page_is_whole_without_scripts(pages, browser, name):
     browser.open(pages[name], 1400)
     assert browser.value(WORDLESS) == []
     links = browser.value("[...document.querySelectorAll('nav a')].map(a => a.getAttribute('href'))")
-    assert len(links) >= 3 and all(browser.value(f"!!document.querySelector('{link}')") for link in links)
+    assert len(links) >= (1 if name == "onset" else 3) and all(browser.value(f"!!document.querySelector('{link}')") for link in links)
 
 
 def centre(browser, selector):
@@ -175,3 +205,38 @@ def test_an_event_leads_to_its_instant_and_the_path_turns(pages, browser):
     browser.frame()
     assert browser.value(path) != before
     assert browser.complaints == []
+
+
+def test_labels_of_the_path_do_not_overlap(pages, browser):
+    """At either width, as it is first seen."""
+    overlapping = """(() => {
+        const boxes = [...document.querySelectorAll('.scene span')].filter(span => span.textContent)
+            .map(span => [span.textContent, span.getBoundingClientRect()]);
+        const meet = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
+        return boxes.flatMap(([text, a], i) => boxes.slice(i + 1).filter(([, b]) => meet(a, b)).map(([other]) => [text, other]));
+    })()"""
+    for width in (1400, 400):
+        for name in ("flight", "compare", "plan"):
+            browser.open(pages[name], width)
+            browser.frame()
+            assert browser.value(overlapping) == [], (name, width)
+            outside = """[...document.querySelectorAll('.scene')].flatMap(scene => [...scene.querySelectorAll('span')]
+                .filter(span => span.getBoundingClientRect().top < scene.getBoundingClientRect().top - 1)
+                .map(span => span.textContent))"""
+            assert browser.value(outside) == [], (name, width)
+
+
+def test_ten_minutes_of_flight_are_a_small_page(browser, tmp_path):
+    (tmp_path / "long.toml").write_text(
+        "family = 'sinusoid-xy'\naltitude_m = 1.0\nduration_s = 600.0\namplitude_m = [0.8, 0.6]\nperiod_s = [4.0, 4.0]\n"
+    )
+    # The pack is empty before.
+    (tmp_path / "config.toml").write_text("[offboard.safety]\non_battery = 'warn'\n")
+    done = downwash("simulate", "long.toml", "--config", "config.toml", "--json", "--out", ".", folder=tmp_path)
+    row = json.loads(done.stdout)
+    page = (tmp_path / row["log"]).with_suffix(".html")
+    assert page.stat().st_size < 3e6
+    browser.open(page, 1400)
+    browser.frame()
+    assert browser.complaints == []
+    assert browser.value("document.querySelectorAll('.frame').length") > 10

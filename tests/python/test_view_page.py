@@ -3,9 +3,11 @@
 import re
 
 import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from browser import Browser
-from conftest import Program
+from conftest import CRAZYFLIE, Program, Sitl
 
 HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 4.0\n"
 STATE = "document.getElementById('figure-state').textContent"
@@ -34,6 +36,12 @@ def log(tmp_path_factory):
     return next(folder.glob("*.mcap"))
 
 
+def logged_events(path):
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [event.message for *_, event in reader.iter_decoded_messages(topics=["/log"])]
+
+
 def check_clean(browser, url):
     assert browser.complaints == []
     assert set(browser.requests) <= {url, "data:,"}
@@ -47,7 +55,7 @@ def test_a_flight_is_seen_as_it_happens(program, browser, tmp_path):
     browser.until(f"{STATE} === 'track'")
     browser.until("known.plan.length > 50 && known.trail.length > 10 && known.rotors.length === 4")
     browser.until("document.getElementById('figure-mode').textContent === 'Offboard'")
-    browser.until("lines.get('north').t.length > 100 && lines.get('output 1').t.length > 100")
+    browser.until("lines.get('north').t.length > 100 && lines.get('motor 1').t.length > 100")
     # The vehicle is where it was told to be, north, east and up.
     assert abs(browser.value("known.state.p[2]") - 0.8) < 0.3
     events = browser.value("document.getElementById('events').textContent")
@@ -101,6 +109,58 @@ def test_the_page_fits_and_is_readable(program, browser, log, width, dark):
     assert browser.value(small) == []
     unlabelled = "[...document.querySelectorAll('canvas')].filter(c => !c.getAttribute('aria-label')).length"
     assert browser.value(unlabelled) == 0
+    check_clean(browser, url)
+
+
+@pytest.fixture
+def writable(program, tmp_path):
+    """A long hover on a vehicle of its own, whose viewers may change something; the program and its address."""
+    (tmp_path / "hover.toml").write_text("family = 'hover'\naltitude_m = 0.8\nduration_s = 120.0\n")
+    sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
+    flight = program("fly", tmp_path / "hover.toml", "--vehicle", CRAZYFLIE, "--connect", sitl.peer_url(),
+                     "--log-dir", tmp_path, "--view=127.0.0.1:0", "--view-write")
+    yield flight, address(flight)
+    sitl.stop()
+
+
+def test_the_goal_is_moved_from_the_page(writable, browser, tmp_path):
+    flight, url = writable
+    browser.open(url, 1400, 1000)
+    browser.until(f"{STATE} === 'track' && !document.getElementById('change').hidden")
+    held = "[...document.querySelectorAll('#writable span')].map(s => s.textContent).join()"
+    browser.until(f"{held} === '(now 0.00),(now 0.00),(now 0.00),(now 1.00)'")
+    before = browser.value("known.state.p")
+    fill = """(values => { [...document.querySelectorAll('#writable input')].forEach((input, i) => input.value = values[i]);
+        document.querySelector('#change button').click(); })"""
+    # Too far is refused, and said so; nothing moves.
+    browser.value(f"{fill}([9, 0, 0, 1])")
+    browser.until("document.getElementById('events').textContent.includes('a goal is moved by at most 3 m')")
+    browser.value(f"{fill}([1, -0.5, 0.4, 1.2])")
+    browser.until(f"{held} === '(now 1.00),(now -0.50),(now 0.40),(now 1.20)'")
+    browser.until("document.getElementById('events').textContent.includes('feedback x 1.20')")
+    # East, north, up.
+    moved = [before[0] - 0.5, before[1] + 1.0, before[2] + 0.4]
+    near = " && ".join(f"Math.abs(known.state.p[{i}] - {where}) < 0.15" for i, where in enumerate(moved))
+    browser.until(near)
+    check_clean(browser, url)
+    flight.signal(2)
+    flight.finish()
+    # Both are in the log.
+    said = logged_events(next(tmp_path.glob("*.mcap")))
+    assert any("a viewer's change is refused (goal 9.00 m north" in text for text in said)
+    assert any("a viewer's change: goal 1.00 m north, -0.50 m east, 0.40 m up" in text for text in said)
+
+
+@pytest.mark.parametrize("width", [1400, 400])
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_what_can_be_changed_fits(writable, browser, width, dark):
+    _, url = writable
+    browser.open(url, width, 1000, dark=dark)
+    browser.until("!document.getElementById('change').hidden && known.state")
+    assert browser.value("document.documentElement.scrollWidth") <= width
+    sizes = "[...document.querySelectorAll('#change *')].map(e => parseFloat(getComputedStyle(e).fontSize))"
+    assert min(browser.value(sizes)) >= 11
+    assert browser.value("[...document.querySelectorAll('#change input')].every(i => i.labels.length === 1)")
     check_clean(browser, url)
 
 

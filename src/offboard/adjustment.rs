@@ -1,0 +1,206 @@
+//! What may be changed in flight by who watches it: how far the goal lies from where the flight has
+//! it, and how firm the feedback is.
+
+use std::fmt;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use vehicle::frame::Ned;
+
+use super::OffboardController;
+use super::guidance::Extent;
+use crate::clock::HostTime;
+use crate::supervisor::Severity;
+
+/// Bounds of what may be changed in flight.
+#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AdjustmentSettings {
+    /// Farthest that a goal may be moved from where the flight has it, m.
+    pub goal_max_m: f64,
+    /// Lowest height above the anchor that a goal may be moved to, m.
+    pub height_min_m: f64,
+    /// A goal may be moved no nearer to the geofence than this, m.
+    pub fence_margin_m: f64,
+    /// Largest factor on the law's feedback; the smallest is one over it.
+    pub feedback_scale_max: f64,
+}
+
+impl Default for AdjustmentSettings {
+    fn default() -> Self {
+        Self { goal_max_m: 3.0, height_min_m: 0.3, fence_margin_m: 1.0, feedback_scale_max: 1.5 }
+    }
+}
+
+/// What holds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Adjusted {
+    /// How far from where the flight has it the goal lies, or is led to, m.
+    pub goal: Ned,
+    /// Factor on the law's feedback.
+    pub feedback_scale: f64,
+}
+
+impl Default for Adjusted {
+    fn default() -> Self {
+        Self { goal: Ned::zero(), feedback_scale: 1.0 }
+    }
+}
+
+/// A change that is asked for: all of it happens, or none.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Adjustment {
+    /// The goal's way north, m.
+    pub north_m: Option<f64>,
+    /// The goal's way east, m.
+    pub east_m: Option<f64>,
+    /// The goal's way up, m.
+    pub up_m: Option<f64>,
+    /// Factor on the law's feedback.
+    pub feedback_scale: Option<f64>,
+}
+
+impl Adjustment {
+    fn of(&self, held: &Adjusted) -> Adjusted {
+        let [north, east, down] = held.goal.to_array();
+        let goal = Ned::new(
+            self.north_m.unwrap_or(north),
+            self.east_m.unwrap_or(east),
+            self.up_m.map_or(down, |up| -up),
+        );
+        Adjusted { goal, feedback_scale: self.feedback_scale.unwrap_or(held.feedback_scale) }
+    }
+}
+
+impl fmt::Display for Adjusted {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [north, east, down] = self.goal.to_array();
+        let up = 0.0 - down;
+        write!(f, "goal {north:.2} m north, {east:.2} m east, {up:.2} m up of where it was, ")?;
+        write!(f, "feedback x {:.2}", self.feedback_scale)
+    }
+}
+
+impl AdjustmentSettings {
+    /// What speaks against it, where the goal reaches as far as `reach` by it and `now` without;
+    /// where it is beyond a bound already it may come nearer.
+    fn objection(
+        &self,
+        wanted: &Adjusted,
+        (now, reach): (Extent, Extent),
+        fence: (f64, f64),
+    ) -> Option<String> {
+        let (distance, scale) = (wanted.goal.norm(), wanted.feedback_scale);
+        let most = self.feedback_scale_max;
+        let (radius, height) = (fence.0 - self.fence_margin_m, fence.1 - self.fence_margin_m);
+        // NaN is on the wrong side of each.
+        let is_within = |value: f64, least: f64, most: f64| value >= least && value <= most;
+        if !is_within(distance, 0.0, self.goal_max_m) {
+            return Some(format!("a goal is moved by at most {} m", self.goal_max_m));
+        }
+        if !is_within(scale, 1.0 / most, most) {
+            return Some(format!("feedback is scaled by {:.2} to {most:.2}", 1.0 / most));
+        }
+        if !is_within(reach.radius_m, 0.0, radius.max(now.radius_m))
+            || !is_within(reach.highest_m, f64::MIN, height.max(now.highest_m))
+        {
+            return Some("it leads too near to the geofence".to_owned());
+        }
+        if !is_within(reach.lowest_m, self.height_min_m.min(now.lowest_m), f64::MAX) {
+            return Some(format!("it leads below {} m", self.height_min_m));
+        }
+        None
+    }
+}
+
+impl OffboardController {
+    /// What holds of what may be changed in flight.
+    pub fn adjusted(&self) -> Adjusted {
+        Adjusted { goal: self.guidance.goal(), feedback_scale: self.controller.feedback_scale() }
+    }
+
+    /// Takes what a viewer asks for, where the supervisor heeds viewers and it is within bounds. An
+    /// event says what became of it.
+    pub fn adjust(&mut self, now: HostTime, asked: &Adjustment) {
+        let held = self.adjusted();
+        let wanted = asked.of(&held);
+        let objection = match self.supervisor.heeds_viewers(self.airborne()) {
+            false => Some("goal and feedback change in track, in hold and before a flight".into()),
+            true => {
+                let here = self.telemetry.last_sample().map(|sample| sample.state.position);
+                let here = here.unwrap_or_default();
+                let extents = (
+                    self.guidance.extent(held.goal, here),
+                    self.guidance.extent(wanted.goal, here),
+                );
+                let safety = &self.settings.safety;
+                let fence = (safety.fence_radius_m, safety.fence_height_m);
+                self.settings.adjustment.objection(&wanted, extents, fence)
+            }
+        };
+        if let Some(why) = objection {
+            let text = format!("a viewer's change is refused ({wanted}): {why}");
+            return self.supervisor.tell(now, Severity::Warning, text);
+        }
+        if wanted != held {
+            self.guidance.move_goal(wanted.goal);
+            self.controller.scale_feedback(wanted.feedback_scale);
+            self.supervisor.tell(now, Severity::Info, format!("a viewer's change: {wanted}"));
+        }
+    }
+
+    /// A flight's changes end with it.
+    pub(super) fn end_adjustment(&mut self, now: HostTime) {
+        if self.adjusted() != Adjusted::default() {
+            self.guidance.forget_goal();
+            self.controller.scale_feedback(1.0);
+            self.supervisor.tell(now, Severity::Info, "the viewers' changes end with the flight");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_out_of_bounds_is_refused_with_the_bound() {
+        let settings = AdjustmentSettings::default();
+        let now = Extent { radius_m: 1.0, highest_m: 1.0, lowest_m: 1.0 };
+        let judge = |asked: Adjustment, reach: Extent| {
+            settings.objection(&asked.of(&Adjusted::default()), (now, reach), (10.0, 5.0))
+        };
+        let north = |north| Adjustment { north_m: Some(north), ..Adjustment::default() };
+        let scaled = |scale| Adjustment { feedback_scale: Some(scale), ..Adjustment::default() };
+        assert_eq!(judge(north(2.9), now), None);
+        assert_eq!(judge(scaled(1.5), now), None);
+        assert_eq!(judge(scaled(0.67), now), None);
+        let far = Extent { radius_m: 9.1, ..now };
+        let high = Extent { highest_m: 4.1, ..now };
+        let low = Extent { lowest_m: 0.2, ..now };
+        for (asked, reach, words) in [
+            (north(3.1), now, "at most 3 m"),
+            (north(f64::NAN), now, "at most 3 m"),
+            (north(f64::INFINITY), now, "at most 3 m"),
+            (scaled(1.6), now, "0.67 to 1.50"),
+            (scaled(0.0), now, "0.67 to 1.50"),
+            (scaled(-1.0), now, "0.67 to 1.50"),
+            (scaled(f64::NAN), now, "0.67 to 1.50"),
+            (north(1.0), far, "geofence"),
+            (north(1.0), high, "geofence"),
+            (north(1.0), low, "below 0.3 m"),
+        ] {
+            let found = judge(asked, reach).expect("refused");
+            assert!(found.contains(words), "{asked:?}: {found}");
+        }
+    }
+
+    #[test]
+    fn what_is_beyond_a_bound_already_may_come_nearer() {
+        let settings = AdjustmentSettings::default();
+        let wanted = Adjusted { goal: Ned::new(1.0, 0.0, 0.0), feedback_scale: 1.0 };
+        let now = Extent { radius_m: 9.5, highest_m: 1.0, lowest_m: 0.0 };
+        let nearer = Extent { radius_m: 9.4, ..now };
+        assert_eq!(settings.objection(&wanted, (now, nearer), (10.0, 5.0)), None);
+    }
+}

@@ -1,0 +1,108 @@
+//! How far from where the flight has it the goal lies, and the way there.
+
+use vehicle::frame::Ned;
+
+use crate::clock::VehicleTime;
+
+/// Fastest way to a goal that is moved, m/s, and how quickly that speed comes about, m/s^2.
+const SPEED_MAX_M_S: f64 = 0.5;
+const ACCELERATION_MAX_M_S2: f64 = 0.5;
+/// Speed over what is left of the way, 1/s: a way at 0.5 m/s ends with 0.5 m/s^2.
+const RATE_PER_S: f64 = 1.0;
+/// Nearer than this it is there, m.
+const THERE_M: f64 = 1e-3;
+/// A longer gap between two samples is not made up for, s.
+const STEP_MAX_S: f64 = 0.1;
+
+/// An offset that is led to what is asked for, with a velocity that does not jump.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct GoalOffset {
+    asked: Ned,
+    at: Ned,
+    velocity: Ned,
+    last: Option<VehicleTime>,
+}
+
+impl GoalOffset {
+    /// Where it is led to, m.
+    pub fn asked(&self) -> Ned {
+        self.asked
+    }
+
+    /// Where it is, m.
+    pub fn at(&self) -> Ned {
+        self.at
+    }
+
+    /// How fast it moves, m/s.
+    pub fn velocity(&self) -> Ned {
+        self.velocity
+    }
+
+    /// From now on it is led to `offset`.
+    pub fn lead_to(&mut self, offset: Ned) {
+        self.asked = offset;
+    }
+
+    /// It is where it was asked to be: the vehicle has not left the ground.
+    pub fn arrive(&mut self) {
+        (self.at, self.velocity) = (self.asked, Ned::zero());
+    }
+
+    /// It stays where it is.
+    pub fn stay(&mut self) {
+        (self.asked, self.velocity) = (self.at, Ned::zero());
+    }
+
+    /// Goes on to the time of a sample.
+    pub fn step(&mut self, now: VehicleTime) {
+        let dt = self.last.replace(now).map_or(0.0, |last| now.seconds_since(last));
+        let dt = dt.clamp(0.0, STEP_MAX_S);
+        let left = self.asked - self.at;
+        if left.norm() < THERE_M && self.velocity.norm() < THERE_M {
+            return self.arrive();
+        }
+        let wanted = within(left * RATE_PER_S, SPEED_MAX_M_S);
+        self.velocity += within(wanted - self.velocity, ACCELERATION_MAX_M_S2 * dt);
+        self.at += self.velocity * dt;
+    }
+}
+
+fn within(vector: Ned, most: f64) -> Ned {
+    let length = vector.norm();
+    if length > most { vector * (most / length) } else { vector }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_way_is_slow_smooth_and_ends_there() {
+        let mut offset = GoalOffset::default();
+        offset.lead_to(Ned::new(2.0, -1.0, 0.5));
+        let (mut speed, mut before, mut acceleration) = (0.0_f64, Ned::zero(), 0.0_f64);
+        for tick in 0..1500 {
+            // It is asked elsewhere on its way.
+            if tick == 300 {
+                offset.lead_to(Ned::new(-1.0, 0.0, 0.0));
+            }
+            offset.step(VehicleTime::from_us(tick * 10_000));
+            speed = speed.max(offset.velocity().norm());
+            acceleration = acceleration.max((offset.velocity() - before).norm() / 0.01);
+            before = offset.velocity();
+        }
+        assert!(speed <= SPEED_MAX_M_S * 1.001 && speed > 0.4, "{speed} m/s");
+        assert!(acceleration <= ACCELERATION_MAX_M_S2 * 1.01, "{acceleration} m/s^2");
+        assert_eq!((offset.at(), offset.velocity()), (Ned::new(-1.0, 0.0, 0.0), Ned::zero()));
+    }
+
+    #[test]
+    fn a_gap_is_not_made_up_for() {
+        let mut offset = GoalOffset::default();
+        offset.lead_to(Ned::new(3.0, 0.0, 0.0));
+        offset.step(VehicleTime::from_us(0));
+        offset.step(VehicleTime::from_us(60_000_000));
+        assert!(offset.at().norm() < 0.01, "{:?}", offset.at());
+    }
+}

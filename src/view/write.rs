@@ -1,0 +1,117 @@
+//! What viewers may change, where that is asked for: a few parameters on a list, handed to the
+//! control thread by a short queue. The supervisor decides, and what then holds is shown to all.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+use foxglove::websocket::{Parameter, ParameterValue};
+
+use crate::offboard::{Adjusted, Adjustment};
+
+/// Changes that may wait for the control thread, which takes ten a second; those beyond are dropped.
+const QUEUE: usize = 4;
+
+/// The parameters that can be set, and nothing else can.
+pub(super) const WRITABLE: [&str; 4] =
+    ["flight.goal_north_m", "flight.goal_east_m", "flight.goal_up_m", "flight.feedback_scale"];
+
+/// What viewers ask for, as the control thread takes it.
+pub struct Changes(Receiver<Adjustment>);
+
+impl Changes {
+    /// The next of them. Never waits.
+    pub fn take(&self) -> Option<Adjustment> {
+        self.0.try_recv().ok()
+    }
+}
+
+/// Takes what viewers set.
+pub(super) struct Writer {
+    queue: SyncSender<Adjustment>,
+    /// Viewers that came through the front, which looks at where their page is from, and all.
+    led: Arc<AtomicUsize>,
+    all: AtomicUsize,
+}
+
+impl Writer {
+    pub fn new() -> (Self, Changes) {
+        let (queue, changes) = sync_channel(QUEUE);
+        (Self { queue, led: Arc::default(), all: AtomicUsize::new(0) }, Changes(changes))
+    }
+
+    /// Viewers that the front led here.
+    pub fn led(&self) -> Arc<AtomicUsize> {
+        Arc::clone(&self.led)
+    }
+
+    /// A viewer came.
+    pub fn came(&self) {
+        self.all.fetch_add(1, Ordering::AcqRel);
+    }
+
+    /// A viewer went.
+    pub fn went(&self) {
+        self.all.fetch_sub(1, Ordering::AcqRel);
+    }
+
+    /// Hands on what is asked for. What is not on the list, no number, or too much at once is not.
+    pub fn offer(&self, asked: &[Parameter]) {
+        // Somebody who avoided the front is here; it may be who asks.
+        if self.all.load(Ordering::Acquire) > self.led.load(Ordering::Acquire) {
+            tracing::warn!("a viewer's change is dropped: a viewer came another way");
+            return;
+        }
+        if let Some(change) = change(asked)
+            && self.queue.try_send(change).is_err()
+        {
+            tracing::warn!("a viewer's change is dropped: too many at once");
+        }
+    }
+}
+
+/// What holds, as it is shown.
+pub(super) fn shown_as(held: &Adjusted) -> Vec<(String, String)> {
+    let [north, east, down] = held.goal.to_array();
+    let values = [north, east, 0.0 - down, held.feedback_scale];
+    WRITABLE
+        .iter()
+        .zip(values)
+        .map(|(name, value)| ((*name).to_owned(), value.to_string()))
+        .collect()
+}
+
+fn change(asked: &[Parameter]) -> Option<Adjustment> {
+    let value = |name: &str| {
+        let found = asked.iter().find(|parameter| parameter.name == name)?;
+        match found.value {
+            Some(ParameterValue::Float64(value)) => Some(value),
+            Some(ParameterValue::Integer(value)) => Some(value as f64),
+            _ => None,
+        }
+    };
+    let [north_m, east_m, up_m, feedback_scale] = WRITABLE.map(value);
+    let change = Adjustment { north_m, east_m, up_m, feedback_scale };
+    (change != Adjustment::default()).then_some(change)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn while_somebody_avoids_the_front_nothing_is_taken() {
+        let (writer, changes) = Writer::new();
+        let asked = [Parameter::float64(WRITABLE[0], 0.5)];
+        writer.led().fetch_add(1, Ordering::AcqRel);
+        writer.came();
+        writer.offer(&asked);
+        assert!(changes.take().is_some());
+        writer.came();
+        writer.offer(&asked);
+        assert_eq!(changes.take(), None);
+        writer.went();
+        writer.offer(&asked);
+        assert!(changes.take().is_some());
+    }
+}
