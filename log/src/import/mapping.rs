@@ -5,9 +5,11 @@
 
 mod axes;
 mod bind;
+mod contradiction;
 mod propose;
 mod row;
 mod shipped;
+mod unit_word;
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -21,6 +23,7 @@ pub(super) use bind::Heading;
 pub(super) use propose::propose;
 pub(super) use row::{Cell, Outputs, Row, RowReader};
 pub use shipped::SHIPPED;
+pub(super) use unit_word::is_line as is_line_of_units;
 
 /// A mapping file, as read.
 #[derive(Clone, Debug, Deserialize)]

@@ -1,6 +1,7 @@
 //! Binds a mapping to the columns of a table: finds them by name, and asks for what is not said.
 
 use super::axes::{AttitudeTurn, BodyFrame, WorldFrame};
+use super::contradiction;
 use super::row::{
     AttitudeReader, Columns, MotorReader, Outputs, Rotation, RowReader, TimeReader, VectorReader,
 };
@@ -30,12 +31,14 @@ pub struct Heading<'a> {
     pub above: &'a [Vec<String>],
     /// The names of the columns, `None` where no line names them.
     pub names: Option<&'a [String]>,
+    /// The units in a line below the names.
+    pub units: Option<&'a [String]>,
     /// Columns of a row.
     pub width: usize,
 }
 
 impl Heading<'_> {
-    fn name(&self, column: usize) -> &str {
+    pub(super) fn name(&self, column: usize) -> &str {
         self.names.and_then(|names| names.get(column)).map_or("", String::as_str)
     }
 
@@ -57,7 +60,7 @@ impl Heading<'_> {
     }
 
     /// A column as one would point it out: its number and all that stands above it.
-    fn pointed_out(&self, column: usize) -> String {
+    pub(super) fn pointed_out(&self, column: usize) -> String {
         let near = &self.above[self.above.len().saturating_sub(NEAR)..];
         let mut words: Vec<&str> =
             near.iter().filter_map(|line| line.get(column)).map(String::as_str).collect();
@@ -125,7 +128,22 @@ impl Binder<'_> {
         }
     }
 
+    /// Columns of a quantity, in the unit of this factor to SI.
     fn columns<const N: usize>(
+        &mut self,
+        field: &str,
+        names: &[Column; N],
+        factor: f64,
+    ) -> Result<Columns<N>, String> {
+        let columns = self.raw(field, names, factor)?;
+        for at in columns.at {
+            contradiction::unit(&self.heading, field, at, factor)?;
+        }
+        Ok(columns)
+    }
+
+    /// Columns whose unit the mapping does not say.
+    fn raw<const N: usize>(
         &mut self,
         field: &str,
         names: &[Column; N],
@@ -197,9 +215,11 @@ impl Binder<'_> {
                     let expected = r#""wxyz" or "xyzw", in the order of the columns"#;
                     let order =
                         map.order.ok_or_else(|| unsaid(&format!("{field}.order"), expected))?;
-                    Rotation::Quaternion(self.columns(field, names, 1.0)?, order)
+                    let columns = self.raw(field, names, 1.0)?;
+                    contradiction::order(&self.heading, field, columns.at, order)?;
+                    Rotation::Quaternion(columns, order)
                 }
-                (None, Some(names)) => Rotation::Matrix(self.columns(field, names, 1.0)?),
+                (None, Some(names)) => Rotation::Matrix(self.raw(field, names, 1.0)?),
                 (None, None) => return Err(format!("{field}: no columns")),
             };
             (rotation, is_inverse)
@@ -245,7 +265,7 @@ impl Binder<'_> {
             ));
         }
         let mut reader = MotorReader {
-            columns: self.columns("motors.columns", &map.columns, 1.0)?,
+            columns: self.raw("motors.columns", &map.columns, 1.0)?,
             range: [0.0, 1.0],
             polynomial: None,
         };
@@ -320,7 +340,8 @@ impl RowReader {
                     TimeUnit::Us => 1e-6,
                     TimeUnit::Ns => 1e-9,
                 };
-                TimeReader::Column(Columns { at: [binder.column("time.column", column)?], factor })
+                let columns = std::array::from_ref(column);
+                TimeReader::Column(binder.columns("time.column", columns, factor)?)
             }
             (Some(_), None, None) => {
                 return Err(unsaid("time.unit", r#""s", "ms", "us" or "ns""#));
@@ -408,8 +429,7 @@ impl RowReader {
                 VoltageUnit::V => 1.0,
                 VoltageUnit::Millivolt => 1e-3,
             };
-            let at = [binder.column("voltage.column", &map.column)?];
-            Ok::<_, String>(Columns { at, factor })
+            binder.columns("voltage.column", std::array::from_ref(&map.column), factor)
         });
         let voltage = voltage.transpose()?;
         let (mut setpoint_attitude, mut setpoint_rate, mut setpoint_thrust) = (None, None, None);
