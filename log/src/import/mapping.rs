@@ -6,6 +6,7 @@
 mod axes;
 mod bind;
 mod contradiction;
+mod heading;
 mod propose;
 mod row;
 mod shipped;
@@ -19,7 +20,7 @@ use serde::Deserialize;
 
 use super::error::ImportError;
 pub use axes::{AttitudeTurn, BodyFrame, WorldFrame};
-pub(super) use bind::Heading;
+pub(super) use heading::Heading;
 pub(super) use propose::propose;
 pub(super) use row::{Cell, Outputs, Row, RowReader};
 pub use shipped::SHIPPED;

@@ -1,7 +1,7 @@
 //! Where a table itself says otherwise than the mapping: the factor between would be silently wrong.
 
 use super::QuaternionOrder;
-use super::bind::Heading;
+use super::heading::Heading;
 use super::unit_word;
 
 /// Share by which factors of one unit may differ.
