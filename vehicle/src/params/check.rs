@@ -143,11 +143,17 @@ impl VehicleParams {
         if (least..=most).contains(&arm) {
             return None;
         }
-        let advice = looks_like(&ARM_UNITS, "position_m is in m", |factor| {
-            (least..=most).contains(&(factor * arm))
-        });
+        let is_an_arm = |factor: f64| (least..=most).contains(&(factor * arm));
+        // Of several units the one that the moments of inertia go with.
+        let gyration = (self.inertia[0] / self.mass).sqrt();
+        let fits = |factor: f64| {
+            let [least, most] = GYRATION_TILT;
+            is_an_arm(factor) && (least..=most).contains(&(gyration / (factor * arm)))
+        };
+        let advice = looks_like(&ARM_UNITS, "position_m is in m", fits);
+        let is_other_unit = ARM_UNITS.iter().any(|(factor, _)| is_an_arm(*factor));
         Some(Remark {
-            doubt: if advice.is_empty() { Doubt::Unlikely } else { Doubt::CannotFly },
+            doubt: if is_other_unit { Doubt::CannotFly } else { Doubt::Unlikely },
             field: "position_m",
             found: arm,
             expected: ARM_M,
