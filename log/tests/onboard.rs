@@ -240,6 +240,27 @@ fn what_is_no_multirotor_is_known_in_every_log() {
     assert_eq!(kind(&import("kinds", "hovering.bin", &hovering.bytes)), Some(VehicleKind::Vtol));
     assert_eq!(kind(&import("kinds", "copter.bin", &dataflash(1.0).bytes)), None);
 
+    // By the frame in its messages.
+    for (name, expected, motors) in [
+        (b"HEXA/X", None, Some(6)),
+        (b"OCTA/X", None, Some(8)),
+        (b"HELI\0\0", Some(VehicleKind::Helicopter), None),
+    ] {
+        let mut framed = dataflash(1.0).bytes;
+        let frame = b"Frame: QUAD/X";
+        let at = framed.windows(frame.len()).position(|bytes| bytes == frame).expect("the frame");
+        framed[at + 7..at + 13].copy_from_slice(name);
+        // Older builds have no such parameter.
+        let class = b"FRAME_CLASS";
+        let at = framed.windows(class.len()).position(|bytes| bytes == class).expect("a parameter");
+        framed[at] = b'_';
+        let flight = import("kinds", "framed.bin", &framed);
+        assert_eq!(kind(&flight), expected);
+        if motors.is_some() {
+            assert_eq!(flight.facts.motors, motors);
+        }
+    }
+
     // PX4: by parameters, and by what it says of its state.
     for (name, value, expected) in [
         ("CA_AIRFRAME", 1, Some(VehicleKind::FixedWing)),

@@ -194,17 +194,26 @@ fn tables_of_every_dialect_are_read() {
         ("\t", ",", ""),
         ("\t", ".", "\t\t"),
         ("|", ".", ""),
+        (" ", ".", ""),
         (", ", ".", " ,"),
     ] {
         let table = pose(separator, decimal, end);
         assert_pose(&import("dialects", &table, POSE).unwrap());
-        let sep = format!("sep={}\r\n{table}", separator.trim_matches(' '));
+        let sep = if separator == " " { separator } else { separator.trim_matches(' ') };
+        let sep = format!("sep={sep}\r\n{table}");
         assert_pose(&import("dialects", &sep, POSE).unwrap());
     }
     // A header that ends with a separator, and rows that do not.
     let mut table = pose(",", ".", "");
     table.insert(table.find('\r').unwrap(), ',');
     assert_pose(&import("dialects", &table, POSE).unwrap());
+    // Commas between cells, and quoted in them.
+    let quote = |line: &str| format!("\"{}\"\r\n", line.replace(';', "\",\""));
+    let quoted: String = pose(";", ",", "").lines().map(quote).collect();
+    assert_pose(&import("dialects", &quoted, POSE).unwrap());
+    // Names behind a mark of comments, as of trajectories in text.
+    let marked = format!("# {}", pose(" ", ".", ""));
+    assert_pose(&import("dialects", &marked, POSE).unwrap());
     let stated = format!("separator = \";\"\ndecimal = \",\"\n{POSE}");
     assert_pose(&import("dialects", &pose(";", ",", ""), &stated).unwrap());
 }
@@ -242,7 +251,7 @@ fn the_line_of_names_is_found_or_said() {
     // The line of units below the names is no row.
     let units = table.replacen("\r\n", "\r\n(s),(m),(m),(m),,,,\r\n", 1);
     let flight = import("preamble", &units, POSE).unwrap();
-    assert_eq!((flight.position.len(), flight.left_out.len()), (60, 1));
+    assert_pose(&flight);
     // A line that has the same names is skipped where that is said.
     let twice = format!("{}{table}", "t,px,py,pz,qx,qy,qz,qw\r\nold,1,2\r\n");
     assert_pose(&import("preamble", &twice, &format!("skip_lines = 2\n{POSE}")).unwrap());
@@ -273,6 +282,29 @@ fn columns_are_found_by_number_and_by_the_words_above_them() {
         .replace("\"px\", \"py\", \"pz\"", &words("pos", &["x", "y", "z"]))
         .replace("\"qx\", \"qy\", \"qz\", \"qw\"", &words("rot", &["x", "y", "z", "w"]));
     assert_pose(&import("words", &above, &mapping).unwrap());
+}
+
+#[test]
+fn what_a_table_says_against_its_mapping_is_refused() {
+    let table = pose(",", ".", "");
+    let units = |line: &str| table.replacen("\r\n", &format!("\r\n{line}\r\n"), 1);
+    assert_pose(&import("contrary", &units("s,m,m,m,,,,"), POSE).unwrap());
+    let message = refusal("contrary", &units("s,mm,mm,mm,,,,"), POSE);
+    assert!(message.contains("column 2 (px) is in \"mm\""), "{message}");
+    let message = refusal("contrary", &units("[ms],[m],[m],[m],-,-,-,-"), POSE);
+    assert!(message.contains("time.column") && message.contains("\"ms\""), "{message}");
+    let (named, map) = (table.replacen("px", "px [cm]", 1), POSE.replace("px", "px [cm]"));
+    let message = refusal("contrary", &named, &map);
+    assert!(message.contains("is in \"cm\""), "{message}");
+    // The names of a quaternion's columns against its order.
+    let message = refusal("contrary", &table, &POSE.replace("xyzw", "wxyz"));
+    assert!(message.contains("the order is \"wxyz\", but the columns are 5 (qx)"), "{message}");
+    let file = place("contrary", "take.csv");
+    for names in ["W,X,Y,Z,X,Y,Z", "X,Y,Z,X,Y,Z,W"] {
+        fs::write(&file, motive("Meters").replace("X,Y,Z,W,X,Y,Z", names)).unwrap();
+        let message = open(&file, Some(Path::new("motive"))).unwrap_err().to_string();
+        assert!(message.contains("the order is \"xyzw\""), "{message}");
+    }
 }
 
 /// An export of OptiTrack's Motive: y up, right along z, one rigid body and its markers.
@@ -439,6 +471,40 @@ fn a_mapping_is_proposed_that_works() {
         assert!(proposed.contains(said), "{said}: {proposed}");
     }
     assert!(propose(&motive("Meters")).contains("--mapping motive"));
+    // Angles of a turn are no position, and another order of a quaternion is no fit.
+    let angles = propose(&motive("Meters").replace("Quaternion", "XYZ"));
+    assert!(angles.contains("[position]\ncolumns = [7, 8, 9]"), "{angles}");
+    let other = propose(&motive("Meters").replace("X,Y,Z,W,X,Y,Z", "W,X,Y,Z,X,Y,Z"));
+    assert!(other.contains("quaternion = [\"W\", 4, 5, 6]\norder = \"wxyz\""), "{other}");
+
+    // Vicon's export: its units stand below the names.
+    let mut vicon = "Objects\n100\n,,quad:quad,,,,,,\nFrame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ\n\
+                     ,,,,,,mm,mm,mm\n"
+        .to_owned();
+    let mut qualisys =
+        "NO_OF_FRAMES\t30\nFREQUENCY\t100\nFrame\tTime\tX\tY\tZ\tRoll\tPitch\tYaw\tResidual\t\
+                        Rot[0]\tRot[1]\tRot[2]\tRot[3]\tRot[4]\tRot[5]\tRot[6]\tRot[7]\tRot[8]\n"
+            .to_owned();
+    let mut spaced = "# timestamp tx ty tz qx qy qz qw\n".to_owned();
+    for row in 0..30 {
+        let t = f64::from(row) * 0.01;
+        let _ = writeln!(vicon, "{row},0,0,0,0,1,{},500,1200", 1e3 * t);
+        let _ = writeln!(
+            qualisys,
+            "{row}\t{t:.3}\t{}\t500\t1200\t0\t0\t0\t0.3\t1\t0\t0\t0\t1\t0\t0\t0\t1",
+            1e3 * t
+        );
+        let _ = writeln!(spaced, "{:.3} {t:.3} 0.5 1.2 0 0 0 1", 1.7e9 + t);
+    }
+    for table in [vicon, qualisys, spaced] {
+        let mapping = propose(&table);
+        let flight =
+            import("propose", &table, &mapping).unwrap_or_else(|e| panic!("{e}\n{mapping}"));
+        assert_eq!((flight.position.len(), flight.attitude.len()), (30, 30), "{mapping}");
+        assert_eq!(flight.left_out, [], "{mapping}");
+        let [n, e, d] = flight.position.values()[20].to_array();
+        assert!((n - 0.2).abs() < 1e-9 && (e + 0.5).abs() < 1e-9 && (d + 1.2).abs() < 1e-9);
+    }
     let file = place("propose", "text.csv");
     fs::write(&file, "some words\nand more of them\n").unwrap();
     let message = downwash_log::import::propose(&file).unwrap_err().to_string();

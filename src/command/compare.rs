@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use serde_json::Value;
 
 use super::output::refuse_input;
+use super::patience::Patience;
 use super::{Exit, ExitContext, print_json, print_text, say, write_file};
 use crate::cli::{AlignChoice, CompareArgs, PairChoice};
 use crate::log::LogReader;
@@ -19,6 +20,7 @@ use crate::report::{FlightReport, Recording};
 const NO_FACTS: [&str; 4] = ["run", "frames", "units", "log_version"];
 
 pub(super) fn run(args: &CompareArgs) -> anyhow::Result<Exit> {
+    let _patience = Patience::with("reading and comparing the flights".to_owned());
     let inputs = || args.a.iter().chain(&args.b).map(PathBuf::as_path);
     refuse_input(&args.out, inputs().chain(args.mapping.as_deref()))?;
     let Compared { comparison, html } = compared(args)?;

@@ -15,6 +15,7 @@ use vehicle::effects::EffectSet;
 use super::improved::{Additions, Form};
 use super::logs::{listed, open_for};
 use super::output::{create_report_folder, refuse_input};
+use super::patience::Patience;
 use super::setup::capability;
 use super::vehicle_file::warn;
 use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
@@ -287,6 +288,7 @@ pub(super) fn audited(
     mapping: Option<&Path>,
     vehicle: &VehicleParams,
 ) -> Vec<AuditedLog> {
+    let _patience = Patience::with("reading and auditing the logs".to_owned());
     let open = |path: &PathBuf| {
         let mut flight = open_for(path, mapping, vehicle)?;
         if Onboard::new(vehicle)?.complete_outputs(&mut flight) {

@@ -107,10 +107,16 @@ impl Additions {
         if self.effects.is_empty() {
             return Ok(text);
         }
-        match out {
-            Form::Toml => self.to_toml(&text),
-            Form::Json => self.to_json(&text),
-        }
+        let added = match out {
+            Form::Toml => self.to_toml(&text)?,
+            Form::Json => self.to_json(&text)?,
+        };
+        // Reading TOML makes all ends of lines alike.
+        Ok(if text.contains("\r\n") {
+            added.replace("\r\n", "\n").replace('\n', "\r\n")
+        } else {
+            added
+        })
     }
 
     fn to_toml(&self, text: &str) -> anyhow::Result<String> {
@@ -285,6 +291,21 @@ mod tests {
         let improved = VehicleParams::from_toml_str(&out)?;
         assert_eq!(drag(&improved), json!({ "d_xy": 0.02, "d_z": 0.01 }));
         assert_eq!(improved.provenance["modelled_effects.rotor_drag"]["logs"][0], "a.mcap");
+        Ok(())
+    }
+
+    #[test]
+    fn ends_of_lines_are_kept() -> anyhow::Result<()> {
+        let vehicle = VehicleParams::from_toml_str(TOML)?;
+        for (text, form) in
+            [(TOML.to_owned(), Form::Toml), (serde_json::to_string_pretty(&vehicle)?, Form::Json)]
+        {
+            let own = text.replace('\n', "\r\n");
+            let out = additions().to_file(&own, &vehicle, [form; 2])?;
+            assert_eq!(out.matches('\n').count(), out.matches("\r\n").count(), "{out}");
+            let plain = additions().to_file(&text, &vehicle, [form; 2])?;
+            assert_eq!(out.replace("\r\n", "\n"), plain);
+        }
         Ok(())
     }
 

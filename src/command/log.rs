@@ -8,6 +8,7 @@ use anyhow::{Context, anyhow};
 
 use super::import::Import;
 use super::output::{Output, refuse_input};
+use super::patience::Patience;
 use super::{Exit, ExitContext, audit, import, print_json, say, summary, write_file};
 use crate::cli::{ExportFormat, LogCommand};
 use crate::log::LogReader;
@@ -21,6 +22,7 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
     match command {
         LogCommand::Info { files, json } => {
             for file in &files {
+                let _patience = Patience::with(format!("reading {}", file.display()));
                 let mut reader = open(file)?;
                 let info = LogInfo::read(&mut reader)?;
                 if json { print_json(&info)? } else { print_info(file, &info) }
@@ -32,18 +34,30 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
                 ExportFormat::Csv => Format::Csv,
                 ExportFormat::Jsonl => Format::JsonLines,
             };
+            let _patience = Patience::with(format!("exporting {}", file.display()));
             export(&file, topic.as_deref(), format, out)
         }
         LogCommand::Import { file, mapping, boot, propose: _, out, json } => {
+            let _patience = Patience::with(format!("importing {}", file.display()));
             let choice = Choice { mapping: mapping.as_deref(), boot };
             import::run(Import { file: &file, choice, out: out.as_deref(), json })
         }
         LogCommand::Audit { logs, mapping, fail_on, json } => {
+            let _patience = Patience::with(format!("auditing {}", counted(&logs)));
             audit::run(&logs, mapping.as_deref(), fail_on, json)
         }
         LogCommand::Report { file, mapping, boot, out, json } => {
+            let _patience = Patience::with(format!("reading {}", file.display()));
             report(&file, mapping.as_deref(), boot, out, json)
         }
+    }
+}
+
+/// A log by its name, several by their count.
+fn counted(logs: &[PathBuf]) -> String {
+    match logs {
+        [log] => log.display().to_string(),
+        logs => format!("{} logs", logs.len()),
     }
 }
 

@@ -30,6 +30,7 @@ mod mocap;
 mod model;
 mod onset;
 mod output;
+mod patience;
 mod plan;
 mod progress;
 mod reference;

@@ -9,6 +9,7 @@ use vehicle::VehicleParams;
 use super::diagnose::audited;
 use super::logs::listed;
 use super::output::create_report_folder;
+use super::patience::Patience;
 use super::vehicle_file::warn;
 use super::{Exit, ExitContext, in_words, print_json, print_text, say, write_file};
 use crate::cli::OnsetArgs;
@@ -51,6 +52,7 @@ pub struct Changes {
 }
 
 pub(super) fn run(args: &OnsetArgs) -> anyhow::Result<Exit> {
+    let _patience = Patience::with("looking for changes in the logs".to_owned());
     create_report_folder(args.report.as_deref())?;
     let found = changed(args)?;
     if let Some(folder) = &args.report {

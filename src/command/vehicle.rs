@@ -9,6 +9,7 @@ use serde::Serialize;
 use vehicle::export::Peer;
 use vehicle::{Remark, SHIPPED, VehicleParams};
 
+use super::patience::Patience;
 use super::setup::endpoint;
 use super::vehicle_file::told;
 use super::{
@@ -143,6 +144,7 @@ fn check(file: &Path, log: Option<&Path>, json: bool) -> anyhow::Result<Exit> {
 
 /// What the log says of what the file predicts.
 fn against(log: &Path, vehicle: &VehicleParams) -> anyhow::Result<Vec<Held>> {
+    let _patience = Patience::with(format!("holding the file against {}", log.display()));
     let flight = import::open(log, None).or_exit(Exit::Usage)?;
     vehicle_check::held(&flight, vehicle).or_exit(Exit::Usage)
 }

@@ -10,6 +10,7 @@ use crate::link::budget::{LINE_SHARE_MAX, LineBudget, state_bytes_per_s};
 use crate::link::loss_reaction::{LossLaw, LossReaction};
 use crate::link::profile::{Mode, Profile};
 use crate::link::request::Request;
+use crate::log::import::VehicleKind;
 use crate::log::record::{Record, Severity};
 use crate::offboard::{Airframe, LinkEvent, OffboardController};
 use crate::parameters::Autopilot;
@@ -66,6 +67,10 @@ impl Station {
         if let Some(assumed) = assumption(&profile, self.settings.attitude_pd, response) {
             self.tell(now, Severity::Notice, assumed);
         }
+        if let Some(why) = self.no_multirotor() {
+            self.refuse(now, why);
+            return;
+        }
         match self.make_offboard(now, &profile) {
             Ok(Some(offboard)) => self.offboard = Some(offboard),
             Ok(None) => {
@@ -75,6 +80,17 @@ impl Station {
             Err(error) => self.refuse(now, error.to_string()),
         }
         self.check_standing(now);
+    }
+
+    /// Why a vehicle is not flown that says of itself that it is no multirotor.
+    fn no_multirotor(&self) -> Option<String> {
+        let mav_type = self.session.vehicle()?.vehicle_type;
+        let kind = VehicleKind::of_mav_type(mav_type)?;
+        (kind != VehicleKind::Multirotor).then(|| {
+            format!(
+                "the vehicle is {kind}, by MAV_TYPE {mav_type} of its HEARTBEAT: only multirotors are flown"
+            )
+        })
     }
 
     /// Refuses to fly the vehicle. That ends a commanded flight; under the pilot's switch another

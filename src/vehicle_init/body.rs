@@ -141,7 +141,10 @@ impl Read<'_> {
         let simulated = || Some([self.simulated("SIH_L_PITCH")?, self.simulated("SIH_L_ROLL")?]);
         let positions = if let Some(length) = self.measured.arm_m {
             let scale = length / mean;
-            Some(Given::stated(scaled(scale, scale), format!("measured (--arm), {from}")))
+            Some(Given::stated(
+                scaled(scale, scale),
+                format!("measured (--arm or --wheelbase), {from}"),
+            ))
         } else if let Some([pitch, roll]) = simulated() {
             let side = |place: f64, length: f64| if place < 0.0 { -length } else { length };
             let places =

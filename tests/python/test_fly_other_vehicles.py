@@ -29,6 +29,7 @@ class Vehicle(HandMadeVehicle):
         self.autopilot = habits.pop("autopilot", 12)
         self.frame = habits.pop("frame", None)
         self.battery = habits.pop("battery", None)
+        self.mav_type = habits.pop("mav_type", 2)
         assert not habits
         super().__init__(url)
         self.link.mav.srcSystem = system
@@ -50,7 +51,7 @@ class Vehicle(HandMadeVehicle):
 
     def _send_heartbeat(self):
         base = 1 | (128 if self.armed else 0)
-        self.link.mav.heartbeat_send(2, self.autopilot, base, self._word(), 4 if self.armed else 3)
+        self.link.mav.heartbeat_send(self.mav_type, self.autopilot, base, self._word(), 4 if self.armed else 3)
         if self.battery is not None:
             cells = [3700] + [65535] * 9
             self.link.mav.battery_status_send(0, 0, 1, 32767, cells, -1, -1, -1, self.battery)
@@ -182,6 +183,16 @@ def says_within(daemon, words, seconds):
     daemon.says(words, timeout=30)
     took = time.monotonic() - started
     assert took < seconds, f"{words!r} after {took:.1f} s:\n{daemon.err}"
+
+
+@pytest.mark.parametrize(
+    "mav_type, autopilot, kind", [(1, 12, "an aeroplane"), (20, 12, "a VTOL"), (4, 3, "a helicopter"), (10, 3, "a rover")]
+)
+def test_what_is_no_multirotor_is_named_and_not_flown(flight, mav_type, autopilot, kind):
+    (vehicle,), daemon = flight({"mav_type": mav_type, "autopilot": autopilot})
+    assert daemon.finish(20)[0] == 4, daemon.err
+    assert f"the vehicle is {kind}, by MAV_TYPE {mav_type} of its HEARTBEAT" in daemon.err, daemon.err
+    assert not vehicle.setpoints and not vehicle.armed
 
 
 @bounds_time

@@ -2,13 +2,15 @@
 
 import json
 import math
+import os
+import signal
 import subprocess
 
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from conftest import DOWNWASH, ROOT
+from conftest import CRAZYFLIE, DOWNWASH, ROOT
 
 pytestmark = pytest.mark.computes
 
@@ -148,3 +150,16 @@ def test_an_audit_of_many_logs_says_which_is_none(tmp_path):
     done = subprocess.run(DOWNWASH + [*map(str, command)], capture_output=True, text=True, timeout=60)
     assert done.returncode == 2 and "empty.tlog" in done.stderr and "an empty file" in done.stderr
     assert "flight.csv" in done.stdout
+
+
+def test_a_long_wait_is_said(program, tmp_path):
+    # A pipe that nobody writes to, as a file of gigabytes.
+    pipe = tmp_path / "flight.ulg"
+    os.mkfifo(pipe)
+    for command in (["log", "audit"], ["log", "info"], ["onset", "--vehicle", CRAZYFLIE]):
+        one = program(*command, pipe)
+        with pipe.open("wb"):
+            one.says("... ", timeout=5.0)
+            one.says("so far", timeout=5.0)
+            one.signal(signal.SIGTERM)
+            assert one.finish(10)[0] == 130, one.err

@@ -30,6 +30,13 @@ pub enum VehicleKind {
     Other,
 }
 
+impl VehicleKind {
+    /// By MAV_TYPE of a HEARTBEAT; `None` for the generic type and for what is no vehicle.
+    pub fn of_mav_type(mav_type: u8) -> Option<Self> {
+        of_mav_type(f64::from(mav_type))
+    }
+}
+
 impl fmt::Display for VehicleKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
@@ -90,23 +97,39 @@ pub(super) fn motors_of_mav_type(number: f64) -> Option<u32> {
 pub(super) fn of_firmware(text: &str) -> Option<VehicleKind> {
     use VehicleKind as K;
     let kinds = [
-        ("Copter", K::Multirotor),
-        ("Heli", K::Helicopter),
-        ("Plane", K::FixedWing),
-        ("Rover", K::Rover),
-        ("Sub", K::Submarine),
-        ("Blimp", K::Airship),
-        ("Tracker", K::Other),
+        ("copter", K::Multirotor),
+        ("heli", K::Helicopter),
+        ("plane", K::FixedWing),
+        ("rover", K::Rover),
+        ("rover2", K::Rover),
+        ("sub", K::Submarine),
+        ("blimp", K::Airship),
+        ("tracker", K::Other),
     ];
+    let text = text.to_ascii_lowercase();
     let is_followed = |rest: &str| rest.starts_with(|c: char| c.is_ascii_digit());
     let is = |name: &str| {
         let mut after = text.match_indices(name).map(|(at, name)| &text[at + name.len()..]);
-        after.any(|rest| rest.strip_prefix(" V").is_some_and(is_followed))
+        after.any(|rest| rest.strip_prefix(" v").is_some_and(is_followed))
     };
-    if text.contains("Frame: HELI") {
-        return Some(K::Helicopter);
-    }
     kinds.into_iter().find_map(|(name, kind)| is(name).then_some(kind))
+}
+
+/// By the frame that ArduCopter names, as `HEXA/X`: its kind, and the motors of a multirotor.
+pub(super) fn of_frame(name: &str) -> Option<(VehicleKind, Option<u32>)> {
+    use VehicleKind as K;
+    let class = name.split(['/', ' ']).next().unwrap_or_default().to_ascii_uppercase();
+    Some(match class.as_str() {
+        "TRI" => (K::Multirotor, Some(3)),
+        "QUAD" => (K::Multirotor, Some(4)),
+        "HEXA" | "Y6" => (K::Multirotor, Some(6)),
+        "OCTA" | "OCTAQUAD" | "OCTA_QUAD" => (K::Multirotor, Some(8)),
+        "DECA" => (K::Multirotor, Some(10)),
+        "DODECAHEXA" => (K::Multirotor, Some(12)),
+        "HELI" | "HELI_DUAL" | "HELI_QUAD" => (K::Helicopter, None),
+        "SINGLE" | "COAX" | "TAILSITTER" => (K::Other, None),
+        _ => return None,
+    })
 }
 
 /// Kind from the build number in ArduPilot's message VER.
@@ -233,11 +256,26 @@ mod tests {
             ("APM:Plane V3.5.2", Some(K::FixedWing)),
             ("ArduRover V4.2.0", Some(K::Rover)),
             ("ArduSub V4.1.0", Some(K::Submarine)),
-            ("Frame: HELI", Some(K::Helicopter)),
+            ("ArduRover v2.50", Some(K::Rover)),
+            ("APMrover2 V3.0.0", Some(K::Rover)),
             ("Subsystem Version", None),
             ("EKF3 IMU0 Plane Vector", None),
         ] {
             assert_eq!(of_firmware(text), kind, "{text}");
+        }
+    }
+
+    #[test]
+    fn frames_are_kinds_and_counts_of_motors() {
+        use VehicleKind as K;
+        for (name, found) in [
+            ("QUAD/X", Some((K::Multirotor, Some(4)))),
+            ("HEXA", Some((K::Multirotor, Some(6)))),
+            ("OCTA_QUAD", Some((K::Multirotor, Some(8)))),
+            ("HELI", Some((K::Helicopter, None))),
+            ("UNSUPPORTED", None),
+        ] {
+            assert_eq!(of_frame(name), found, "{name}");
         }
     }
 

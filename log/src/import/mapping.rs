@@ -5,9 +5,12 @@
 
 mod axes;
 mod bind;
+mod contradiction;
+mod heading;
 mod propose;
 mod row;
 mod shipped;
+mod unit_word;
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,10 +20,11 @@ use serde::Deserialize;
 
 use super::error::ImportError;
 pub use axes::{AttitudeTurn, BodyFrame, WorldFrame};
-pub(super) use bind::Heading;
+pub(super) use heading::Heading;
 pub(super) use propose::propose;
 pub(super) use row::{Cell, Outputs, Row, RowReader};
 pub use shipped::SHIPPED;
+pub(super) use unit_word::is_line as is_line_of_units;
 
 /// The content of a mapping file.
 #[derive(Clone, Debug, Deserialize)]

@@ -64,7 +64,13 @@ pub(super) fn read(
                 }
                 Taken::Other if others.len() < TOPICS_MAX => {
                     let Channel { topic, schema, message_encoding, .. } = &**channel;
-                    others.insert(format!("{topic} ({schema} in {message_encoding})"));
+                    let of = |text: &str, none: &str| match text {
+                        "" => none.to_owned(),
+                        text => text.to_owned(),
+                    };
+                    let schema = of(schema, "no schema");
+                    let encoding = of(message_encoding, "no encoding that it names");
+                    others.insert(format!("{topic} ({schema} in {encoding})"));
                 }
                 Taken::Other => {}
             }

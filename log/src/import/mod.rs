@@ -156,7 +156,7 @@ impl Contents {
         let what = self.part;
         match self.names.as_slice() {
             [] if what.is_empty() => {}
-            [] => parts.push(format!("it has no {what}")),
+            [] => parts.push(format!("it has no {what} that can be read")),
             names => {
                 let more = names.len().saturating_sub(Self::NAMED);
                 let named = names[..names.len() - more].join(", ");

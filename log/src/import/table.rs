@@ -66,7 +66,7 @@ pub(super) fn read(
     }
 
     let mut tally = Tally::default();
-    let mut numbers = Numbers::new(mapping.decimal, separator);
+    let mut numbers = Numbers::new(mapping.decimal);
     let mut rows: Vec<f64> = Vec::new();
     let mut cells = vec![Cell::Empty; most];
     let mut refused = None;

@@ -11,6 +11,7 @@ use crate::command::listen::Listener;
 use crate::link::budget::message_name;
 use crate::link::loss_reaction::LossReaction;
 use crate::link::profile::Profile;
+use crate::log::import::VehicleKind;
 
 /// A clock that is off by more than crystals are.
 const SKEW_TOLD: f64 = 2e-3;
@@ -81,7 +82,11 @@ impl Findings {
     }
 
     fn identity(&mut self, report: &Report, observed: &Observed, listener: &Listener) {
-        if report.autopilot == Some(Profile::UNKNOWN.name) {
+        let mav_type = listener.session.vehicle().map(|vehicle| vehicle.vehicle_type);
+        let kind = mav_type.and_then(VehicleKind::of_mav_type);
+        if let Some(kind) = kind.filter(|kind| *kind != VehicleKind::Multirotor) {
+            self.refuses("vehicle", format!("it is {kind}; only multirotors are flown"));
+        } else if report.autopilot == Some(Profile::UNKNOWN.name) {
             self.refuses("autopilot", "its modes are not known; PX4 and ArduCopter are flown");
         }
         if !report.others.is_empty() && listener.session.wanted_system().is_none() {

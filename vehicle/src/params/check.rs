@@ -17,6 +17,15 @@ const HOVER_SHARE: f64 = 0.25;
 const GYRATION_TILT: [f64; 2] = [0.18, 0.95];
 /// Radius of gyration about down, over the same distance.
 const GYRATION_YAW: [f64; 2] = [0.25, 1.3];
+/// Distance of the rotors from the centre, m: from what lies in a hand to what lifts people.
+const ARM_M: [f64; 2] = [0.01, 5.0];
+/// So many times beyond what is expected of it a moment of inertia is no vehicle's.
+const INERTIA_ABSURD: f64 = 50.0;
+/// Units in which moments of inertia are often given, in kg m^2.
+const INERTIA_UNITS: [(f64, &str); 5] =
+    [(1e-3, "g m^2"), (1e-4, "kg cm^2"), (1e-6, "kg mm^2"), (1e-7, "g cm^2"), (1e-9, "g mm^2")];
+/// Units in which arms are often given, in m.
+const ARM_UNITS: [(f64, &str); 2] = [(1e-2, "cm"), (1e-3, "mm")];
 /// Range of the on-board loop's natural frequency, rad/s.
 const LOOP_RAD_S: [f64; 2] = [1.0, 50.0];
 /// Range of the on-board loop's damping ratio.
@@ -61,7 +70,11 @@ impl VehicleParams {
         // If mass or thrust is far off, a comparison with hover_thrust says nothing more.
         let is_light = remarks.iter().all(|remark| remark.doubt != Doubt::CannotFly);
         remarks.extend(self.hover_remark().filter(|_| is_light));
-        remarks.extend(self.inertia_remarks());
+        let arm = self.arm_remark();
+        let inertia = self.inertia_remarks();
+        // Moments of inertia are held against the arm.
+        remarks.extend(inertia.into_iter().filter(|_| arm.is_none()));
+        remarks.extend(arm);
         remarks.extend(self.loop_remarks());
         remarks.sort_by_key(|remark| std::cmp::Reverse(remark.doubt));
         remarks
@@ -124,34 +137,70 @@ impl VehicleParams {
         })
     }
 
-    fn inertia_remarks(&self) -> impl Iterator<Item = Remark> {
+    fn arm_remark(&self) -> Option<Remark> {
+        let arm = self.arm_m();
+        let [least, most] = ARM_M;
+        if (least..=most).contains(&arm) {
+            return None;
+        }
+        let is_an_arm = |factor: f64| (least..=most).contains(&(factor * arm));
+        // Of several units the one that the moments of inertia go with.
+        let gyration = (self.inertia[0] / self.mass).sqrt();
+        let fits = |factor: f64| {
+            let [least, most] = GYRATION_TILT;
+            is_an_arm(factor) && (least..=most).contains(&(gyration / (factor * arm)))
+        };
+        let advice = looks_like(&ARM_UNITS, "position_m is in m", fits);
+        let is_other_unit = ARM_UNITS.iter().any(|(factor, _)| is_an_arm(*factor));
+        Some(Remark {
+            doubt: if is_other_unit { Doubt::CannotFly } else { Doubt::Unlikely },
+            field: "position_m",
+            found: arm,
+            expected: ARM_M,
+            unit: "m",
+            what: format!(
+                "the rotors are {} m from the centre, expected {least} to {most} m{advice}",
+                brief(arm)
+            ),
+        })
+    }
+
+    /// A moment in another unit is off by so much that no loop could hold the vehicle.
+    fn inertia_remarks(&self) -> Vec<Remark> {
         let arm = self.arm_m();
         let ranges = [GYRATION_TILT, GYRATION_TILT, GYRATION_YAW];
         let fields = ["inertia[0]", "inertia[1]", "inertia[2]"];
-        let moments = ranges.into_iter().zip(fields).zip(self.inertia);
-        moments.filter_map(move |((range, field), moment)| {
-            let gyration = (moment / self.mass).sqrt() / arm;
-            if (range[0]..=range[1]).contains(&gyration) {
+        let expected =
+            ranges.map(|range| range.map(|share: f64| self.mass * (share * arm).powi(2)));
+        let fit = |factor: f64| {
+            let mut pairs = expected.iter().zip(self.inertia);
+            pairs.all(|([least, most], moment)| (*least..=*most).contains(&(factor * moment)))
+        };
+        let advice = looks_like(&INERTIA_UNITS, "inertia is in kg m^2", fit);
+        let remarks = expected.into_iter().zip(fields).zip(self.inertia);
+        let remarks = remarks.filter_map(|(([least, most], field), moment)| {
+            if (least..=most).contains(&moment) {
                 return None;
             }
-            let expected = range.map(|share| self.mass * (share * arm).powi(2));
+            let is_absurd = moment > INERTIA_ABSURD * most || INERTIA_ABSURD * moment < least;
             Some(Remark {
-                doubt: Doubt::Unlikely,
+                doubt: if is_absurd { Doubt::CannotFly } else { Doubt::Unlikely },
                 field,
                 found: moment,
-                expected,
+                expected: [least, most],
                 unit: "kg m^2",
                 what: format!(
                     "{field} is {} kg m^2; of {} kg with rotors {} m from the centre, {} to {} \
-                     kg m^2 are expected",
+                     kg m^2 are expected{advice}",
                     brief(moment),
                     brief(self.mass),
                     brief(arm),
-                    brief(expected[0]),
-                    brief(expected[1])
+                    brief(least),
+                    brief(most)
                 ),
             })
-        })
+        });
+        remarks.collect()
     }
 
     fn loop_remarks(&self) -> Vec<Remark> {
@@ -218,6 +267,17 @@ impl VehicleParams {
     }
 }
 
+/// Advice where numbers would make sense in other units than the file's.
+fn looks_like(units: &[(f64, &str)], stated: &str, fit: impl Fn(f64) -> bool) -> String {
+    let names: Vec<&str> =
+        units.iter().filter(|(factor, _)| fit(*factor)).map(|(_, name)| *name).collect();
+    if names.is_empty() {
+        String::new()
+    } else {
+        format!("; {stated}: it looks like {}", names.join(" or "))
+    }
+}
+
 /// Formats a number with three significant digits.
 fn brief(value: f64) -> String {
     let size = value.abs();
@@ -255,6 +315,30 @@ mod tests {
         assert!((found[0].found - 24.0 / (1200.0 * 9.80665)).abs() < 1e-12);
         assert!(found[0].what.contains("looks like grams"), "{}", found[0].what);
         assert!(found[0].what.contains("1.3 to 12 times"), "{}", found[0].what);
+    }
+
+    #[test]
+    fn inertia_and_arms_in_other_units_are_told_as_such() {
+        for (factor, unit) in [(1e4, "kg cm^2"), (1e6, "kg mm^2"), (1e7, "g cm^2"), (1e9, "g mm^2")]
+        {
+            let found = remarks(|v| v.inertia = v.inertia.map(|moment| factor * moment));
+            assert_eq!((found[0].doubt, found[0].field), (Doubt::CannotFly, "inertia[0]"));
+            assert!(found[0].what.contains(unit), "{}", found[0].what);
+        }
+        // In the right unit, of a vehicle that is only unlike others.
+        let found = remarks(|v| v.inertia = v.inertia.map(|moment| 8.0 * moment));
+        assert!(found.iter().all(|remark| remark.doubt == Doubt::Unlikely), "{found:?}");
+        let found = remarks(|v| v.inertia = [1e-300; 3]);
+        assert_eq!(found[0].doubt, Doubt::CannotFly);
+        for (factor, unit) in [(100.0, "looks like cm"), (1e3, "looks like mm")] {
+            let found = remarks(|v| {
+                let rotors = v.rotors.iter_mut().flat_map(|rotor| &mut rotor.position_m);
+                rotors.for_each(|place| *place *= factor);
+            });
+            assert_eq!((found[0].doubt, found[0].field), (Doubt::CannotFly, "position_m"));
+            assert!(found[0].what.contains(unit), "{}", found[0].what);
+            assert!(found.iter().all(|remark| !remark.field.starts_with("inertia")), "{found:?}");
+        }
     }
 
     #[test]

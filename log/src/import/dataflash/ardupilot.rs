@@ -136,6 +136,7 @@ impl Contents {
             "APM:Plane",
             "ArduRover",
             "APM:Rover",
+            "APMrover2",
             "ArduSub",
             "Blimp",
         ];
@@ -147,14 +148,20 @@ impl Contents {
             StatedKind::new(kind::of_build(build), || format!("BU of VER is {build}"))
         });
         let of_parameters = kind::of_parameters(&self.parameters);
-        let kinds = of_text.into_iter().chain(of_build).chain(of_parameters).collect();
+        let frame = said("Frame: ").map(|text| text["Frame: ".len()..].to_owned());
+        let of_frame = frame.as_deref().and_then(kind::of_frame);
+        let frame_kind = of_frame.and_then(|(kind, _)| {
+            let name = frame.as_deref().unwrap_or_default();
+            StatedKind::new(Some(kind), || format!("the frame is {name}"))
+        });
+        let kinds = of_text.into_iter().chain(frame_kind).chain(of_build).chain(of_parameters);
         let stated = Parameters::from(self.parameters.clone());
         let parameters = self.parameters.iter().filter(|(name, _)| is_of_vehicle(name));
         VehicleFacts {
             autopilot: firmwares.iter().find_map(|name| said(name)),
-            frame: said("Frame: ").map(|text| text["Frame: ".len()..].to_owned()),
-            kinds,
-            motors: stated.motor_count(),
+            frame,
+            kinds: kinds.collect(),
+            motors: stated.motor_count().or(of_frame.and_then(|(_, motors)| motors)),
             rotors: stated.rotors(),
             parameters: parameters.map(|(name, value)| (name.clone(), *value)).collect(),
             ..VehicleFacts::default()

@@ -1,6 +1,8 @@
 //! Binds a mapping to the columns of a table: finds columns and reports missing keys.
 
 use super::axes::{AttitudeTurn, BodyFrame, WorldFrame};
+use super::contradiction;
+use super::heading::Heading;
 use super::row::{
     AttitudeReader, Columns, MotorReader, Outputs, Rotation, RowReader, TimeReader, VectorReader,
 };
@@ -13,80 +15,9 @@ use super::{
 /// Standard gravity, m/s^2: the value of the unit `g`.
 const STANDARD_GRAVITY: f64 = 9.806_65;
 
-/// Number of columns listed in an error.
-const OFFERED: usize = 60;
-/// Number of lines above the names that help to identify a column.
-const NEAR: usize = 4;
-
 /// Error message for a missing key.
 fn unsaid(field: &str, expected: &str) -> String {
     format!("{field} is not said: write {field} = {expected}")
-}
-
-/// The heading of a table.
-#[derive(Clone, Copy, Debug)]
-pub struct Heading<'a> {
-    /// The lines above the names.
-    pub above: &'a [Vec<String>],
-    /// The names of the columns; `None` if no line names them.
-    pub names: Option<&'a [String]>,
-    /// Number of columns of a row.
-    pub width: usize,
-}
-
-impl Heading<'_> {
-    fn name(&self, column: usize) -> &str {
-        self.names.and_then(|names| names.get(column)).map_or("", String::as_str)
-    }
-
-    /// Whether a line above the names has this word in this column.
-    fn has_above(&self, column: usize, word: &str) -> bool {
-        self.above.iter().any(|line| line.get(column).is_some_and(|cell| cell == word))
-    }
-
-    /// Columns that match the identification.
-    fn called(&self, column: &Column) -> Vec<usize> {
-        let is_called = |at: &usize| match column {
-            Column::Name(name) => self.names.is_some() && self.name(*at) == name,
-            Column::Number(number) => at + 1 == *number,
-            Column::Words(words) => words.split_last().is_some_and(|(name, words)| {
-                self.name(*at) == name && words.iter().all(|word| self.has_above(*at, word))
-            }),
-        };
-        (0..self.width).filter(is_called).collect()
-    }
-
-    /// Describes a column by its number and the cells above it.
-    fn pointed_out(&self, column: usize) -> String {
-        let near = &self.above[self.above.len().saturating_sub(NEAR)..];
-        let mut words: Vec<&str> =
-            near.iter().filter_map(|line| line.get(column)).map(String::as_str).collect();
-        words.push(self.name(column));
-        words.retain(|word| !word.is_empty());
-        words.dedup();
-        format!("{} ({})", column + 1, words.join(", "))
-    }
-
-    /// The cell that follows `cell` above the table.
-    pub fn after(&self, cell: &str) -> Option<&str> {
-        self.above.iter().find_map(|line| {
-            let at = line.iter().position(|known| known == cell)?;
-            line.get(at + 1).map(String::as_str)
-        })
-    }
-
-    /// Describes the columns of the table, for an error about a missing one.
-    fn offers(&self) -> String {
-        match self.names {
-            Some(names) => {
-                let named = names.len().min(OFFERED);
-                let more = names.len() - named;
-                let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-                format!("it has {}{more}", names[..named].join(", "))
-            }
-            None => format!("it has {} columns", self.width),
-        }
-    }
 }
 
 /// Finds columns and records which are used.
@@ -125,7 +56,22 @@ impl Binder<'_> {
         }
     }
 
+    /// Columns of a quantity, in the unit of this factor to SI.
     fn columns<const N: usize>(
+        &mut self,
+        field: &str,
+        names: &[Column; N],
+        factor: f64,
+    ) -> Result<Columns<N>, String> {
+        let columns = self.raw(field, names, factor)?;
+        for at in columns.at {
+            contradiction::unit(&self.heading, field, at, factor)?;
+        }
+        Ok(columns)
+    }
+
+    /// Columns whose unit the mapping does not say.
+    fn raw<const N: usize>(
         &mut self,
         field: &str,
         names: &[Column; N],
@@ -197,9 +143,11 @@ impl Binder<'_> {
                     let expected = r#""wxyz" or "xyzw", in the order of the columns"#;
                     let order =
                         map.order.ok_or_else(|| unsaid(&format!("{field}.order"), expected))?;
-                    Rotation::Quaternion(self.columns(field, names, 1.0)?, order)
+                    let columns = self.raw(field, names, 1.0)?;
+                    contradiction::order(&self.heading, field, columns.at, order)?;
+                    Rotation::Quaternion(columns, order)
                 }
-                (None, Some(names)) => Rotation::Matrix(self.columns(field, names, 1.0)?),
+                (None, Some(names)) => Rotation::Matrix(self.raw(field, names, 1.0)?),
                 (None, None) => return Err(format!("{field}: no columns")),
             };
             (rotation, is_inverse)
@@ -245,7 +193,7 @@ impl Binder<'_> {
             ));
         }
         let mut reader = MotorReader {
-            columns: self.columns("motors.columns", &map.columns, 1.0)?,
+            columns: self.raw("motors.columns", &map.columns, 1.0)?,
             range: [0.0, 1.0],
             polynomial: None,
         };
@@ -320,7 +268,8 @@ impl RowReader {
                     TimeUnit::Us => 1e-6,
                     TimeUnit::Ns => 1e-9,
                 };
-                TimeReader::Column(Columns { at: [binder.column("time.column", column)?], factor })
+                let columns = std::array::from_ref(column);
+                TimeReader::Column(binder.columns("time.column", columns, factor)?)
             }
             (Some(_), None, None) => {
                 return Err(unsaid("time.unit", r#""s", "ms", "us" or "ns""#));
@@ -408,8 +357,7 @@ impl RowReader {
                 VoltageUnit::V => 1.0,
                 VoltageUnit::Millivolt => 1e-3,
             };
-            let at = [binder.column("voltage.column", &map.column)?];
-            Ok::<_, String>(Columns { at, factor })
+            binder.columns("voltage.column", std::array::from_ref(&map.column), factor)
         });
         let voltage = voltage.transpose()?;
         let (mut setpoint_attitude, mut setpoint_rate, mut setpoint_thrust) = (None, None, None);

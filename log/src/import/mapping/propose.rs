@@ -2,9 +2,10 @@
 
 use super::super::table::{Numbers, Sheet};
 use super::Cell;
+use super::unit_word::{self, UNDERSCORE};
 
-/// Separator between the words of a normalised name.
-const UNDERSCORE: char = '_';
+/// Lengths beyond this are none in m: rooms and fields are smaller.
+const ROOM_M: f64 = 100.0;
 const XYZ: [&[&str]; 3] = [&["x", "y", "z"], &["0", "1", "2"], &["1", "2", "3"]];
 const NED: &[&str] = &["n", "e", "d"];
 
@@ -15,66 +16,11 @@ struct Named {
     unit: Option<&'static str>,
 }
 
-/// Suffixes of names that denote a unit, and the unit as a mapping file writes it.
-const UNITS: [(&str, &str); 34] = [
-    ("m_s2", "m/s2"),
-    ("m_s_2", "m/s2"),
-    ("m_s_s", "m/s2"),
-    ("mps2", "m/s2"),
-    ("ms2", "m/s2"),
-    ("rad_s", "rad/s"),
-    ("radps", "rad/s"),
-    ("rad_sec", "rad/s"),
-    ("deg_s", "deg/s"),
-    ("degps", "deg/s"),
-    ("dps", "deg/s"),
-    ("cm_s", "cm/s"),
-    ("mm_s", "mm/s"),
-    ("m_s", "m/s"),
-    ("mps", "m/s"),
-    ("seconds", "s"),
-    ("sec", "s"),
-    ("secs", "s"),
-    ("us", "us"),
-    ("usec", "us"),
-    ("ns", "ns"),
-    ("nsec", "ns"),
-    ("ms", "ms"),
-    ("msec", "ms"),
-    ("s", "s"),
-    ("rad", "rad"),
-    ("deg", "deg"),
-    ("degrees", "deg"),
-    ("rpm", "rpm"),
-    ("mv", "mV"),
-    ("v", "V"),
-    ("mm", "mm"),
-    ("cm", "cm"),
-    ("m", "m"),
-];
-
 impl Named {
-    fn new(name: &str) -> Self {
-        let mut words = String::new();
-        // Brackets hold a unit, which also counts as a word.
-        for c in name.chars() {
-            if c.is_alphanumeric() {
-                words.extend(c.to_lowercase());
-            } else if c == '²' {
-                words.push('2');
-            } else if !words.ends_with(UNDERSCORE) {
-                words.push(UNDERSCORE);
-            }
-        }
-        let words = words.trim_matches(UNDERSCORE).to_owned();
-        let ending = UNITS.iter().find_map(|(ending, unit)| {
-            let stem = words.strip_suffix(ending)?.strip_suffix(UNDERSCORE)?;
-            Some((stem.trim_end_matches(UNDERSCORE).to_owned(), *unit))
-        });
-        match ending {
-            Some((stem, unit)) if !stem.is_empty() => Self { words: stem, unit: Some(unit) },
-            _ => Self { words, unit: None },
-        }
+    /// By the name itself, else with the unit that stands below it.
+    fn new(name: &str, below: Option<&str>) -> Self {
+        let (words, unit) = unit_word::split(&unit_word::words(name));
+        Self { words, unit: unit.or_else(|| unit_word::of_cell(below?)) }
     }
 
     /// Whether the name equals `words` or ends with them as whole words.
@@ -101,7 +47,11 @@ struct Proposal<'a> {
 /// The text of a mapping file for a table. It marks guesses that the names do not confirm with
 /// `CHECK`, and comments out what it cannot find.
 pub(in crate::import) fn propose(sheet: &Sheet) -> String {
-    let names: Vec<Named> = sheet.names.iter().map(|name| Named::new(name)).collect();
+    let named = |(at, name): (usize, &String)| {
+        let below = sheet.units.get(at).map(String::as_str);
+        Named::new(&format!("{} {name}", sheet.group(at)), below)
+    };
+    let names: Vec<Named> = sheet.names.iter().enumerate().map(named).collect();
     let used = vec![false; names.len()];
     let mut proposal = Proposal { sheet, names, used, text: String::new() };
     proposal.write();
@@ -182,10 +132,21 @@ impl Proposal<'_> {
         });
         let north = self.find(&["p", "pos", "position", ""], &[NED, &["north", "east", "down"]]);
         let is_ned = north.is_some();
-        let quaternion = self.find(
-            &["q", "quat", "quaternion", "orientation", "rotation", "attitude", "rot"],
-            &[&["w", "x", "y", "z"], &["0", "1", "2", "3"], &["1", "2", "3", "4"]],
+        let matrix = self.find(
+            &["rot", "rotation", "matrix", "rotation_matrix", "r"],
+            &[
+                &["0", "1", "2", "3", "4", "5", "6", "7", "8"],
+                &["1", "2", "3", "4", "5", "6", "7", "8", "9"],
+                &["11", "12", "13", "21", "22", "23", "31", "32", "33"],
+            ],
         );
+        let quaternion = self.find(&["r"], &[&["w", "x", "y", "z"]]);
+        let quaternion = quaternion.or_else(|| {
+            self.find(
+                &["q", "quat", "quaternion", "orientation", "rotation", "attitude", "rot"],
+                &[&["w", "x", "y", "z"], &["0", "1", "2", "3"], &["1", "2", "3", "4"]],
+            )
+        });
         let velocity = self.find(
             &["v", "vel", "velocity", "linear_velocity", "twist_linear", "linear"],
             &[NED, XYZ[0], XYZ[1]],
@@ -221,11 +182,12 @@ impl Proposal<'_> {
             &XYZ,
         );
         let position = north.or_else(|| {
-            self.find(&["p", "pos", "position", "translation", "pose_position", ""], &XYZ[..1])
+            let stems = ["p", "pos", "position", "translation", "pose_position", "t", "trans", ""];
+            self.find(&stems, &XYZ[..1])
         });
-        let euler = match quaternion {
-            Some(_) => None,
-            None => self.find(
+        let euler = match quaternion.is_some() || matrix.is_some() {
+            true => None,
+            false => self.find(
                 &["", "att", "attitude", "euler", "rpy"],
                 &[&["roll", "pitch", "yaw"], &["phi", "theta", "psi"]],
             ),
@@ -263,15 +225,15 @@ impl Proposal<'_> {
             let separator = toml::Value::String(separator).to_string();
             self.line(&format!("separator = {separator}"));
         }
-        let is_any_axis =
-            position.is_some() || velocity.is_some() || quaternion.is_some() || euler.is_some();
+        let has_attitude = matrix.is_some() || quaternion.is_some() || euler.is_some();
+        let is_any_axis = position.is_some() || velocity.is_some() || has_attitude;
         if is_any_axis {
             match is_ned {
                 true => self.line("world_frame = \"ned\""),
                 false => self.line("world_frame = \"nwu\"  # CHECK: \"ned\", \"enu\", \"nwu\" or where x, y and z point, as [\"north\", \"up\", \"east\"]"),
             }
         }
-        if quaternion.is_some() || euler.is_some() || rate.is_some() || force.is_some() {
+        if has_attitude || rate.is_some() || force.is_some() {
             let body = if is_ned { "frd" } else { "flu" };
             self.line(&format!("body_frame = {body:?}  # CHECK: \"frd\", \"flu\" or where x, y and z point, as [\"front\", \"up\", \"right\"]"));
         }
@@ -297,7 +259,11 @@ impl Proposal<'_> {
         if let Some(group) = &position {
             let columns = self.columns(group);
             self.line(&format!("\n[position]\ncolumns = {columns}"));
-            self.unit(group.unit, &["m", "cm", "mm"]);
+            let units = match self.largest(group) > ROOM_M {
+                true => ["mm", "cm", "m"],
+                false => ["m", "cm", "mm"],
+            };
+            self.unit(group.unit, &units);
         }
         if let Some(group) = &velocity {
             let columns = self.columns(group);
@@ -305,7 +271,11 @@ impl Proposal<'_> {
             self.unit(group.unit, &["m/s", "cm/s", "mm/s"]);
             self.line("axes = \"world\"  # CHECK: \"world\" or \"body\"");
         }
-        if let Some(group) = &quaternion {
+        if let Some(group) = &matrix {
+            let columns = self.columns(group);
+            self.line(&format!("\n[attitude]\nmatrix = {columns}  # CHECK: row by row"));
+            self.line("rotates = \"body_to_world\"  # CHECK: or \"world_to_body\"");
+        } else if let Some(group) = &quaternion {
             let columns = self.columns(group);
             let is_named = group.at.first().is_some_and(|at| self.names[*at].words.ends_with('w'));
             self.line(&format!("\n[attitude]\nquaternion = {columns}"));
@@ -332,8 +302,7 @@ impl Proposal<'_> {
             let columns = self.columns(group);
             self.line(&format!("\n[specific_force]\ncolumns = {columns}"));
             self.unit(group.unit, &["m/s2", "g"]);
-            // An acceleration needs an attitude.
-            let has_attitude = quaternion.is_some() || euler.is_some();
+            // An acceleration is turned by an attitude.
             let meaning = if has_attitude { self.force_meaning(group) } else { "specific_force" };
             self.line(&format!("meaning = {meaning:?}  # CHECK: \"specific_force\" (1 g upwards at rest) or \"acceleration\" (nothing at rest)"));
             self.line("axes = \"body\"  # CHECK: \"body\" or \"world\"");
@@ -361,10 +330,7 @@ impl Proposal<'_> {
             self.line(&format!("\n[voltage]\ncolumn = {column}"));
             self.unit(group.unit, &["V", "mV"]);
         }
-        let found = [
-            ("position", position.is_some()),
-            ("attitude", quaternion.is_some() || euler.is_some()),
-        ];
+        let found = [("position", position.is_some()), ("attitude", has_attitude)];
         for (what, _) in found.into_iter().filter(|(_, is_found)| !is_found) {
             self.line(&format!("\n# EDIT: no columns look like [{what}]"));
         }
@@ -380,7 +346,7 @@ impl Proposal<'_> {
 
     /// The numbers of a column in the first rows.
     fn numbers(&self, at: usize) -> Vec<f64> {
-        let mut numbers = Numbers::new(None, self.sheet.separator);
+        let mut numbers = Numbers::new(None);
         let read = |row: &Vec<String>| match numbers.read(row.get(at)?.as_bytes()) {
             Cell::Number(number) => Some(number),
             _ => None,

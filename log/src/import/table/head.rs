@@ -2,7 +2,7 @@
 
 use std::io::{self, BufRead};
 
-use super::super::mapping::{Cell, Heading, Mapping, RowReader};
+use super::super::mapping::{Cell, Heading, Mapping, RowReader, is_line_of_units};
 use super::super::read_ahead::read_ahead;
 use super::numbers::Numbers;
 use super::text;
@@ -12,7 +12,9 @@ const SIZE: usize = 64 * 1024;
 /// The names of the columns are in one of so many lines.
 const LINES: usize = 100;
 /// What separates cells, in the order in which it is tried.
-const SEPARATORS: [u8; 4] = *b",;\t|";
+const SEPARATORS: [u8; 5] = *b",;\t| ";
+/// Least numbers of a line of a table whose cells are separated by spaces: sentences have some.
+const SPACED: usize = 4;
 
 /// The first lines of a table, and its bytes from there on.
 #[derive(Debug)]
@@ -119,23 +121,22 @@ impl Head {
             // Where every column is given by its number, no line need name them.
             let numbered = (offset..lines.len()).find_map(|at| {
                 let (above, rest) = lines.split_at(at);
-                let found = by_number(mapping, separator, above, &rest[0])?;
+                let found = by_number(mapping, above, &rest[0])?;
                 Some((at - offset, found))
             });
             let named = || {
                 (offset..lines.len()).find_map(|at| {
-                    let (above, rest) = lines.split_at(at);
-                    let found = by_name(mapping, above, &rest[0]).ok()?;
-                    Some((at - offset + 1, found))
+                    let found = by_name(mapping, &lines, at).ok()?;
+                    let has_units = lines.get(at + 1).is_some_and(|line| is_line_of_units(line));
+                    Some((at - offset + 1 + usize::from(has_units), found))
                 })
             };
             if let Some((records_above, (reader, cells))) = numbered.or_else(named) {
                 return Ok(Layout { separator, records_above, cells, reader });
             }
-            let names = header(&lines, separator).unwrap_or(offset).max(offset);
-            let (above, rest) = lines.split_at(names);
-            let width = rest[0].len();
-            let error = match by_name(mapping, above, &rest[0]) {
+            let names = header(&lines).unwrap_or(offset).max(offset);
+            let width = lines.get(names).map_or(0, Vec::len);
+            let error = match by_name(mapping, &lines, names) {
                 Err(error) => error,
                 Ok(_) => continue,
             };
@@ -150,10 +151,14 @@ impl Head {
     pub fn has_numbers(&self) -> bool {
         let separators = self.separators(None).unwrap_or_default();
         separators.into_iter().any(|separator| {
-            let mut numbers = Numbers::new(None, separator);
+            let mut numbers = Numbers::new(None);
             self.cut(separator).iter().any(|line| {
                 let of = |cell: &String| numbers.read(cell.as_bytes());
-                line.iter().map(of).filter(|cell| matches!(cell, Cell::Number(_))).count() > 1
+                let count = line.iter().map(of).filter(|c| matches!(c, Cell::Number(_))).count();
+                match separator {
+                    b' ' => count >= SPACED && count == line.len(),
+                    _ => count > 1,
+                }
             })
         })
     }
@@ -163,12 +168,19 @@ impl Head {
         let separators = self.separators(None).ok()?;
         let sheets = separators.into_iter().filter_map(|separator| {
             let lines = self.cut(separator);
-            let at = header(&lines, separator)?;
-            let names = names(&lines[at]);
-            let rows = lines[at + 1..].to_vec();
-            (names.len() > 1).then_some(Sheet { separator, names, rows })
+            let at = header(&lines)?;
+            let (above, rest) = lines.split_at(at);
+            let (line, rest) = rest.split_first()?;
+            let units = rest.first().filter(|line| is_line_of_units(line));
+            let rows = rest.get(usize::from(units.is_some())..)?.to_vec();
+            let names = names(line);
+            let units = units.cloned().unwrap_or_default();
+            let least = if separator == b' ' { SPACED } else { 2 };
+            let above = above.to_vec();
+            (names.len() >= least).then_some(Sheet { separator, above, names, units, rows })
         });
-        sheets.max_by_key(|sheet| sheet.names.len())
+        // The first of those with the most columns.
+        sheets.reduce(|most, sheet| if sheet.names.len() > most.names.len() { sheet } else { most })
     }
 }
 
@@ -176,23 +188,48 @@ impl Head {
 #[derive(Debug)]
 pub(in crate::import) struct Sheet {
     pub separator: u8,
+    /// The lines above the names.
+    pub above: Vec<Vec<String>>,
     pub names: Vec<String>,
+    /// What stands below the names, where it is units.
+    pub units: Vec<String>,
     /// The first rows.
     pub rows: Vec<Vec<String>>,
+}
+
+impl Sheet {
+    /// The word above a column in the nearest line that tells columns of one name apart, as
+    /// "Position" above X.
+    pub fn group(&self, column: usize) -> &str {
+        let is_twice = |at: &usize| {
+            let name = &self.names[*at];
+            !name.is_empty() && self.names.iter().filter(|known| *known == name).count() > 1
+        };
+        let twice: Vec<usize> = (0..self.names.len()).filter(is_twice).collect();
+        let has = |line: &Vec<String>, at: &usize| line.get(*at).is_some_and(|c| !c.is_empty());
+        let tells = |line: &&Vec<String>| !twice.is_empty() && twice.iter().all(|at| has(line, at));
+        let line = self.above.iter().rev().find(tells);
+        line.and_then(|line| line.get(column)).map_or("", String::as_str)
+    }
 }
 
 /// The names of a line; some tools mark it as a comment.
 fn names(line: &[String]) -> Vec<String> {
     let mut names = line.to_vec();
-    if let Some(first) = names.first_mut() {
-        *first = first.trim_start_matches(['\u{feff}', '#', '%']).trim().to_owned();
+    let Some(first) = names.first_mut() else { return names };
+    let bare = first.trim_start_matches(['\u{feff}', '#', '%']).trim().to_owned();
+    if bare.is_empty() && !first.is_empty() {
+        // The mark is a cell of its own.
+        names.remove(0);
+    } else {
+        *first = bare;
     }
     names
 }
 
-/// The first line of words above a line of numbers.
-fn header(lines: &[Vec<String>], separator: u8) -> Option<usize> {
-    let mut numbers = Numbers::new(None, separator);
+/// The first line of words above a line of numbers, units between them passed over.
+fn header(lines: &[Vec<String>]) -> Option<usize> {
+    let mut numbers = Numbers::new(None);
     let mut is_numeric = |line: &[String]| {
         let mut count = [0, 0];
         for cell in line {
@@ -202,19 +239,26 @@ fn header(lines: &[Vec<String>], separator: u8) -> Option<usize> {
                 Cell::Empty => {}
             }
         }
-        count[0] > count[1]
+        // A number alone is none of a table: some tools have their rate above it.
+        count[0] > count[1].max(1)
     };
     let is_numeric: Vec<bool> = lines.iter().map(|line| is_numeric(line)).collect();
-    is_numeric.windows(2).position(|pair| pair == [false, true])
+    let at = is_numeric.windows(2).position(|pair| pair == [false, true]);
+    let is_units = at.is_some_and(|at| is_line_of_units(&lines[at]));
+    let named = || at?.checked_sub(1).filter(|at| !is_numeric[*at] && lines[*at].len() > 1);
+    if is_units { named().or(at) } else { at }
 }
 
+/// Where the columns are that the mapping names, by the names of line `at`.
 fn by_name(
     mapping: &Mapping,
-    above: &[Vec<String>],
-    line: &[String],
+    lines: &[Vec<String>],
+    at: usize,
 ) -> Result<(RowReader, [usize; 2]), String> {
-    let names = names(line);
-    let heading = Heading { above, names: Some(&names), width: names.len() };
+    let (above, rest) = lines.split_at(at.min(lines.len()));
+    let names = rest.first().map(|line| names(line)).unwrap_or_default();
+    let units = rest.get(1).filter(|line| is_line_of_units(line)).map(Vec::as_slice);
+    let heading = Heading { above, names: Some(&names), units, width: names.len() };
     let least = names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1);
     Ok((RowReader::new(mapping, heading)?, [least, names.len()]))
 }
@@ -222,13 +266,12 @@ fn by_name(
 /// Where every column is given by its number: the first line whose cells are what they should be.
 fn by_number(
     mapping: &Mapping,
-    separator: u8,
     above: &[Vec<String>],
     line: &[String],
 ) -> Option<(RowReader, [usize; 2])> {
-    let heading = Heading { above, names: None, width: line.len() };
+    let heading = Heading { above, names: None, units: None, width: line.len() };
     let reader = RowReader::new(mapping, heading).ok()?;
-    let mut numbers = Numbers::new(mapping.decimal, separator);
+    let mut numbers = Numbers::new(mapping.decimal);
     let cells: Vec<Cell> = line.iter().map(|cell| numbers.read(cell.as_bytes())).collect();
     let least = (0..line.len()).rev().find(|at| reader.uses(*at)).map_or(0, |last| last + 1);
     reader.read(0, &cells).is_ok().then_some((reader, [least, line.len()]))
@@ -236,7 +279,7 @@ fn by_number(
 
 /// Holds what the first lines say against what the mapping expects of them.
 fn expected(mapping: &Mapping, above: &[Vec<String>]) -> Result<(), String> {
-    let heading = Heading { above, names: None, width: 0 };
+    let heading = Heading { above, names: None, units: None, width: 0 };
     for (name, expected) in &mapping.expect {
         if let Some(said) = heading.after(name).filter(|said| said != expected) {
             return Err(format!(

@@ -9,16 +9,14 @@ const NOTHING: [&str; 7] = ["", "-", "nan", "na", "n/a", "null", "none"];
 #[derive(Clone, Debug, Default)]
 pub(in crate::import) struct Numbers {
     stated: Option<DecimalMark>,
-    /// Whether a comma may stand in a cell: it does not separate them.
-    commas_allowed: bool,
     /// The first number with a point and the first with a comma.
     point: Option<String>,
     comma: Option<String>,
 }
 
 impl Numbers {
-    pub fn new(stated: Option<DecimalMark>, separator: u8) -> Self {
-        Self { stated, commas_allowed: separator != b',', ..Self::default() }
+    pub fn new(stated: Option<DecimalMark>) -> Self {
+        Self { stated, ..Self::default() }
     }
 
     pub fn read(&mut self, cell: &[u8]) -> Cell {
@@ -29,8 +27,8 @@ impl Numbers {
         }
         let has_comma = text.contains(',');
         let number = if has_comma {
-            let is_mark = self.stated == Some(DecimalMark::Comma)
-                || self.stated.is_none() && self.commas_allowed;
+            // Where commas separate cells, one within a cell was quoted.
+            let is_mark = self.stated != Some(DecimalMark::Point) && !text.ends_with(',');
             let is_one = text.bytes().filter(|byte| matches!(byte, b',' | b'.')).count() == 1;
             (is_mark && is_one).then(|| text.replace(',', ".").parse::<f64>().ok()).flatten()
         } else {
@@ -67,7 +65,7 @@ mod tests {
 
     #[test]
     fn either_mark_is_read_and_both_are_a_doubt() {
-        let mut numbers = Numbers::new(None, b';');
+        let mut numbers = Numbers::new(None);
         assert_eq!(numbers.read(b" \"-0,25\" "), Cell::Number(-0.25));
         assert_eq!(numbers.read(b"NaN"), Cell::Empty);
         assert_eq!(numbers.read(b"inf"), Cell::Other);
@@ -80,11 +78,10 @@ mod tests {
 
     #[test]
     fn a_stated_mark_is_kept_to() {
-        let mut numbers = Numbers::new(Some(DecimalMark::Comma), b';');
+        let mut numbers = Numbers::new(Some(DecimalMark::Comma));
         assert_eq!(numbers.read(b"0,5"), Cell::Number(0.5));
         assert_eq!(numbers.read(b"0.5"), Cell::Other);
-        let mut numbers = Numbers::new(Some(DecimalMark::Point), b';');
+        let mut numbers = Numbers::new(Some(DecimalMark::Point));
         assert_eq!(numbers.read(b"0,5"), Cell::Other);
-        assert_eq!(Numbers::new(None, b',').read(b"0,5"), Cell::Other);
     }
 }

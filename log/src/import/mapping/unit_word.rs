@@ -1,0 +1,142 @@
+//! Units as tables write them: at the end of a name, or in a line of their own below the names.
+
+/// Separators between the words of a name; all are one.
+pub(super) const UNDERSCORE: char = '_';
+
+/// How a unit is written, and as a mapping file writes it.
+const UNITS: [(&str, &str); 35] = [
+    ("m_s2", "m/s2"),
+    ("m_s_2", "m/s2"),
+    ("m_s_s", "m/s2"),
+    ("mps2", "m/s2"),
+    ("ms2", "m/s2"),
+    ("rad_s", "rad/s"),
+    ("radps", "rad/s"),
+    ("rad_sec", "rad/s"),
+    ("deg_s", "deg/s"),
+    ("degps", "deg/s"),
+    ("deg_sec", "deg/s"),
+    ("dps", "deg/s"),
+    ("cm_s", "cm/s"),
+    ("mm_s", "mm/s"),
+    ("m_s", "m/s"),
+    ("mps", "m/s"),
+    ("seconds", "s"),
+    ("sec", "s"),
+    ("secs", "s"),
+    ("us", "us"),
+    ("usec", "us"),
+    ("ns", "ns"),
+    ("nsec", "ns"),
+    ("ms", "ms"),
+    ("msec", "ms"),
+    ("s", "s"),
+    ("rad", "rad"),
+    ("deg", "deg"),
+    ("degrees", "deg"),
+    ("rpm", "rpm"),
+    ("mv", "mV"),
+    ("v", "V"),
+    ("mm", "mm"),
+    ("cm", "cm"),
+    ("m", "m"),
+];
+
+/// What stands where a column has no unit.
+const NONE: [&str; 4] = ["", "1", "none", "frame"];
+
+/// A name in lower case, its words joined: what is in brackets is a word as well.
+pub(super) fn words(name: &str) -> String {
+    let mut words = String::new();
+    for c in name.chars() {
+        match c {
+            '²' => words.push('2'),
+            '°' => words.push_str("deg"),
+            c if c.is_alphanumeric() => words.extend(c.to_lowercase()),
+            _ if words.ends_with(UNDERSCORE) => {}
+            _ => words.push(UNDERSCORE),
+        }
+    }
+    words.trim_matches(UNDERSCORE).to_owned()
+}
+
+/// Words without the unit that they end with, and the unit.
+pub(super) fn split(words: &str) -> (String, Option<&'static str>) {
+    let ending = UNITS.iter().find_map(|(ending, unit)| {
+        let stem = words.strip_suffix(ending)?.strip_suffix(UNDERSCORE)?;
+        let stem = stem.trim_end_matches(UNDERSCORE);
+        (!stem.is_empty()).then(|| (stem.to_owned(), Some(*unit)))
+    });
+    ending.unwrap_or_else(|| (words.to_owned(), None))
+}
+
+/// The unit that a cell says, alone or in brackets.
+pub(super) fn of_cell(cell: &str) -> Option<&'static str> {
+    let words = words(cell);
+    UNITS.iter().find(|(written, _)| *written == words).map(|(_, unit)| *unit)
+}
+
+/// The unit that a name says in brackets.
+pub(super) fn in_brackets(name: &str) -> Option<&'static str> {
+    let open = name.rfind(['(', '['])?;
+    name.ends_with([')', ']']).then(|| of_cell(name.get(open..)?)).flatten()
+}
+
+/// Whether the cells of a line say units, and nothing else.
+pub(in crate::import) fn is_line(cells: &[String]) -> bool {
+    let is_none = |cell: &String| NONE.contains(&words(cell).as_str());
+    let mut any = false;
+    cells.iter().all(|cell| {
+        let is_unit = of_cell(cell).is_some();
+        any |= is_unit;
+        is_unit || is_none(cell)
+    }) && any
+}
+
+/// What one of a unit is in SI.
+pub(super) fn in_si(unit: &str) -> Option<f64> {
+    Some(match unit {
+        "s" | "m" | "m/s" | "m/s2" | "rad" | "rad/s" | "V" => 1.0,
+        "cm" | "cm/s" => 0.01,
+        "ms" | "mm" | "mm/s" | "mV" => 1e-3,
+        "us" => 1e-6,
+        "ns" => 1e-9,
+        "deg" | "deg/s" => 1f64.to_radians(),
+        "rpm" => std::f64::consts::TAU / 60.0,
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_are_known_however_they_are_written() {
+        for (cell, unit) in [
+            ("mm", "mm"),
+            ("[m/s]", "m/s"),
+            ("(m/s²)", "m/s2"),
+            ("m/s^2", "m/s2"),
+            ("°/s", "deg/s"),
+            ("Deg", "deg"),
+        ] {
+            assert_eq!(of_cell(cell), Some(unit), "{cell}");
+        }
+        assert_eq!(of_cell("x"), None);
+        assert_eq!(in_brackets("Position X (mm)"), Some("mm"));
+        assert_eq!(in_brackets("Rot[0]"), None);
+        assert_eq!(split(&words("gyro_x_dps")), ("gyro_x".to_owned(), Some("deg/s")));
+        assert_eq!(split("s"), ("s".to_owned(), None));
+    }
+
+    #[test]
+    fn a_line_of_units_is_told_from_one_of_names() {
+        let line = |text: &str| is_line(&text.split(',').map(str::to_owned).collect::<Vec<_>>());
+        assert!(line(",,rad,rad,rad,mm,mm,mm"));
+        assert!(line("[s],[m],[m],[-],[-]"));
+        assert!(!line("t,px,py,pz"));
+        assert!(!line("0,1,2"));
+        assert!(!line(",,"));
+    }
+}
