@@ -24,6 +24,7 @@ mod control_laws;
 mod control_riccati;
 mod demo_diagnose;
 mod diagnose_fleet;
+mod diagnose_linearised;
 mod diagnose_next_flight;
 mod diagnose_reflight;
 mod diagnose_round_trip;

@@ -78,8 +78,12 @@ fn a_goal_that_is_moved_is_flown_to_and_held_and_landed_at() {
 #[test]
 fn what_is_asked_for_on_the_ground_is_taken_off_to() {
     let mut flight = hovering(2.0);
-    flight.until(FlightState::Preflight, 10.0);
-    adjust(&mut flight, &ASKED);
+    // Once the vehicle says that it is on the ground.
+    while flight.offboard.adjusted() == Adjusted::default() {
+        assert!(flight.offboard.flight_state().precedes_stream(), "{:?}", last_words(&flight));
+        flight.run(0.002);
+        adjust(&mut flight, &ASKED);
+    }
     assert_eq!(last_words(&flight).0, Severity::Info, "{:?}", last_words(&flight));
     flight.until(FlightState::Track, 30.0);
     let position = flight.ticks.last().expect("a tick").state.position;

@@ -70,8 +70,11 @@ pub fn watch(daemon: &Process, manner: Manner) -> Viewer {
                     if !asked.is_empty() {
                         let asked = json!({"op": "subscribe", "subscriptions": asked});
                         socket.send(Message::text(asked.to_string())).expect("subscribed");
-                        while manner == Manner::Stalls {
-                            std::thread::park();
+                        if manner == Manner::Stalls {
+                            // A park may end by itself.
+                            loop {
+                                std::thread::park();
+                            }
                         }
                     }
                 }

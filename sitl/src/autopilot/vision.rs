@@ -78,7 +78,7 @@ impl Vision {
         self.fused_us.is_some_and(|at| now_us.saturating_sub(at) <= self.lost_after_us)
     }
 
-    /// Estimate minus sensed value, for position [m] and velocity [m/s].
+    /// Estimate minus sensed value, for position (m) and velocity (m/s).
     pub fn error(&self) -> [Ned; 2] {
         [self.offset, self.velocity]
     }
