@@ -28,7 +28,7 @@ const TOLERANCES: [f64; 4] = [5e-6, 2e-5, 5e-7, 5e-7];
 const STEPS: [[f64; 4]; 4] =
     [[0.01, 0.0, 0.0, 0.0], [0.0, 0.01, 0.0, 0.0], [0.0, 0.0, 0.01, 0.0], [0.0, 0.0, 0.0, 1.0]];
 
-/// `errors` after `h` seconds under constant thrust [N, beyond the weight] and moments [N m].
+/// `errors` after `h` seconds under constant thrust [N, beyond the weight] and moments (N m).
 fn coast(vehicle: &HoverVehicle, s: &Errors, thrust: f64, moment: [f64; 3], h: f64) -> Errors {
     let (h2, h3, h4) = (h * h / 2.0, h.powi(3) / 6.0, h.powi(4) / 24.0);
     let turn: [f64; 3] = std::array::from_fn(|i| moment[i] / vehicle.inertia[i]);

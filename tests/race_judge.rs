@@ -37,7 +37,7 @@ pub struct JudgedState {
     pub rate: [f64; 3],
 }
 
-/// Thrusts [N] that are held for a time [s].
+/// Thrusts (N) that are held for a time (s).
 #[derive(Clone, Copy, Debug)]
 pub struct JudgedInput {
     pub thrusts: [f64; 4],

@@ -43,7 +43,7 @@ fn position(us: u64) -> Received {
 /// A period in us, and the message at a stamp.
 type Stream = (u64, fn(u64) -> Received);
 
-/// Feeds what `streams` send at their periods [us] until `end_us`, in order of their stamps.
+/// Feeds what `streams` send at their periods (us) until `end_us`, in order of their stamps.
 fn run(telemetry: &mut Telemetry, streams: &[Stream], end_us: u64) -> Vec<Sample> {
     let mut messages: Vec<_> = streams
         .iter()

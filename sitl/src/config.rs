@@ -183,7 +183,7 @@ pub struct SensorConfig {
     pub accelerometer: ImuNoise,
 }
 
-/// Noise of a gyro [rad/s] or an accelerometer [m/s^2].
+/// Noise of a gyro (rad/s) or an accelerometer (m/s^2).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImuNoise {

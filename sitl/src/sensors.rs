@@ -209,7 +209,7 @@ impl Shaking {
         Self { config, phases, offsets }
     }
 
-    /// Vibration to add to the body rate [rad/s] and to the specific force [m/s^2].
+    /// Vibration to add to the body rate (rad/s) and to the specific force (m/s^2).
     fn advance(&mut self, plant: &Plant, elapsed: f64) -> [Frd; 2] {
         let Vibration { rotor_max_hz, gyro_rad_s, accelerometer_m_s2 } = self.config;
         if gyro_rad_s == 0.0 && accelerometer_m_s2 == 0.0 {

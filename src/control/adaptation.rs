@@ -75,7 +75,7 @@ impl Default for AdaptationSettings {
     }
 }
 
-/// Prior standard deviations: s, k, c [1/s], w and b [m/s^2].
+/// Prior standard deviations: s, k, c [1/s], w and b (m/s^2).
 const PRIOR: [f64; PARAMETERS] = [0.3, 0.1, 0.3, 1.5, 1.5, 0.5, 0.5];
 /// Prior standard deviation of an attitude offset, rad.
 const TRIM_PRIOR_RAD: f64 = 0.1;

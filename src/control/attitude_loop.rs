@@ -159,7 +159,7 @@ impl AttitudeLoop {
     }
 
     /// Angular acceleration in body axes near hover, rad/s^2, of a body with principal moments
-    /// `inertia` [kg m^2], from attitude error `zeta_des - zeta`, desired body rate and body rate.
+    /// `inertia` (kg m^2), from attitude error `zeta_des - zeta`, desired body rate and body rate.
     pub(super) fn angular_acceleration<T: Scalar>(
         &self,
         inertia: [f64; 3],

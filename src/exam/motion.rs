@@ -86,7 +86,7 @@ impl Motion {
         self.push(seconds, Leg::Move { from, to });
     }
 
-    /// Adds a move to a place as fast as a peak speed [m/s] and a peak acceleration [m/s^2] allow.
+    /// Adds a move to a place as fast as a peak speed (m/s) and a peak acceleration (m/s^2) allow.
     /// Yaw turns with the move, at up to 2.5 rad/s.
     pub fn hurry_to(&mut self, to: Place, speed: f64, acceleration: f64) {
         let distance = (0..3).map(|i| (to[i] - self.here[i]).powi(2)).sum::<f64>().sqrt();

@@ -308,7 +308,7 @@ mod tests {
         Flight::empty(origin, Clock::Single)
     }
 
-    /// A flight with a sample of every stream at each of `times`, at `height` [m].
+    /// A flight with a sample of every stream at each of `times`, at `height` (m).
     fn flight(times: impl Iterator<Item = f64>, height: f64) -> Flight {
         let mut flight = empty();
         let setpoint =

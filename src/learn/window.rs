@@ -38,7 +38,7 @@ pub(super) struct Sliding<'a, const N: usize, S> {
 }
 
 impl<'a, const N: usize, S: Signal<N>> Sliding<'a, N, S> {
-    /// A window of half width `half` [s].
+    /// A window of half width `half` (s).
     pub fn new(signal: &'a S, half: f64) -> Self {
         Self { signal, half, range: 0..0 }
     }

@@ -54,7 +54,7 @@ impl RotorState {
         Self { now: outputs, average: if balanced { outputs } else { [0.0; ROTORS] } }
     }
 
-    /// Collective (N) and moments [N m] times `voltage_factor`, with the nominal vehicle's
+    /// Collective (N) and moments (N m) times `voltage_factor`, with the nominal vehicle's
     /// parameters: the input u of a [`super::Point`].
     pub fn input(&self, allocation: &Allocation, voltage_factor: f64) -> [f64; 4] {
         let [u1, u2, u3, u4] = allocation.wrench(self.now);

@@ -66,8 +66,8 @@ pub type Jacobian = [[f64; VARIABLES]; ACCELERATIONS];
 
 /// A model of the accelerations.
 pub trait Model: Send + Sync {
-    /// Linear acceleration in world axes [m/s^2] and angular acceleration in body axes
-    /// [rad/s^2].
+    /// Linear acceleration in world axes (m/s^2) and angular acceleration in body axes
+    /// (rad/s^2).
     fn accelerations(&self, at: &Point) -> [f64; ACCELERATIONS];
 
     /// The accelerations and their exact derivatives; at a kink of a network, those of one side.

@@ -84,7 +84,7 @@ impl Desire {
 }
 
 impl Weight {
-    /// Thrust [N] and attitude that produce a point's acceleration.
+    /// Thrust (N) and attitude that produce a point's acceleration.
     pub(super) fn carry(&self, point: &DesiredPoint) -> (f64, Euler<f64>) {
         let carried = Ned::new(0.0, 0.0, self.gravity) - point.acceleration;
         let (sin, cos) = point.yaw.sin_cos();

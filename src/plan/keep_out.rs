@@ -24,7 +24,7 @@ pub enum KeepOut {
 }
 
 impl KeepOut {
-    /// The point of the segment from a position [m] along `way` [m] that is deepest in the region,
+    /// The point of the segment from a position (m) along `way` (m) that is deepest in the region,
     /// or nearest to it.
     fn deepest(&self, from: [f64; 3], way: [f64; 3]) -> Deepest {
         let at = |share: f64| {
@@ -78,7 +78,7 @@ impl KeepOut {
         best
     }
 
-    /// Depth [m] of the deepest position between `from` and `to` [m], ends included; negative if
+    /// Depth (m) of the deepest position between `from` and `to` (m), ends included; negative if
     /// all are outside.
     pub(super) fn depth_between(&self, from: [f64; 3], to: [f64; 3]) -> f64 {
         self.deepest(from, std::array::from_fn(|i| to[i] - from[i])).depth
@@ -99,7 +99,7 @@ impl KeepOut {
         StateRow { excess: depth, gradient }
     }
 
-    /// Depth [m] of a position [m] inside the region, negative outside, and its gradient
+    /// Depth (m) of a position (m) inside the region, negative outside, and its gradient
     /// (dimensionless).
     pub(super) fn depth(&self, position: [f64; 3]) -> (f64, [f64; 3]) {
         match self {

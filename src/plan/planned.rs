@@ -296,7 +296,7 @@ fn slope_around<const N: usize>(rows: &[[f64; N]], n: usize) -> [f64; N] {
 
 impl PlannedBody {
     /// What leads a body from one of a plan's states to the next beyond weight, thrust and the
-    /// moments of `pd`: acceleration [m/s^2], and the residual moments as the attitude [rad] from
+    /// moments of `pd`: acceleration (m/s^2), and the residual moments as the attitude (rad) from
     /// which `pd` produces them.
     fn expected(
         &self,

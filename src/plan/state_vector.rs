@@ -11,8 +11,8 @@ pub(super) const YAW: usize = 8;
 /// First index of the body rate in a [`StateVector`].
 pub(super) const RATE: usize = 9;
 
-/// `s = (p, v, zeta, omega)`: position (m) and velocity [m/s] in world axes, roll, pitch and yaw
-/// [rad, continuous], body rate [rad/s].
+/// `s = (p, v, zeta, omega)`: position (m) and velocity (m/s) in world axes, roll, pitch and yaw
+/// [rad, continuous], body rate (rad/s).
 pub type StateVector = [f64; STATES];
 
 /// A bound `excess(s) <= 0` and its gradient.

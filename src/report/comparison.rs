@@ -50,7 +50,7 @@ pub struct TrackErrors {
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct InputShare {
     /// Root mean square of the reference's input beyond that of hover at the desired yaw: thrust
-    /// (N), roll, pitch, yaw (rad), body rates [rad/s].
+    /// (N), roll, pitch, yaw (rad), body rates (rad/s).
     pub open_loop_rms: [f64; INPUTS],
     /// Root mean square of the feedback.
     pub feedback_rms: [f64; INPUTS],

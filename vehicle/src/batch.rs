@@ -147,7 +147,7 @@ impl<F: Precision> Batch<F> {
 
     /// Advances every vehicle by `steps` steps of [`Plant::STEP`] with its motor outputs held.
     /// Clips outputs to 0..=1 and treats NaN as 0. Ignores rows without a vehicle. A block of
-    /// [`LANES`] vehicles without any row does not advance; a vehicle without a row in another
+    /// `LANES` vehicles without any row does not advance; a vehicle without a row in another
     /// block keeps its last outputs.
     pub fn step(&mut self, outputs: &[[F; ROTORS]], steps: usize) {
         for (block, outputs) in self.blocks.iter_mut().zip(outputs.chunks(LANES)) {

@@ -117,7 +117,7 @@ impl Battery {
         self.charge = (self.charge - self.current * duration / self.capacity).max(0.0);
     }
 
-    /// Terminal voltage [V] and current [A] of the cells at `power` [W].
+    /// Terminal voltage (V) and current (A) of the cells at `power` [W].
     fn terminal(&self, power: f64) -> (f64, f64) {
         let open = self.full_voltage * open_circuit(self.charge);
         // V I = P with V = open - R I. A pack delivers its maximum power at half its open-circuit

@@ -33,7 +33,7 @@ pub struct Floor {
 }
 
 impl Floor {
-    /// A floor at down coordinate `down` [m] for a vehicle; `gravity` is in m/s^2.
+    /// A floor at down coordinate `down` (m) for a vehicle; `gravity` is in m/s^2.
     pub fn new(down: f64, constants: &Constants, gravity: f64) -> Self {
         let rotors = &constants.rotors;
         let spread = |arm: fn(f64, f64) -> f64| -> f64 {
@@ -60,13 +60,13 @@ impl Floor {
         Self { down: f64::INFINITY, ..self }
     }
 
-    /// Whether no foot can reach the floor within `time` [s], a few milliseconds.
+    /// Whether no foot can reach the floor within `time` (s), a few milliseconds.
     #[inline]
     pub fn is_clear(&self, state: &State, time: f64) -> bool {
         self.is_clear_of(state.position.down(), state.velocity.down(), time)
     }
 
-    /// As [`Floor::is_clear`], for a vehicle at `down` [m] that descends at `speed` [m/s].
+    /// As [`Floor::is_clear`], for a vehicle at `down` (m) that descends at `speed` (m/s).
     #[inline]
     pub fn is_clear_of(&self, down: f64, speed: f64, time: f64) -> bool {
         down + speed.max(0.0) * time + self.reach + MARGIN < self.down
@@ -81,7 +81,7 @@ impl Floor {
         state.position.down() + state.attitude.to_world(*foot).down() - self.down
     }
 
-    /// Force [N] and moment [N m] of the floor on the body, in body axes.
+    /// Force (N) and moment (N m) of the floor on the body, in body axes.
     pub fn wrench(&self, state: &State) -> Wrench<f64> {
         let mut total = Wrench { force: Frd::zero(), moment: Frd::zero() };
         if self.is_clear(state, 0.0) {

@@ -340,7 +340,7 @@ impl Attitude {
         .normalized()
     }
 
-    /// The shorter rotation from `self` to `other` as angle times axis [rad], in body axes of
+    /// The shorter rotation from `self` to `other` as angle times axis (rad), in body axes of
     /// `self`.
     pub fn rotation_to(self, other: Self) -> Frd {
         let d = self.inverse().compose(other).canonical();
@@ -386,7 +386,7 @@ impl<T: Scalar> Euler<T> {
         [p + turn * sp / cp, q * cr - r * sr, turn / cp]
     }
 
-    /// Body rate at which the angles change at `rates` [rad/s]; the inverse of [`Euler::rates`].
+    /// Body rate at which the angles change at `rates` (rad/s); the inverse of [`Euler::rates`].
     pub fn body_rate(self, rates: [T; 3]) -> Frd<T> {
         let [roll_rate, pitch_rate, yaw_rate] = rates;
         let (sr, cr) = self.roll.sin_cos();

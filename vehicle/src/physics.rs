@@ -239,7 +239,7 @@ impl Physics {
         Some(self.dense_under(self.laws.as_ref()?))
     }
 
-    /// The steady wind plus `gust` [m/s], the pack at terminal voltage `voltage` (V), the floor at
+    /// The steady wind plus `gust` (m/s), the pack at terminal voltage `voltage` (V), the floor at
     /// 0.
     pub fn environment(&self, voltage: f64, gust: Ned) -> Environment {
         Environment {
@@ -273,7 +273,7 @@ impl Physics {
         crate::law::values(needed, state, &rotors, env, self.full_voltage)
     }
 
-    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] with the
+    /// Acceleration in world axes (m/s^2) and angular acceleration in body axes (rad/s^2) with the
     /// rotors held in states s_i.
     #[inline(always)]
     pub fn accelerations<T: Scalar>(
@@ -286,7 +286,7 @@ impl Physics {
     }
 
     /// As [`Physics::accelerations`], after the rotors have settled at the outputs that the
-    /// firmware gives for a commanded collective (N) and moments [N m], unclipped above. A model
+    /// firmware gives for a commanded collective (N) and moments (N m), unclipped above. A model
     /// for control about hover, without lag or upper saturation.
     pub fn accelerations_for_wrench<T: Scalar>(
         &self,
@@ -297,7 +297,7 @@ impl Physics {
         self.accelerations(state, &self.rotors_for_wrench(wrench), env)
     }
 
-    /// The rotor states for a commanded collective (N) and moments [N m]; at least 0, unclipped
+    /// The rotor states for a commanded collective (N) and moments (N m); at least 0, unclipped
     /// above.
     pub fn rotors_for_wrench<T: Scalar>(&self, wrench: &[T; 4]) -> [T; ROTORS] {
         let inverse = self.allocation.inverse();
@@ -417,7 +417,7 @@ impl<L: BodyLaws> Physics<L> {
         [after.with_spin_momentum_rate(rate); 3]
     }
 
-    /// Force without gravity [N] and moment [N m] on the body, body axes.
+    /// Force without gravity (N) and moment (N m) on the body, body axes.
     #[inline(always)]
     pub fn wrench<T: Scalar>(
         &self,
@@ -479,7 +479,7 @@ impl<L: BodyLaws> Physics<L> {
         }
     }
 
-    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2] under the
+    /// Acceleration in world axes (m/s^2) and angular acceleration in body axes (rad/s^2) under the
     /// given loads.
     #[inline(always)]
     pub fn accelerations_under<T: Scalar>(

@@ -42,8 +42,8 @@ pub struct RigidBody {
 }
 
 impl RigidBody {
-    /// A body of `mass` (kg) and principal moments of inertia [kg m^2], both positive, under
-    /// `gravity` [m/s^2] towards down.
+    /// A body of `mass` (kg) and principal moments of inertia (kg m^2), both positive, under
+    /// `gravity` (m/s^2) towards down.
     pub fn new(mass: f64, inertia: [f64; 3], gravity: f64) -> Self {
         let inverse_inertia = inertia.map(f64::recip);
         Self { mass, inertia, gravity, inverse_mass: mass.recip(), inverse_inertia }
@@ -67,8 +67,8 @@ impl RigidBody {
     /// Newton-Euler: m a = R F + m g and I alpha = M - omega x (I omega), with the force F
     /// (without gravity) and the moment M about the centre of mass in body axes.
     ///
-    /// Returns the acceleration in world axes [m/s^2] and the angular acceleration in body axes
-    /// [rad/s^2].
+    /// Returns the acceleration in world axes (m/s^2) and the angular acceleration in body axes
+    /// (rad/s^2).
     #[inline(always)]
     pub fn accelerations<T: Scalar>(
         &self,
@@ -115,7 +115,7 @@ impl Stage {
 /// The right-hand side of the equations of motion. Closures implement it; a dedicated type can be
 /// inlined at every stage, however long it is.
 pub trait RightHandSide<T: Scalar> {
-    /// Acceleration in world axes [m/s^2] and angular acceleration in body axes [rad/s^2].
+    /// Acceleration in world axes (m/s^2) and angular acceleration in body axes (rad/s^2).
     fn at(&mut self, state: &State<T>, stage: Stage) -> (Ned<T>, Frd<T>);
 }
 

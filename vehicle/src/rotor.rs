@@ -3,7 +3,7 @@
 use crate::params::{ROTORS, RotorParams};
 use crate::scalar::Scalar;
 
-/// Collective thrust along -z body [N] and moments about body front, right, down [N m].
+/// Collective thrust along -z body (N) and moments about body front, right, down (N m).
 pub type Wrench4 = [f64; 4];
 
 /// The firmware's mixer, which distributes collective and moments among the rotors.
@@ -45,7 +45,7 @@ impl Allocation {
         })
     }
 
-    /// Outputs that produce collective (N) and moments [N m]; each is clipped to 0..=1.
+    /// Outputs that produce collective (N) and moments (N m); each is clipped to 0..=1.
     pub fn outputs(&self, wrench: Wrench4) -> [f64; ROTORS] {
         self.unclipped_outputs(wrench).map(|u| u.clamp(0.0, 1.0))
     }
@@ -56,7 +56,7 @@ impl Allocation {
         std::array::from_fn(|i| thrusts[i] / self.thrust_max[i])
     }
 
-    /// Collective (N) and moments [N m] of the nominal vehicle at these outputs, without lag.
+    /// Collective (N) and moments (N m) of the nominal vehicle at these outputs, without lag.
     pub fn wrench(&self, outputs: [f64; ROTORS]) -> Wrench4 {
         product(&self.effectiveness, std::array::from_fn(|i| outputs[i] * self.thrust_max[i]))
     }

@@ -10,7 +10,7 @@ use vehicle::frame::{Frd, Ned};
 use vehicle::physics::{Environment, Physics};
 use vehicle::plant::{Plant, Setup};
 
-/// Force without gravity [N] and moment [N m], from the accelerations and the true constants.
+/// Force without gravity (N) and moment (N m), from the accelerations and the true constants.
 fn force_and_moment(physics: &Physics, env: &Environment) -> (Frd, Frd) {
     let state = moving();
     let (acceleration, angular) = physics.accelerations(&state, &ROTOR_STATES, env);

@@ -66,7 +66,7 @@ impl Case {
     }
 }
 
-/// Samples over vehicle time [s], read linearly between them.
+/// Samples over vehicle time (s), read linearly between them.
 struct Series<const N: usize>(Vec<(f64, [f64; N])>);
 
 impl<const N: usize> Series<N> {
@@ -169,7 +169,7 @@ impl Flight {
     }
 }
 
-/// Stamps [ms] from which predictions start, away from the log's ends.
+/// Stamps (ms) from which predictions start, away from the log's ends.
 fn starts(reports: &BTreeMap<u32, Report>) -> Vec<u32> {
     let mut starts = vec![];
     let mut next = reports.keys().next().map_or(0, |first| first + MARGIN_MS);
@@ -201,7 +201,7 @@ impl Model {
         }
     }
 
-    /// Errors of the report predicted [`HORIZON_MS`] after `start` [ms].
+    /// Errors of the report predicted [`HORIZON_MS`] after `start` (ms).
     ///
     /// Latency and trim are undone at the start and applied again at the end; the rotors have
     /// their lag behind the logged outputs. The body turns as the outputs make it, or, if

@@ -38,8 +38,8 @@ const LIFT_MIN: f64 = 0.1;
 /// paper's moments:
 ///
 /// ```text
-/// f     = f* - kx (p - p*) - kv (v - v*)          wanted force over mass, world axes [m/s^2]
-/// u1    = -m f . (R e3)                           thrust [N], along the body's own axis
+/// f     = f* - kx (p - p*) - kv (v - v*)          wanted force over mass, world axes (m/s^2)
+/// u1    = -m f . (R e3)                           thrust (N), along the body's own axis
 /// R_d   : R_d e3 = -f / |f|, heading psi*         desired attitude
 /// omega = R^T R* omega*                           desired body rate, turned into the body's axes
 /// ```

@@ -41,7 +41,7 @@ const INTEGRAL_SHARE: f64 = 0.15;
 /// 2015): [`Geometric`] with the uncertainty `W theta`, `W = I`, cancelled:
 ///
 /// ```text
-/// f         = f* - kx e_p - kv e_v - theta            wanted force over mass [m/s^2]
+/// f         = f* - kx e_p - kv e_v - theta            wanted force over mass (m/s^2)
 /// dtheta/dt = gamma (e_v + c1 e_p), |theta_i| <= B    world axes
 /// ```
 ///

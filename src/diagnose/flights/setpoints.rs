@@ -272,7 +272,7 @@ pub(in crate::diagnose) fn as_flown(
     flown
 }
 
-/// Numbers of a setpoint: a small rotation [rad], the body rate [rad/s], the thrust.
+/// Numbers of a setpoint: a small rotation (rad), the body rate (rad/s), the thrust.
 const NUMBERS: usize = 7;
 
 /// The difference from one setpoint to another; 0 for numbers that either lacks.

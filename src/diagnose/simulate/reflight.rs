@@ -290,7 +290,7 @@ fn state_at(flight: &PreparedFlight, time: f64) -> State {
 /// Motion and commands of a flight at the compared instants.
 struct Motion {
     states: Vec<(Ned, Attitude)>,
-    /// Collective [N], moments [N m] and outputs.
+    /// Collective (N), moments (N m) and outputs.
     commands: Vec<([f64; 4], [f64; 4])>,
 }
 

@@ -201,7 +201,7 @@ impl Replica {
         if norm > COURSE_MAX { asked * (COURSE_MAX / norm) } else { asked }
     }
 
-    /// Changes of pitch and roll [rad] and of collective thrust [N] for an acceleration.
+    /// Changes of pitch and roll (rad) and of collective thrust (N) for an acceleration.
     fn tilt(&self, asked: Ned, heading: f64) -> [f64; 3] {
         let [north, east, down] = asked.to_array();
         let (sin, cos) = heading.sin_cos();

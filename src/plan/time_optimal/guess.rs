@@ -132,7 +132,7 @@ fn paced(course: &Course, agility: &Agility) -> Spline {
     spline
 }
 
-/// The rotation in body axes, angle times axis [rad], that points body up along a force.
+/// The rotation in body axes, angle times axis (rad), that points body up along a force.
 fn least_turn(force: Frd) -> [f64; 3] {
     let [x, y, z] = force.to_array();
     let level = x.hypot(y);

@@ -10,7 +10,7 @@ pub(super) struct Spline {
     velocities: Vec<Ned>,
 }
 
-/// Position [m], velocity [m/s] and acceleration [m/s^2].
+/// Position (m), velocity (m/s) and acceleration (m/s^2).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moment {
     pub position: Ned,
