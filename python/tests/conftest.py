@@ -10,6 +10,10 @@ ROOT = Path(__file__).resolve().parents[2]
 SHORT = {"family": "hover", "altitude_m": 1.0, "duration_s": 2.0}
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "long: only tests/run --all runs it")
+
+
 @pytest.fixture(scope="session")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Flights of a nano quadrotor with drag that its file does not say, of 20 s each."""

@@ -46,6 +46,7 @@ def test_an_onset_is_refused_by_name(onsets: list[tuple[float, dict[str, dict[st
         dw.fly(trajectory={"family": "hover", "altitude_m": 1.0, "duration_s": 2.0}, onsets=onsets)
 
 
+@pytest.mark.long
 def test_a_law_is_discovered_and_flown(tmp_path: Path) -> None:
     logs = []
     for seed, name in enumerate(["figure-8", "sinusoid-xz", "random-waypoints", "sinusoid-yaw"]):

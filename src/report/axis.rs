@@ -34,12 +34,13 @@ impl Axis {
         }
     }
 
-    /// With some air on both sides. A constant is drawn as one: rounding errors are not magnified.
+    /// Adds a margin on both sides. The axis spans a five-hundredth of its largest value at least, so
+    /// that its labels stay short; a constant is drawn flat, without its rounding errors.
     pub(super) fn padded(range: Option<(f64, f64)>) -> Self {
         let (low, high) = range.unwrap_or((0.0, 1.0));
         let size = low.abs().max(high.abs());
         let air = match high - low {
-            spread if spread > 1e-6 * size => 0.06 * spread,
+            spread if spread > 1e-6 * size => (0.06 * spread).max(1e-3 * size - 0.5 * spread),
             _ if size > 0.0 => 0.5 * size,
             _ => 1.0,
         };
@@ -91,5 +92,7 @@ mod tests {
             let ticks = axis.ticks(3.8);
             assert!(ticks.len() >= 3 && ticks.iter().all(|(_, text)| text.len() <= 6), "{ticks:?}");
         }
+        let ticks = Axis::padded(Some((-1.000_02, -0.999_98))).ticks(3.8);
+        assert!(ticks.len() >= 2 && ticks.iter().all(|(_, text)| text.len() <= 7), "{ticks:?}");
     }
 }
