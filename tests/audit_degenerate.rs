@@ -27,7 +27,7 @@ const PAIRS: [&str; 10] = [
     "motion",
 ];
 
-/// How an angle or a way goes with time.
+/// An angle or a displacement as a function of time.
 #[derive(Clone, Copy, Debug)]
 enum Profile {
     Zero,
@@ -175,7 +175,7 @@ fn the_turn_about_the_only_axis_is_not_shown() {
     }
 }
 
-/// Contrary ways are told even where only one axis moves.
+/// The audit finds a reversed stream even where only one axis moves.
 #[test]
 fn a_stream_that_runs_backwards_is_a_fault() {
     let sine = Profile::Sine { size: 0.4, hz: 0.5 };

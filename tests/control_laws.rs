@@ -65,8 +65,8 @@ fn every_law_flies_a_vehicle_with_delay_and_lag() {
     }
 }
 
-/// The observer of disturbances works around any law; what is left is compared with what the LQR alone
-/// leaves, as an adaptive law has taken out the most of it by itself.
+/// The disturbance observer works around any law. The steady error is compared with that of the LQR
+/// without an observer, because an adaptive law already removes most of it.
 #[test]
 fn under_every_law_the_observer_takes_out_a_weight_that_is_not_known() {
     let params = params(NANO);

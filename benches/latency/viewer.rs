@@ -71,7 +71,7 @@ pub fn watch(daemon: &Process, manner: Manner) -> Viewer {
                         let asked = json!({"op": "subscribe", "subscriptions": asked});
                         socket.send(Message::text(asked.to_string())).expect("subscribed");
                         if manner == Manner::Stalls {
-                            // A park may end by itself.
+                            // `park` may return without a wake-up.
                             loop {
                                 std::thread::park();
                             }

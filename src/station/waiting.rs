@@ -17,7 +17,7 @@ use crate::supervisor::{EngagePolicy, FlightState, PreflightCheck};
 const PERIOD: Duration = Duration::from_millis(100);
 /// A wait that ends within this time is not reported.
 const PATIENCE: Duration = Duration::from_millis(2500);
-/// A check that has failed for this long, with all telemetry there, will not pass by itself.
+/// A check that has failed for this long, with all telemetry present, needs somebody to act.
 const SETTLED: Duration = Duration::from_millis(300);
 
 /// A reason that ends and comes back within this time is not reported again: it would fill the
