@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
 use serde::Serialize;
-use vehicle::effects::EffectId;
+use vehicle::effects::{EffectId, ParameterValue};
 
 use crate::audit::{Audit, Severity, Tier};
 use crate::diagnose::discovery::law::LawAnswer;
@@ -170,8 +170,9 @@ pub struct ExplanationAnswer {
     pub evidence: f64,
     /// Its posterior mass, 0..1.
     pub mass: f64,
-    /// Its fitted numbers.
-    pub numbers: Vec<f64>,
+    /// All parameters of its effects, by effect and name.
+    #[schemars(with = "BTreeMap<String, BTreeMap<String, Parameter>>")]
+    pub parameters: BTreeMap<String, BTreeMap<String, ParameterValue>>,
 }
 
 /// A flight of the diagnosis.

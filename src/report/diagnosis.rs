@@ -42,13 +42,12 @@ pub fn html(answer: &Answer, vehicle: &str, seen: &[SeenFlight<'_>]) -> String {
         "Evidence that each hypothesis adds to the file's numbers (delay, lag, thrust, trims, biases within their tolerances), on the flights of the fit; and how much likelier it makes the flights held out. An effect must also make better open-loop predictions.",
         &which(answer),
     );
-    for flight in seen {
-        let heading = format!("When: {}", flight.log);
-        page.section(
-            &heading,
-            onset::EXPLANATION,
-            &onset::picture(Settings::LOG.bound(), flight.seen),
-        );
+    if !seen.is_empty() {
+        let bound = Settings::LOG.bound();
+        let of = |flight: &SeenFlight<'_>| {
+            format!("<h3>{}</h3>{}", escape(flight.log), onset::picture(bound, flight.seen))
+        };
+        page.section("When", onset::EXPLANATION, &seen.iter().map(of).collect::<String>());
     }
     if let Some(found) = &answer.law {
         page.section("The law", law::INTRODUCTION, &law::html(found));
@@ -84,10 +83,12 @@ fn verdict(answer: &Answer, page: &mut Page) {
         Verdict::Effect => Mood::Plain,
         Verdict::Unknown => Mood::Warning,
     };
-    let reasons: Vec<String> = answer
+    let mut reasons: Vec<String> = answer
         .named()
         .map(|effect| format!("{}: probability {:.0} %", one(effect), 100.0 * effect.probability))
         .collect();
+    reasons
+        .extend(words::equivalent(answer).map(|other| format!("or {}", words::alternative(other))));
     page.verdict(mood, &answer.finding.sentence, &reasons);
     if let Some(gap) = &answer.gap {
         let mut figures = vec![
@@ -171,20 +172,17 @@ fn which(answer: &Answer) -> String {
     );
     html += &bars(&rows);
     let mut table = Table::new(&[
-        ("effects", false),
-        ("evidence", true),
+        ("effects with their fitted numbers", false),
+        ("evidence (nats)", true),
         ("posterior mass", true),
-        ("fitted numbers", false),
     ]);
     for explanation in &answer.explanations {
-        let numbers: Vec<String> = explanation.numbers.iter().map(|x| significant(*x)).collect();
         table.row(
             Mood::Plain,
             &[
-                set(&explanation.effects),
+                words::numbered(explanation),
                 format!("{:.1}", explanation.evidence),
                 format!("{:.1} %", 100.0 * explanation.mass),
-                numbers.join(", "),
             ],
         );
     }

@@ -19,7 +19,7 @@ from safetensors.numpy import load_file
 from conftest import CRAZYFLIE, DOWNWASH
 
 EFFECTS = ["rotor_drag:d_xy=0.012,d_z=0.008", "motor_lag:tau_s=0.05", "command_delay:delay_s=0.02"]
-SMALL = ["--passes", "15", "--hidden", "20", "--regularization", "1e-5"]
+SMALL = ["--passes", "6", "--hidden", "20", "--regularization", "1e-5"]
 PREDICTIONS = "run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz"
 
 # Every worker would fly and train for itself.
@@ -308,7 +308,7 @@ def test_logs_of_another_vehicle_are_refused(flights, tmp_path):
 
 
 def test_an_interrupted_training_goes_on_to_the_same_file(program, flights, tmp_path):
-    long = ["--passes", "120", "--hidden", "40", "--regularization", "1e-5"]
+    long = ["--passes", "60", "--hidden", "24", "--regularization", "1e-5"]
     whole, model = tmp_path / "whole.safetensors", tmp_path / "model.safetensors"
     run("train", "--vehicle", CRAZYFLIE, *flights, "-o", whole, *long)
     checkpoint = tmp_path / "model.safetensors.checkpoint"

@@ -146,7 +146,7 @@ def test_diagnoses(schemas, flights, vehicle, tmp_path):
 
 @pytest.mark.computes
 def test_demos(schemas, tmp_path):
-    demo = ["--fly", "model-free,hybrid", "--learn", 60, "--out", tmp_path / "demo", "--json"]
+    demo = ["--fly", "model-free,physics", "--learn", 60, "--out", tmp_path / "demo", "--json"]
     check(schemas, "downwash.demo", run("demo", *demo, *DRAG))
 
 

@@ -99,7 +99,7 @@ impl Assembly<'_> {
                     effects: explained.effects.clone(),
                     evidence: explained.score() - best,
                     mass: *mass,
-                    numbers: explained.numbers.iter().map(|number| number.value).collect(),
+                    parameters: explained.parameters.clone(),
                 })
                 .collect(),
             flights,

@@ -1,8 +1,10 @@
 //! The answer in words.
 
-use vehicle::effects::EffectId;
+use std::collections::BTreeSet;
 
-use crate::diagnose::answer::{Answer, EffectAnswer, FullVerdict};
+use vehicle::effects::{EffectId, ParameterValue};
+
+use crate::diagnose::answer::{Answer, EffectAnswer, ExplanationAnswer, FullVerdict};
 use crate::diagnose::discovery::law::LawAnswer;
 use crate::diagnose::next_flight::NextFlight;
 use crate::diagnose::simulate::reflight::ClosedLoop;
@@ -254,6 +256,59 @@ pub fn one(effect: &EffectAnswer) -> String {
     format!("{} ({})", effect.id, numbers.join(", "))
 }
 
+/// The effects of an explanation with their fitted numbers.
+pub fn numbered(explanation: &ExplanationAnswer) -> String {
+    let effect = |id: &String| {
+        let parameters = explanation.parameters.get(id).into_iter().flatten();
+        let numbers: Vec<String> = parameters
+            .map(|(name, value)| match value {
+                ParameterValue::Number(number) if number.fract() == 0.0 => {
+                    format!("{name} {number}")
+                }
+                ParameterValue::Number(number) => format!("{name} {}", short(*number)),
+                ParameterValue::Vector(numbers) => {
+                    let list: Vec<String> = numbers.iter().map(|n| short(*n)).collect();
+                    format!("{name} [{}]", list.join(", "))
+                }
+            })
+            .collect();
+        format!("{id} ({})", numbers.join(", "))
+    };
+    explanation.effects.iter().map(effect).collect::<Vec<_>>().join(" and ")
+}
+
+/// Least posterior mass of an equivalent explanation that the answer mentions.
+const EQUIVALENT: f64 = 0.05;
+
+/// The most probable explanation by other effects that act through the same ratio as the named
+/// ones, such as a mass in place of a thrust scale ([`EffectId::class`]).
+pub fn equivalent(answer: &Answer) -> Option<&ExplanationAnswer> {
+    let named: BTreeSet<EffectId> = answer.named().map(|effect| effect.id).collect();
+    let classes = |ids: &BTreeSet<EffectId>| -> BTreeSet<EffectId> {
+        ids.iter().map(|id| id.class()).collect()
+    };
+    let is_equivalent = |explanation: &&ExplanationAnswer| {
+        let ids: BTreeSet<EffectId> =
+            explanation.effects.iter().filter_map(|id| id.parse().ok()).collect();
+        !named.is_empty()
+            && explanation.mass >= EQUIVALENT
+            && explanation.effects.len() == named.len()
+            && ids != named
+            && classes(&ids) == classes(&named)
+    };
+    let found = answer.explanations.iter().filter(is_equivalent);
+    found.max_by(|a, b| a.mass.total_cmp(&b.mass))
+}
+
+/// An [`equivalent`] explanation in words.
+pub fn alternative(other: &ExplanationAnswer) -> String {
+    format!(
+        "{}, {:.0} %: these flights cannot distinguish them",
+        numbered(other),
+        100.0 * other.mass
+    )
+}
+
 /// A number to four significant digits.
 fn short(number: f64) -> String {
     if number == 0.0 {
@@ -289,6 +344,9 @@ pub fn report(answer: &Answer) -> String {
             text += &format!("  {name} {} .. {}", short(*low), short(*high));
         }
         text += "\n";
+    }
+    if let Some(other) = equivalent(answer) {
+        text += &format!("or         {}\n", alternative(other));
     }
     if answer.effects.is_empty() {
         for (line, tried) in answer.explanations.iter().take(3).enumerate() {
@@ -365,6 +423,8 @@ pub fn report(answer: &Answer) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
     use crate::diagnose::answer::Gap;
     use crate::diagnose::likelihood::noise::ReportNoise;
@@ -406,5 +466,36 @@ mod tests {
             let text = shrinks(gaps, Some(0.3));
             assert!(text.contains("does not close the gap"), "{text}");
         }
+    }
+
+    #[test]
+    fn a_mass_stands_beside_the_thrust_scale_that_acts_alike() {
+        let explained = |id: &str, name: &str, value: f64, mass: f64| ExplanationAnswer {
+            effects: vec![id.to_owned()],
+            evidence: 50.0,
+            mass,
+            parameters: [(
+                id.to_owned(),
+                [(name.to_owned(), ParameterValue::Number(value))].into(),
+            )]
+            .into(),
+        };
+        let mut answer = Answer::data_fault(Vec::new());
+        answer.verdict = Verdict::Effect;
+        answer.effects = vec![EffectAnswer {
+            id: EffectId::ThrustScale,
+            probability: 0.97,
+            parameters: BTreeMap::new(),
+            intervals: BTreeMap::new(),
+            deviations: BTreeMap::new(),
+        }];
+        answer.explanations = vec![
+            explained("thrust_scale", "scale", 0.88, 0.6),
+            explained("battery_sag", "exponent", 1.0, 0.2),
+        ];
+        assert!(equivalent(&answer).is_none());
+        answer.explanations.push(explained("mass", "mass_kg", 0.034, 0.3));
+        let text = report(&answer);
+        assert!(text.contains("or         mass (mass_kg 0.03400), 30 %"), "{text}");
     }
 }
