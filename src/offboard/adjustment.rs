@@ -81,8 +81,8 @@ impl fmt::Display for Adjusted {
 }
 
 impl AdjustmentSettings {
-    /// The reason to refuse a change, if any. `reach` is the extent of the reference with the change,
-    /// `now` without: a reference already beyond a bound may come nearer.
+    /// The reason to refuse a change, if any. `reach` is the extent of the reference with the
+    /// change, `now` without: a reference already beyond a bound may come nearer.
     fn objection(
         &self,
         wanted: &Adjusted,

@@ -17,8 +17,8 @@ const TRUTHS: usize = 20;
 pub struct Metrics {
     /// How long the trajectory was followed: its ticks over their rate, s.
     pub tracked_s: f64,
-    /// Root mean square of the distance from the desired position (of a plan that is flown as it is,
-    /// from the plan's), as the controller saw it, north, m.
+    /// Root mean square of the distance from the desired position (of a plan that is flown as it
+    /// is, from the plan's), as the controller saw it, north, m.
     pub position_rmse_north_m: Option<f64>,
     /// East, m.
     pub position_rmse_east_m: Option<f64>,

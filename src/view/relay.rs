@@ -1,5 +1,5 @@
 //! Relays between one viewer and Foxglove's server. Messages that the viewer does not read in time
-//! are dropped, the oldest first, instead of waiting in the system's buffers until they are useless.
+//! are dropped, the oldest first, instead of waiting in the system's buffers until they are stale.
 
 use std::collections::VecDeque;
 use std::io;

@@ -9,7 +9,7 @@ use foxglove::websocket::{Parameter, ParameterValue};
 
 use crate::offboard::{Adjusted, Adjustment};
 
-/// Changes that may wait for the control thread, which takes ten a second; further ones are dropped.
+/// Changes that may wait for the control thread, which takes ten a second; others are dropped.
 const QUEUE: usize = 4;
 
 /// The only parameters that can be set.
@@ -56,8 +56,8 @@ impl Writer {
         self.all.fetch_sub(1, Ordering::AcqRel);
     }
 
-    /// Queues a change. Parameters off the list, values that are not numbers, and changes beyond the
-    /// queue's length are dropped.
+    /// Queues a change. Parameters off the list, values that are not numbers, and changes beyond
+    /// the queue's length are dropped.
     pub fn offer(&self, asked: &[Parameter]) {
         // A viewer bypassed the front, and may be the sender.
         if self.all.load(Ordering::Acquire) > self.led.load(Ordering::Acquire) {
