@@ -86,7 +86,7 @@ impl FlightRow {
         }
     }
 
-    /// A flight that was flown, with what its log says.
+    /// The row of a flight, with the results in its log.
     fn flown(flight: &ProgrammeFlight, end: &str, exit: Exit, log: Option<&LogOf>) -> Self {
         let tracking = log.and_then(|log| log.tracking);
         Self {
@@ -124,8 +124,8 @@ pub(super) fn run(args: &CollectArgs, preparation: Interruption) -> anyhow::Resu
     Ok(exit)
 }
 
-/// Flies what of the programme has no whole log yet, or only lists it. `preparation` ends the
-/// program until the first flight; without one the caller looks at the signals.
+/// Flies the flights of the programme that have no complete log yet, or only lists the programme.
+/// `preparation` ends the program until the first flight; without it the caller checks the signals.
 pub(super) fn gather(
     args: &CollectArgs,
     config: &Config,
@@ -170,7 +170,7 @@ pub(super) fn gather(
 }
 
 impl CollectSummary {
-    /// The logs that were flown or kept.
+    /// The new and the kept logs.
     pub fn logs(&self) -> Vec<PathBuf> {
         self.flights.iter().filter_map(|flight| flight.log.clone()).collect()
     }
@@ -182,8 +182,8 @@ impl CollectSummary {
     }
 }
 
-/// Flies what has no whole log yet. Every flight of the programme gets a row, and the worst end
-/// the exit code.
+/// Flies the flights without a complete log. Every flight of the programme gets a row; the worst
+/// end determines the exit code.
 fn fly(
     args: &CollectArgs,
     config: &Config,
@@ -254,7 +254,7 @@ fn fly(
     Ok((rows, exit.unwrap_or(Exit::Ok)))
 }
 
-/// Which of several ends the exit code tells.
+/// Rank of an end: the highest of several determines the exit code.
 fn gravity(exit: Exit) -> u8 {
     match exit {
         Exit::Ok => 0,

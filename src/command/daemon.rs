@@ -59,7 +59,7 @@ pub(super) fn run(args: &DaemonArgs, preparation: Interruption) -> anyhow::Resul
         say(format_args!("{error}"));
     }
     let (end, exit) = match signals.first() {
-        // How a service manager ends a service: nothing failed.
+        // A service manager stops a service with SIGTERM; nothing failed.
         Some(Stop::Terminate) => ("stopped".to_owned(), Exit::Ok),
         stop => summary::end_in_words(finished.end.as_ref(), stop),
     };

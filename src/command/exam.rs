@@ -1,8 +1,8 @@
 //! `downwash exam`: the blind check of the diagnosis, as a command.
 //!
-//! Everything is flown first; the key's hash is written then, and only then is each case diagnosed,
-//! by a process of its own whose folder and environment hold nothing but that case's files. The
-//! key stays in this process until the last answer is in.
+//! It flies all cases and then writes the key's hash. Only then does it diagnose each case, in a
+//! separate process whose folder and environment hold only that case's files. The key stays in this
+//! process until the last answer is in.
 
 mod candidate;
 mod decided;
@@ -129,7 +129,7 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
     Ok(if misses { Exit::Check } else { exit })
 }
 
-/// Where an exam is held.
+/// The settings of an exam that its steps share.
 struct Hall<'a> {
     args: &'a ExamArgs,
     out: &'a Path,
@@ -151,8 +151,8 @@ impl Hall<'_> {
         Ok(if self.is_interrupted() { Exit::Interrupted } else { Exit::Ok })
     }
 
-    /// Does `work` for each of `count` in `jobs` threads, until done or interrupted; what it gives
-    /// in order.
+    /// Runs `work` for each of `count` cases in `jobs` threads, until done or interrupted. Returns
+    /// the results in order.
     fn each<T: Send>(
         &self,
         count: usize,

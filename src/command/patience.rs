@@ -1,4 +1,4 @@
-//! A word to whoever waits for a command that has nothing to say yet, as while it reads a large log.
+//! A notice from a command that is still silent after a while, such as one that reads a large log.
 
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread;
@@ -6,19 +6,19 @@ use std::time::{Duration, Instant};
 
 use super::say;
 
-/// So long nobody wonders.
+/// Time until the first notice.
 const QUIET: Duration = Duration::from_millis(2500);
-/// So long after each word.
+/// Time between notices.
 const AGAIN: Duration = Duration::from_secs(30);
 
-/// Says on stderr what takes long, until it is dropped.
+/// Names the slow step on stderr, until it is dropped.
 pub(super) struct Patience {
-    /// Ends the waiting by being dropped.
+    /// Dropping it ends the thread.
     _ended: Sender<()>,
 }
 
 impl Patience {
-    /// For what is done from now on, as "reading flight.ulg".
+    /// Starts waiting for the step `what`, such as "reading flight.ulg".
     pub fn with(what: String) -> Self {
         Self::told(QUIET, AGAIN, move |waited| {
             say(format_args!("... {what}, for {:.0} s so far", waited.as_secs_f64()));
@@ -35,7 +35,7 @@ impl Patience {
                 pause = again;
             }
         };
-        // Where no thread can be had, the command is silent.
+        // If no thread can be started, there are no notices.
         let _ = thread::Builder::new().name("patience".into()).spawn(telling);
         Self { _ended: ended }
     }

@@ -1,4 +1,4 @@
-//! Progress bars on stderr, which show nothing where it is no terminal.
+//! Progress bars on stderr, shown only on a terminal.
 
 use std::io::{self, IsTerminal};
 use std::sync::Arc;
@@ -10,24 +10,24 @@ use super::say;
 use crate::learn::networks::Progress;
 use crate::learn::networks::Watch;
 
-/// A bar of so many steps.
+/// A bar of `steps` steps.
 fn bar(steps: u64, template: &str) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(steps), ProgressDrawTarget::stderr_with_hz(10));
     let style = ProgressStyle::with_template(template);
     bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
-/// A bar over so many seconds of trajectory, in tenths.
+/// A bar over `length_s` seconds of trajectory, in tenths.
 pub(super) fn flight_bar(length_s: f64) -> ProgressBar {
     bar((length_s * 10.0) as u64, "{bar:40} {percent:>3} %  {msg}")
 }
 
-/// A bar over so many of anything.
+/// A bar over `count` items.
 pub(super) fn count_bar(count: u64) -> ProgressBar {
     bar(count, "{bar:40} {pos}/{len}  {eta}")
 }
 
-/// What is done with trained networks.
+/// Stores trained networks.
 pub(super) type Keep = Box<dyn Fn(&Progress) + Send>;
 
 /// A bar for each stage of a training.
@@ -38,17 +38,17 @@ pub(super) struct StageBar {
 }
 
 impl StageBar {
-    /// `interrupted` ends the training.
+    /// Creates a bar; `interrupted` ends the training.
     pub fn new(interrupted: Arc<AtomicBool>) -> Self {
         Self { bar: bar(1, "{prefix:10} {bar:40} {percent:>3} %  {msg}"), interrupted, keep: None }
     }
 
-    /// What to do with trained networks before they are judged.
+    /// Sets what stores trained networks before their evaluation.
     pub fn keep_by(&mut self, keep: Option<Keep>) {
         self.keep = keep;
     }
 
-    /// Takes it off the terminal.
+    /// Removes the bar from the terminal.
     pub fn clear(&self) {
         self.bar.finish_and_clear();
     }

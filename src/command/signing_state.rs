@@ -16,20 +16,20 @@ use super::{Exit, ExitContext, say, write_file};
 use crate::config::{SIGNING_KEY_VARIABLE, SigningSettings};
 use crate::link::signing::{self, Ledger, Remembered};
 
-/// The file is written this often.
+/// Period at which the file is written.
 const WRITE_PERIOD: Duration = Duration::from_secs(5);
-/// A program that ended without its last word may have sent this much after the file was written.
+/// Advance of the stamps after a run that may have sent more since it last wrote the file.
 const UNWRITTEN: u64 = 10 * Stamp::PER_S;
-/// No state file is longer.
+/// Largest state file, bytes.
 const FILE_LEN_MAX: u64 = 1 << 20;
 
-/// The stamps in their file.
+/// The content of the state file.
 #[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct StampsFile {
     schema: String,
     schema_version: u32,
-    /// Tells keys apart.
+    /// Identifies the key.
     key: String,
     newest: u64,
     streams: Vec<StreamRow>,
@@ -44,7 +44,7 @@ struct StreamRow {
     newest: u64,
 }
 
-/// A key, and a thread that keeps its stamps while this lives.
+/// A key, and a thread that stores its stamps until this is dropped.
 pub(super) struct SigningState {
     settings: signing::SigningSettings,
     stop: Option<Sender<()>>,
@@ -52,12 +52,12 @@ pub(super) struct SigningState {
 }
 
 impl SigningState {
-    /// The key that settings or environment name; `None` where neither does. From here on its
-    /// stamps are kept.
+    /// The key that the settings or the environment name, if any. From here on its stamps are
+    /// stored.
     ///
     /// # Errors
-    /// No key where there should be one, a file that others may read, a state that is of another
-    /// key or no state.
+    /// The named key is missing, others may read its file, or the state file is invalid or belongs
+    /// to another key.
     pub fn open(settings: &SigningSettings) -> anyhow::Result<Option<Self>> {
         Self::opened(settings, std::env::var_os(SIGNING_KEY_VARIABLE).as_deref())
             .context("link.signing")
@@ -139,7 +139,7 @@ impl SigningState {
         Ok(Some(Self { settings, stop: Some(stop), thread: Some(thread) }))
     }
 
-    /// As a session takes it.
+    /// The settings for a session.
     pub fn settings(&self) -> signing::SigningSettings {
         self.settings.clone()
     }
@@ -154,7 +154,7 @@ impl Drop for SigningState {
     }
 }
 
-/// Ids of MAVLink's names.
+/// The ids of messages with these MAVLink names.
 fn ids(names: &[String]) -> anyhow::Result<Vec<u32>> {
     let id = |name: &String| {
         MavMessage::message_id_from_name(name).ok_or_else(|| {

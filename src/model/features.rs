@@ -52,7 +52,7 @@ impl Head {
     }
 }
 
-/// The input features of a network at a [`Point`](super::Point).
+/// The input features of a network at a point of motion, attitude and input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Features {

@@ -1,5 +1,4 @@
-//! What may be changed in flight by who watches it: how far the goal lies from where the flight has
-//! it, and how firm the feedback is.
+//! Changes that viewers may make in flight: an offset of the goal, and a factor on the feedback.
 
 use std::fmt;
 
@@ -32,10 +31,10 @@ impl Default for AdjustmentSettings {
     }
 }
 
-/// What holds.
+/// The current values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adjusted {
-    /// How far from where the flight has it the goal lies, or is led to, m.
+    /// Offset of the goal, reached or on the way, m.
     pub goal: Ned,
     /// Factor on the law's feedback.
     pub feedback_scale: f64,
@@ -47,14 +46,14 @@ impl Default for Adjusted {
     }
 }
 
-/// A change that is asked for: all of it happens, or none.
+/// A requested change, applied as a whole or not at all.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Adjustment {
-    /// The goal's way north, m.
+    /// Offset of the goal to the north, m.
     pub north_m: Option<f64>,
-    /// The goal's way east, m.
+    /// Offset of the goal to the east, m.
     pub east_m: Option<f64>,
-    /// The goal's way up, m.
+    /// Offset of the goal upwards, m.
     pub up_m: Option<f64>,
     /// Factor on the law's feedback.
     pub feedback_scale: Option<f64>,
@@ -82,8 +81,8 @@ impl fmt::Display for Adjusted {
 }
 
 impl AdjustmentSettings {
-    /// What speaks against it, where the goal reaches as far as `reach` by it and `now` without;
-    /// where it is beyond a bound already it may come nearer.
+    /// The reason to refuse a change, if any. `reach` is the extent of the reference with the
+    /// change, `now` without: a reference already beyond a bound may come nearer.
     fn objection(
         &self,
         wanted: &Adjusted,
@@ -93,7 +92,7 @@ impl AdjustmentSettings {
         let (distance, scale) = (wanted.goal.norm(), wanted.feedback_scale);
         let most = self.feedback_scale_max;
         let (radius, height) = (fence.0 - self.fence_margin_m, fence.1 - self.fence_margin_m);
-        // NaN is on the wrong side of each.
+        // NaN is within no range.
         let is_within = |value: f64, least: f64, most: f64| value >= least && value <= most;
         if !is_within(distance, 0.0, self.goal_max_m) {
             return Some(format!("a goal is moved by at most {} m", self.goal_max_m));
@@ -114,13 +113,13 @@ impl AdjustmentSettings {
 }
 
 impl OffboardController {
-    /// What holds of what may be changed in flight.
+    /// The current values of what viewers may change.
     pub fn adjusted(&self) -> Adjusted {
         Adjusted { goal: self.guidance.goal(), feedback_scale: self.controller.feedback_scale() }
     }
 
-    /// Takes what a viewer asks for, where the supervisor heeds viewers and it is within bounds. An
-    /// event says what became of it.
+    /// Applies a viewer's change if the supervisor permits it and it is within bounds. An event
+    /// reports the outcome.
     pub fn adjust(&mut self, now: HostTime, asked: &Adjustment) {
         let held = self.adjusted();
         let wanted = asked.of(&held);
@@ -149,7 +148,7 @@ impl OffboardController {
         }
     }
 
-    /// A flight's changes end with it.
+    /// Resets viewers' changes at the end of a flight.
     pub(super) fn end_adjustment(&mut self, now: HostTime) {
         if self.adjusted() != Adjusted::default() {
             self.guidance.forget_goal();

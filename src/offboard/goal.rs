@@ -1,20 +1,20 @@
-//! How far from where the flight has it the goal lies, and the way there.
+//! The offset by which a viewer moves the goal, and its motion towards the requested value.
 
 use vehicle::frame::Ned;
 
 use crate::clock::VehicleTime;
 
-/// Fastest way to a goal that is moved, m/s, and how quickly that speed comes about, m/s^2.
+/// Limits on the offset's motion, m/s and m/s^2.
 const SPEED_MAX_M_S: f64 = 0.5;
 const ACCELERATION_MAX_M_S2: f64 = 0.5;
-/// Speed over what is left of the way, 1/s: a way at 0.5 m/s ends with 0.5 m/s^2.
+/// Speed over the remaining distance, 1/s: from 0.5 m/s it decelerates at 0.5 m/s^2.
 const RATE_PER_S: f64 = 1.0;
-/// Nearer than this it is there, m.
+/// Distance and speed below which the offset counts as reached, m and m/s.
 const THERE_M: f64 = 1e-3;
-/// A longer gap between two samples is not made up for, s.
+/// Longest step of the motion; the rest of a longer gap between samples is skipped, s.
 const STEP_MAX_S: f64 = 0.1;
 
-/// An offset that is led to what is asked for, with a velocity that does not jump.
+/// An offset that moves to the requested one with a continuous velocity.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct GoalOffset {
     asked: Ned,
@@ -24,37 +24,37 @@ pub(super) struct GoalOffset {
 }
 
 impl GoalOffset {
-    /// Where it is led to, m.
+    /// The requested offset, m.
     pub fn asked(&self) -> Ned {
         self.asked
     }
 
-    /// Where it is, m.
+    /// The present offset, m.
     pub fn at(&self) -> Ned {
         self.at
     }
 
-    /// How fast it moves, m/s.
+    /// Velocity of the offset, m/s.
     pub fn velocity(&self) -> Ned {
         self.velocity
     }
 
-    /// From now on it is led to `offset`.
+    /// Requests another offset.
     pub fn lead_to(&mut self, offset: Ned) {
         self.asked = offset;
     }
 
-    /// It is where it was asked to be: the vehicle has not left the ground.
+    /// Jumps to the requested offset, as on the ground.
     pub fn arrive(&mut self) {
         (self.at, self.velocity) = (self.asked, Ned::zero());
     }
 
-    /// It stays where it is.
+    /// Stops at the present offset.
     pub fn stay(&mut self) {
         (self.asked, self.velocity) = (self.at, Ned::zero());
     }
 
-    /// Goes on to the time of a sample.
+    /// Advances to the time of a sample.
     pub fn step(&mut self, now: VehicleTime) {
         let dt = self.last.replace(now).map_or(0.0, |last| now.seconds_since(last));
         let dt = dt.clamp(0.0, STEP_MAX_S);

@@ -179,7 +179,7 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
     page.into_html()
 }
 
-/// That the cases are too few.
+/// Says that the cases are too few to decide the rates.
 fn too_few(summary: &Summary) -> String {
     format!(
         "{} cases are too few to tell whether the diagnosis meets its targets: of so few, \
@@ -196,7 +196,7 @@ fn mood(standing: Standing) -> Mood {
     }
 }
 
-/// What stands behind a rate in the table.
+/// The remark after a rate in the table.
 fn mark(standing: Standing) -> &'static str {
     match standing {
         Standing::Kept => "",
@@ -283,7 +283,7 @@ fn percent(rate: &Rate) -> String {
     format!("{:.1} % [{low:.1}, {high:.1}] {}/{}", 100.0 * value, rate.count, rate.of)
 }
 
-/// The same on one line of a page.
+/// As [`percent`], without line breaks on a page.
 fn unbroken(rate: &Rate) -> String {
     percent(rate).replace(' ', "\u{a0}")
 }

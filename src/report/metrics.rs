@@ -1,4 +1,4 @@
-//! The numbers of a simulated flight, gathered from its records as it is flown: no log is needed.
+//! The numbers of a simulated flight, gathered from its records in flight, without a log.
 
 use std::collections::VecDeque;
 
@@ -8,8 +8,8 @@ use vehicle::frame::{Ned, wrap_angle};
 
 use crate::log::record::{Record, Severity, Stamp, Tick, Truth};
 
-/// True states that are kept to find the one of a tick's sample: 10 ms lie between two, and no link
-/// of the simulation is slower than 200 ms.
+/// True states kept to find that of a tick's sample: they are 10 ms apart, and no simulated link is
+/// slower than 200 ms.
 const TRUTHS: usize = 20;
 
 /// Numbers of one flight; those over the trajectory are `None` where it was never begun.
@@ -17,8 +17,8 @@ const TRUTHS: usize = 20;
 pub struct Metrics {
     /// How long the trajectory was followed: its ticks over their rate, s.
     pub tracked_s: f64,
-    /// Root mean square of the distance from the desired position (of a plan that is flown as it is,
-    /// from the plan's), as the controller saw it, north, m.
+    /// Root mean square of the distance from the desired position (of a plan that is flown as it
+    /// is, from the plan's), as the controller saw it, north, m.
     pub position_rmse_north_m: Option<f64>,
     /// East, m.
     pub position_rmse_east_m: Option<f64>,
@@ -112,7 +112,7 @@ impl MetricsGatherer {
 
     fn add_truth(&mut self, stamp: Stamp, truth: &Truth) {
         let state = &truth.state;
-        // The cosine of the tilt is how far the body's z axis points down.
+        // The cosine of the tilt is the down component of the body's z axis.
         let down = state.attitude.to_world(vehicle::frame::Frd::new(0.0, 0.0, 1.0)).down();
         self.counted.tilt_max_rad = self.counted.tilt_max_rad.max(down.clamp(-1.0, 1.0).acos());
         self.counted.speed_max_m_s = self.counted.speed_max_m_s.max(state.velocity.norm());
@@ -157,7 +157,7 @@ impl MetricsGatherer {
         }
     }
 
-    /// The numbers of what was flown, at a control rate in Hz.
+    /// The numbers of the flight, at a control rate in Hz.
     pub fn metrics(&self, rate_hz: f64) -> Metrics {
         let [north, east, down] = self.axes.map(Mean::root);
         Metrics {

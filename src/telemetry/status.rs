@@ -89,7 +89,8 @@ const RETURN_AFTER: Duration = Duration::from_millis(800);
 /// MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL. PX4 uses it for its local position estimate, and sets
 /// it as enabled wherever the estimate is unhealthy. ArduCopter uses it for its position
 /// controller: healthy and enabled while that runs, neither while Guided obeys setpoints, which
-/// says nothing about the position. ArduCopter leaves Guided by itself.
+/// says nothing about the position. If the position is lost, ArduCopter's own EKF failsafe leaves
+/// Guided.
 const POSITION: u32 = 0x4000;
 
 /// MAV_SEVERITY_WARNING; smaller numbers are worse.

@@ -1,4 +1,4 @@
-//! From records to what viewers subscribed to.
+//! Encodes records for the topics that viewers subscribed to.
 
 use std::collections::VecDeque;
 use std::io;
@@ -21,12 +21,12 @@ use crate::log::sink::Listener;
 use crate::log::viewer;
 use crate::station::Status;
 
-/// Viewers get the time this often, and the trail this often.
+/// Periods at which viewers receive the time and the trail.
 const TIME_PERIOD: Duration = Duration::from_millis(100);
 const TRAIL_PERIOD: Duration = Duration::from_millis(500);
-/// The plan is drawn anew when its origin has moved by more than this, m.
+/// Movement of the plan's origin above which the plan is drawn again, m.
 const ORIGIN_MOVED_M: f64 = 0.1;
-/// Events that who comes late is shown.
+/// Number of past events that a new viewer receives.
 const EVENTS: usize = 100;
 
 pub(super) const TRAIL_COLOUR: [f64; 4] = [0.85, 0.37, 0.05, 0.9];
@@ -43,8 +43,7 @@ pub struct CoursePath {
 }
 
 impl CoursePath {
-    /// Where the origin is, if at `t` the vehicle is wanted at `desired`; `None` outside of the
-    /// path.
+    /// The origin for which the desired position at `t` is `desired`; `None` outside the path.
     fn origin(&self, t: f64, desired: Ned) -> Option<Ned> {
         let at = t / self.period_s;
         if !(at.is_finite() && at >= 0.0) {
@@ -56,14 +55,13 @@ impl CoursePath {
     }
 }
 
-/// The view of a run, as whoever started it sees it. Dropping it disconnects all viewers, once the
-/// feed is gone too.
+/// Handle to the view of a run. Viewers are disconnected when this and the feed are dropped.
 pub struct LiveView {
     server: Arc<Server>,
     status: Arc<RawChannel>,
 }
 
-/// Hears the records of a run, in the thread that writes the log.
+/// Receives the records of a run, in the thread that writes the log.
 pub struct LiveFeed {
     server: Arc<Server>,
     channels: Vec<Arc<RawChannel>>,
@@ -75,16 +73,16 @@ pub struct LiveFeed {
     trail_due: HostTime,
     time_due: HostTime,
     events: VecDeque<Record>,
-    /// The vehicle is seen by itself: where it is, its simulator says.
+    /// Whether only the simulator's true state gives the position.
     is_alone: bool,
 }
 
 impl LiveView {
-    /// Starts a server for a vehicle with rotors at these positions in body axes, m, that is to fly
+    /// Starts a server for a vehicle with rotors at these positions in body axes, m, and its path
     /// `course`.
     ///
     /// # Errors
-    /// [`ViewError`], above all if the address is taken.
+    /// [`ViewError`], mostly because the address is taken.
     pub fn start(
         settings: ViewSettings,
         rotors: &[Frd],
@@ -114,17 +112,17 @@ impl LiveView {
         Ok((Self { server, status }, feed))
     }
 
-    /// Where it listens.
+    /// The address on which it listens.
     pub fn address(&self) -> SocketAddr {
         self.server.address()
     }
 
-    /// What viewers ask to be changed, where they may; a second call gives none.
+    /// The queue of viewers' changes, if they may make any; `None` on a second call.
     pub fn take_changes(&self) -> Option<Changes> {
         self.server.take_changes()
     }
 
-    /// Shows where the flight stands.
+    /// Publishes the status of the flight.
     pub fn show(&self, now: HostTime, status: &Status) {
         self.server.show_adjusted(&status.adjusted);
         if self.status.has_sinks() {
@@ -154,7 +152,7 @@ fn message(status: &Status) -> StatusMessage {
     }
 }
 
-/// Gives messages to the topics that somebody subscribed to.
+/// Passes messages to the topics that have subscribers.
 struct ToViewers<'a> {
     channels: &'a [Arc<RawChannel>],
     body: &'a mut Vec<u8>,
@@ -202,7 +200,7 @@ impl Listener for LiveFeed {
             return;
         }
         let Self { channels, body, encoder, .. } = self;
-        // Viewers take everything.
+        // Sending to viewers cannot fail.
         let _ = encoder.encode(record, &mut ToViewers { channels, body, only: None });
         match record {
             Record::Tick(tick) => self.draw(tick.stamp.host),
@@ -218,8 +216,7 @@ impl Listener for LiveFeed {
 }
 
 impl LiveFeed {
-    /// The same for a simulated vehicle by itself, without a controller's ticks: its true state
-    /// takes their place.
+    /// The feed of a simulated vehicle without a controller: its true state replaces the ticks.
     pub fn alone(self) -> Self {
         Self { is_alone: true, ..self }
     }
@@ -228,7 +225,7 @@ impl LiveFeed {
         self.trail.add(tick.stamp.host, tick.state.position);
         if let (Some(time), Some(desired)) = (tick.trajectory_time, tick.desired)
             && let Some(origin) = self.course.origin(time, desired)
-            // A goal that is moved takes the plan with it.
+            // A moved goal moves the plan too.
             && self.origin.is_none_or(|shown| (origin - shown).norm() > ORIGIN_MOVED_M)
         {
             self.origin = Some(origin);
@@ -236,7 +233,7 @@ impl LiveFeed {
         }
     }
 
-    /// Shows who came late what was given once.
+    /// Sends new viewers what is sent only once.
     fn greet(&mut self) {
         for (sink, topic) in self.server.take_newcomers() {
             if topic == Topic::Scene.definition().topic {
@@ -252,7 +249,7 @@ impl LiveFeed {
         }
     }
 
-    /// The time, the trail and the plan, where they are due.
+    /// Sends the time, the trail and the plan when they are due.
     fn draw(&mut self, now: HostTime) {
         if now >= self.time_due {
             self.time_due = now + TIME_PERIOD;

@@ -11,23 +11,23 @@ use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use super::relay::relay;
 use crate::http::{self, Request, respond};
 
-/// The page, whole: it asks nobody for anything else.
+/// The page, which makes no further requests.
 const PAGE: &str = include_str!("page.html");
 
 /// Foxglove's application in a browser.
 const FOXGLOVE: &str = "https://app.foxglove.dev";
 
-/// Who may open a WebSocket. Any page that a browser on this machine shows can try to: where viewers
-/// may set something, only the page that is served here and Foxglove's succeed.
+/// Decides which clients may open a WebSocket. Any page in a browser on this machine can try. If
+/// viewers may set something, only the page served here and Foxglove's succeed.
 #[derive(Clone)]
 pub(super) struct Gate {
-    /// The host that the view was asked for at.
+    /// The host part of the requested address.
     host: String,
-    /// How many are led on now, where viewers may set something.
+    /// Number of clients that the front currently relays, if viewers may set something.
     led: Option<Arc<AtomicUsize>>,
 }
 
-/// One that is led on.
+/// A relayed client; dropping it decrements the count.
 struct Led(Option<Arc<AtomicUsize>>);
 
 impl Gate {
@@ -40,7 +40,7 @@ impl Gate {
             return true;
         };
         let Some(host) = request.header("host") else { return false };
-        // A name of others may lead to this machine.
+        // A foreign host name may resolve to this machine.
         let name = host_of(host);
         let is_own = name == "localhost" || name == self.host || name.parse::<IpAddr>().is_ok();
         origin == FOXGLOVE || is_own && origin.strip_prefix("http://") == Some(host)
@@ -69,7 +69,7 @@ fn host_of(address: &str) -> &str {
     host.map_or(address, |(host, _)| host).trim_matches(['[', ']'])
 }
 
-/// Answers requests until this is dropped; WebSockets are led to `inner`.
+/// Answers requests until this is dropped; relays WebSockets to `inner`.
 pub(super) async fn serve(listener: TcpListener, inner: SocketAddr, gate: Gate) {
     http::serve(listener, |stream| answer(stream, inner, gate.clone())).await;
 }

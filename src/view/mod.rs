@@ -1,9 +1,10 @@
-//! The live view: a Foxglove WebSocket server of the log's own topics, and a page of its own at the
-//! same address.
+//! The live view: a Foxglove WebSocket server of the log's own topics, and a page at the same
+//! address.
 //!
-//! Nothing here is known to the control thread: [`LiveFeed`] hears records in the thread that
-//! writes the log, the server runs in a thread of its own, and every viewer has a bounded queue
-//! that loses its oldest messages.
+//! It cannot delay the control thread: [`LiveFeed`] receives records in the thread that writes the
+//! log, the server runs in its own thread, and every viewer has a bounded queue that drops its
+//! oldest messages. If viewers may change something, the control thread takes their [`Changes`]
+//! from a short queue.
 
 mod feed;
 mod front;

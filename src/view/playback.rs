@@ -1,4 +1,4 @@
-//! A log played to viewers, who may pause it, change its speed and seek in it.
+//! Plays a log to viewers, who may pause it, change its speed and seek in it.
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,22 +17,22 @@ use crate::clock::HostTime;
 use crate::log::encoder::Topic;
 use crate::log::viewer;
 
-/// How often messages are given out while it plays.
+/// Period at which messages are sent while it plays.
 const STEP: Duration = Duration::from_millis(20);
-/// Viewers get the time this often, and the trail this often, in their own time.
+/// Periods at which viewers receive the time and the trail, on the wall clock.
 const TIME_PERIOD: Duration = Duration::from_millis(100);
 const TRAIL_PERIOD: Duration = Duration::from_millis(500);
-/// Events before an instant that who comes there is shown.
+/// Number of earlier events that are sent after a seek.
 const EVENTS: usize = 100;
-/// Speeds that a viewer may ask for.
+/// Speeds that a viewer may request.
 const SPEED: std::ops::RangeInclusive<f32> = 0.01..=100.0;
 
-/// Where the playback stands.
+/// The state of the playback.
 #[derive(Debug)]
 struct Stand {
     status: PlaybackStatus,
     speed: f32,
-    /// The log's time when `since` was.
+    /// The log's time at `since`.
     time: HostTime,
     since: Instant,
     has_sought: bool,
@@ -49,7 +49,7 @@ impl Stand {
         (self.time + passed).min(self.span.1)
     }
 
-    /// Takes a request; what it asks for beyond the log is cut to the log.
+    /// Applies a request; times outside the log are clamped to it.
     fn take(&mut self, request: &PlaybackControlRequest, wall: Instant) {
         let (first, last) = self.span;
         self.time = self.now(wall);
@@ -64,7 +64,7 @@ impl Stand {
         self.status = match request.playback_command {
             PlaybackCommand::Pause => PlaybackStatus::Paused,
             PlaybackCommand::Play => {
-                // From the end it goes on from the beginning.
+                // From the end it starts again at the beginning.
                 if self.time >= last {
                     self.time = first;
                     self.has_sought = true;
@@ -85,7 +85,7 @@ impl Stand {
     }
 }
 
-/// What the player's thread and the server's share.
+/// State shared by the player's thread and the server's.
 #[derive(Debug)]
 struct Player {
     stand: Mutex<Stand>,
@@ -110,7 +110,7 @@ impl Playback {
     /// Plays a recording from its beginning, or waits there for a viewer to play it.
     ///
     /// # Errors
-    /// [`ViewError`], above all if the address is taken.
+    /// [`ViewError`], mostly because the address is taken.
     pub fn start(
         settings: ViewSettings,
         recording: Recording,
@@ -152,7 +152,7 @@ impl Playback {
         Ok(Self { player, address, thread: Some(thread) })
     }
 
-    /// Where it listens.
+    /// The address on which it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -174,7 +174,7 @@ struct Stage {
     recording: Recording,
     channels: Vec<Arc<RawChannel>>,
     scene: Arc<RawChannel>,
-    /// Messages before this one were given out.
+    /// Index of the next message to send.
     next: usize,
     time_due: Instant,
     trail_due: Instant,
@@ -233,7 +233,7 @@ impl Stage {
         }
     }
 
-    /// Gives out what was logged up to `now`.
+    /// Sends the messages that were logged up to `now`.
     fn give(&mut self, now: HostTime) {
         let end = self.recording.up_to(now);
         for index in self.next..end {
@@ -249,8 +249,8 @@ impl Stage {
         channel.log_with_meta_to_sink(self.recording.body(message), time, only);
     }
 
-    /// What was given out once before this instant and still holds: the vehicle's shape, the latest
-    /// events.
+    /// Sends again what was sent once before this instant and is still valid: the vehicle's shape
+    /// and the latest events.
     fn show_before(&self, only: Option<(foxglove::SinkId, &str)>) {
         let sink = only.map(|(sink, _)| sink);
         for (topic, most) in [("/scene", usize::MAX), ("/log", EVENTS)] {
@@ -276,7 +276,7 @@ impl Stage {
         }
     }
 
-    /// The time, the trail and the plan, where they are due.
+    /// Sends the time, the trail and the plan when they are due.
     fn tell(&mut self, wall: Instant, now: HostTime) {
         if wall >= self.time_due {
             self.time_due = wall + TIME_PERIOD;

@@ -13,10 +13,10 @@ use crate::log::LogReader;
 use crate::log::reader::{Channel, Message, ReadError};
 use crate::log::schema::{Flat, PositionSample, ReferenceMessage, StateMessage, TruthMessage};
 
-/// Points of the plan that are drawn at most.
+/// Most points of the plan that are drawn.
 const PLAN_POINTS: usize = 5000;
 
-/// What a playback plays: the messages of a log, where the vehicle was, and what it was to follow.
+/// The messages of a log for playback, the vehicle's path and its reference.
 #[derive(Debug, Default)]
 pub struct Recording {
     pub(super) channels: Vec<Arc<Channel>>,
@@ -27,7 +27,7 @@ pub struct Recording {
     /// Thinned, with times.
     pub(super) way: Vec<(HostTime, Ned)>,
     pub(super) plan: Vec<Ned>,
-    /// What of the log could not be read, in words.
+    /// The unreadable parts of the log, in words.
     pub damages: Vec<String>,
 }
 
@@ -44,7 +44,7 @@ impl Recording {
     /// Reads a log to its end.
     ///
     /// # Errors
-    /// [`ReadError`], if the source cannot be read; what is damaged is left out.
+    /// [`ReadError`], if the source cannot be read; damaged parts are left out.
     pub fn read(mut reader: LogReader<impl Read>) -> Result<Self, ReadError> {
         let mut log = Self::default();
         let mut way = Way::default();
@@ -77,19 +77,19 @@ impl Recording {
         Some((self.messages.first()?.time, self.messages.last()?.time))
     }
 
-    /// The number of messages up to `time`, itself included.
+    /// The number of messages up to and including `time`.
     pub(super) fn up_to(&self, time: HostTime) -> usize {
         self.messages.partition_point(|message| message.time <= time)
     }
 
-    /// The way up to `time`, the last two minutes of it.
+    /// The last two minutes of the path before `time`.
     pub(super) fn trail(&self, time: HostTime) -> &[(HostTime, Ned)] {
         let end = self.way.partition_point(|(at, _)| *at <= time);
         self.way.get(end.saturating_sub(Trail::POINTS)..end).unwrap_or_default()
     }
 }
 
-/// Where the vehicle was by each topic that says it: the first of them that says anything counts.
+/// The vehicle's path according to each topic with a position; the first one with data is used.
 #[derive(Default)]
 struct Way {
     ways: [Vec<(HostTime, Ned)>; 3],
@@ -114,7 +114,7 @@ impl Way {
             },
             ReferenceMessage::NAME => {
                 let reference = message.decode::<ReferenceMessage>();
-                // Outside of the trajectory the reference leads to it and away from it.
+                // Before and after the trajectory the reference leads to it and away from it.
                 if let Some(m) = reference.filter(|m| m.trajectory_time_s.is_finite()) {
                     self.plan.push(Ned::new(m.p_n_m, m.p_e_m, m.p_d_m));
                 }

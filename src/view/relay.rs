@@ -1,5 +1,5 @@
-//! Between one viewer and Foxglove's server: what the viewer does not take in time is lost, the
-//! oldest first, instead of waiting in the buffers of the system until it is of no use.
+//! Relays between one viewer and Foxglove's server. Messages that the viewer does not read in time
+//! are dropped, the oldest first, instead of waiting in the system's buffers until they are stale.
 
 use std::collections::VecDeque;
 use std::io;
@@ -10,15 +10,15 @@ use tokio::time::timeout;
 
 /// Bytes of topics that wait for a viewer: some two seconds of a busy flight.
 const DATA_MAX: usize = 256 * 1024;
-/// Bytes of everything else, above all the schemas. A viewer that does not even take these goes.
+/// Bytes of everything else, mostly schemas. A viewer with more of these waiting is disconnected.
 const OTHER_MAX: usize = 4 * 1024 * 1024;
-/// Bytes that are handed to the system at once.
+/// Bytes passed to the system at once.
 const AT_ONCE: usize = 16 * 1024;
-/// The answer to a handshake is no longer.
+/// Largest answer to a handshake, bytes.
 const HEAD_LEN_MAX: usize = 4096;
-/// Time for what a server says last.
+/// Time to deliver the server's last messages.
 const LAST_LIMIT: Duration = Duration::from_secs(1);
-/// A frame is no longer.
+/// Largest frame, bytes.
 const FRAME_LEN_MAX: usize = 16 * 1024 * 1024;
 
 /// Relays until one side closes.
@@ -38,7 +38,7 @@ where
         tokio::select! {
             length = from_server.read_buf(&mut said) => {
                 if length? == 0 {
-                    // What it said last, as why it closes.
+                    // The last messages include the reason for closing.
                     let last = async {
                         while leaving.refill(&mut backlog) {
                             to_client.write_all(leaving.rest()).await?;
@@ -78,7 +78,7 @@ impl Leaving {
         self.sent = self.sent.saturating_add(length).min(self.bytes.len());
     }
 
-    /// Takes what waits, once everything before it has left; whether there is anything.
+    /// Takes the next waiting bytes once all earlier ones have left. Returns whether any are left.
     fn refill(&mut self, backlog: &mut Backlog) -> bool {
         if self.rest().is_empty() {
             self.bytes.clear();
@@ -104,7 +104,7 @@ struct Backlog {
 #[derive(Debug)]
 struct Waiting {
     bytes: Vec<u8>,
-    /// Whether it may be lost.
+    /// Whether it may be dropped.
     is_data: bool,
 }
 
@@ -133,7 +133,7 @@ impl Backlog {
     }
 }
 
-/// Finds what a server says: the answer to the handshake, then frames of WebSocket's.
+/// Splits a server's bytes: the answer to the handshake, then WebSocket frames.
 #[derive(Debug, Default)]
 struct Splitter {
     rest: Vec<u8>,
@@ -173,13 +173,12 @@ impl Splitter {
 #[derive(Debug, PartialEq, Eq)]
 struct Frame {
     length: usize,
-    /// A message of a topic, by Foxglove's protocol: binary, the first byte 1.
+    /// Whether it is a topic's message in Foxglove's protocol: binary, with a first byte of 1.
     is_data: bool,
 }
 
 impl Frame {
-    /// The frame at the beginning of `bytes`, if it is there to its end. A server's frames are not
-    /// masked.
+    /// The frame at the beginning of `bytes`, if it is complete. A server's frames are not masked.
     fn find(bytes: &[u8]) -> io::Result<Option<Self>> {
         const FIN_AND_BINARY: u8 = 0x82;
         let (Some(&first), Some(&short)) = (bytes.first(), bytes.get(1)) else { return Ok(None) };

@@ -1,4 +1,4 @@
-//! The server's thread: Foxglove's protocol behind our own front.
+//! The server's thread: Foxglove's protocol behind the [`front`].
 
 use std::collections::{BTreeMap, HashMap};
 use std::io;
@@ -28,21 +28,21 @@ const BACKLOG: usize = 1024;
 
 /// Subscriptions kept until the feed takes them.
 const NEWCOMERS_MAX: usize = 4096;
-/// Time for viewers to get the end of it.
+/// Time for viewers to receive the last messages.
 const LAST_WORDS: Duration = Duration::from_millis(100);
 
 /// Why a view cannot be served.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {
-    /// The address is taken, or none of this machine's.
+    /// The address is taken, or is not one of this machine's.
     #[error("cannot serve the view on {address}: {source}; choose another with --view=HOST:PORT")]
     Bind {
-        /// As it was asked for.
+        /// The requested address.
         address: String,
-        /// Why.
+        /// The system's reason.
         source: io::Error,
     },
-    /// The system gave no thread or no socket.
+    /// The system provided no thread or no socket.
     #[error("cannot start the view: {0}")]
     Start(#[from] io::Error),
     /// Foxglove's server did not start.
@@ -50,29 +50,29 @@ pub enum ViewError {
     Server(#[from] foxglove::FoxgloveError),
 }
 
-/// Where and what is served.
+/// The address and content of the view.
 #[derive(Clone, Debug, Default)]
 pub struct ViewSettings {
-    /// `HOST:PORT`; port 0 takes one of the system's.
+    /// `HOST:PORT`; for port 0 the system chooses one.
     pub address: String,
-    /// What viewers show as the source.
+    /// The source's name in viewers.
     pub name: String,
-    /// Parameters that are shown at first; others are added later.
+    /// The initial parameters; others are added later.
     pub parameters: BTreeMap<String, String>,
-    /// First and last time of what is played back, ns; `None` is live.
+    /// First and last time of a playback, ns; `None` if live.
     pub playback: Option<(u64, u64)>,
-    /// Whether viewers may set goal and gains.
+    /// Whether viewers may move the goal and scale the feedback.
     pub is_writable: bool,
 }
 
 /// Answers a viewer's request to play, pause or seek.
 pub(super) type OnPlayback = Box<dyn Fn(PlaybackControlRequest) -> PlaybackState + Send + Sync>;
 
-/// What the server's callbacks and the feed share.
+/// State shared by the server's callbacks and the feed.
 #[derive(Default)]
 struct Shared {
     parameters: Mutex<BTreeMap<String, String>>,
-    /// Who subscribed, and to which topic, since this was last taken.
+    /// New subscriptions, by viewer and topic, since they were last taken.
     newcomers: Mutex<Vec<(SinkId, String)>>,
     has_newcomers: AtomicBool,
     on_playback: Option<OnPlayback>,
@@ -115,7 +115,7 @@ impl Server {
             .websocket_server()
             .name(settings.name)
             .server_info(info)
-            // Viewers reach it through the front alone.
+            // Viewers reach it only through the front.
             .bind("127.0.0.1", 0)
             .message_backlog_size(BACKLOG)
             .capabilities([Capability::Time])
@@ -143,7 +143,7 @@ impl Server {
                     if started.send(Ok((at, handle))).is_ok() {
                         tokio::select! {
                             () = front::serve(listener, inner, gate) => {}
-                            // What was said last is still on its way.
+                            // The last messages are still in transit.
                             _ = stopped => tokio::time::sleep(LAST_WORDS).await,
                         }
                     }
@@ -159,12 +159,12 @@ impl Server {
         Ok(Self { context, handle, shared, address, changes, stop, thread: Some(thread) })
     }
 
-    /// What viewers set, where they may; a second call gives none.
+    /// The queue of viewers' changes, if they may make any; `None` on a second call.
     pub fn take_changes(&self) -> Option<Changes> {
         lock(&self.changes).take()
     }
 
-    /// Shows what holds of what viewers may set.
+    /// Publishes the current values of the writable parameters.
     pub fn show_adjusted(&self, held: &Adjusted) {
         if self.shared.writer.is_none() {
             return;
@@ -178,17 +178,17 @@ impl Server {
         }
     }
 
-    /// Where it listens.
+    /// The address on which it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Whether anybody watches.
+    /// Whether any viewer is connected.
     pub fn is_watched(&self) -> bool {
         self.handle.client_count() > 0
     }
 
-    /// Makes a topic known to all viewers.
+    /// Advertises a topic to all viewers.
     pub fn advertise(&self, definition: &Definition) -> Result<Arc<RawChannel>, ViewError> {
         let Definition { topic, schema, descriptor } = definition;
         let schema = Schema::new(*schema, "protobuf", descriptor.clone());
@@ -206,17 +206,17 @@ impl Server {
         Ok(builder.message_encoding(encoding).schema(schema).build_raw()?)
     }
 
-    /// Tells viewers what time it is, ns.
+    /// Sends viewers the time, ns.
     pub fn tell_time(&self, time: u64) {
         self.handle.broadcast_time(time);
     }
 
-    /// Tells viewers how the playback stands.
+    /// Sends viewers the state of the playback.
     pub fn tell_playback(&self, state: PlaybackState) {
         self.handle.broadcast_playback_state(state);
     }
 
-    /// Adds to the parameters that are shown, or changes them.
+    /// Adds parameters, or changes their values.
     pub fn add_parameters(&self, parameters: impl IntoIterator<Item = (String, String)>) {
         let added: Vec<_> = parameters.into_iter().collect();
         let shown = added.iter().map(|(name, value)| parameter(name, value)).collect();
@@ -224,9 +224,9 @@ impl Server {
         self.handle.publish_parameter_values(shown);
     }
 
-    /// Who subscribed to which topic since the last call.
+    /// Takes the new subscriptions since the last call.
     pub fn take_newcomers(&self) -> Vec<(SinkId, String)> {
-        // The flag keeps the mutex out of the way of every record.
+        // The flag avoids locking the mutex for every record.
         if !self.shared.has_newcomers.swap(false, Ordering::AcqRel) {
             return Vec::new();
         }
@@ -245,7 +245,7 @@ impl Drop for Server {
     }
 }
 
-/// Numbers are shown as numbers.
+/// A parameter, as a number if its value is one.
 fn parameter(name: &str, value: &str) -> Parameter {
     match value.parse::<f64>() {
         Ok(number) if number.is_finite() => Parameter::float64(name, number),
@@ -266,8 +266,8 @@ impl ParameterHandler for Shared {
         responder.respond(wanted.map(|(name, value)| parameter(name, value)).collect());
     }
 
-    /// Sets nothing by itself: answers with the values that hold. What the control thread makes of it
-    /// is shown as it comes.
+    /// Queues the request and answers with the current values; accepted changes are published when
+    /// the control thread has applied them.
     fn set(
         &self,
         _: AnyClient,
@@ -298,7 +298,7 @@ impl ServerListener for Shared {
     fn on_subscribe(&self, client: Client, channel: ChannelView<'_>) {
         let Some(sink) = client.sink_id() else { return };
         let mut newcomers = lock(&self.newcomers);
-        // Nobody takes them while nothing is heard of the vehicle.
+        // They are not taken while no record arrives.
         if newcomers.len() < NEWCOMERS_MAX {
             newcomers.push((sink, channel.topic().to_owned()));
         }

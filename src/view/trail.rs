@@ -1,4 +1,4 @@
-//! Where the vehicle was, thinned, and where it is to go.
+//! The vehicle's recent path, thinned.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -7,7 +7,7 @@ use vehicle::frame::Ned;
 
 use crate::clock::HostTime;
 
-/// The last two minutes of the way.
+/// The last two minutes of the path.
 #[derive(Debug, Default)]
 pub(super) struct Trail {
     points: VecDeque<Ned>,
@@ -17,10 +17,10 @@ pub(super) struct Trail {
 impl Trail {
     /// Time between two points.
     pub const PERIOD: Duration = Duration::from_millis(100);
-    /// Points that are kept.
+    /// Number of points kept.
     pub const POINTS: usize = 1200;
 
-    /// The vehicle is at `position`.
+    /// Adds the vehicle's position, unless the last point is too recent.
     pub fn add(&mut self, time: HostTime, position: Ned) {
         if time >= self.next {
             self.next = time + Self::PERIOD;
@@ -31,7 +31,7 @@ impl Trail {
         }
     }
 
-    /// The way so far, the oldest first.
+    /// The points, the oldest first.
     pub fn points(&self) -> impl Iterator<Item = Ned> {
         self.points.iter().copied()
     }

@@ -1,5 +1,5 @@
-//! What viewers may change, where that is asked for: a few parameters on a list, handed to the
-//! control thread by a short queue. The supervisor decides, and what then holds is shown to all.
+//! Viewers' changes, if enabled: a short list of parameters, passed to the control thread through a
+//! short queue. The supervisor decides, and all viewers see the resulting values.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -9,27 +9,28 @@ use foxglove::websocket::{Parameter, ParameterValue};
 
 use crate::offboard::{Adjusted, Adjustment};
 
-/// Changes that may wait for the control thread, which takes ten a second; those beyond are dropped.
+/// Changes that may wait for the control thread, which takes ten a second; others are dropped.
 const QUEUE: usize = 4;
 
-/// The parameters that can be set, and nothing else can.
+/// The only parameters that can be set.
 pub(super) const WRITABLE: [&str; 4] =
     ["flight.goal_north_m", "flight.goal_east_m", "flight.goal_up_m", "flight.feedback_scale"];
 
-/// What viewers ask for, as the control thread takes it.
+/// The control thread's end of the queue.
 pub struct Changes(Receiver<Adjustment>);
 
 impl Changes {
-    /// The next of them. Never waits.
+    /// The next change, if any. Never waits.
     pub fn take(&self) -> Option<Adjustment> {
         self.0.try_recv().ok()
     }
 }
 
-/// Takes what viewers set.
+/// The server's end of the queue.
 pub(super) struct Writer {
     queue: SyncSender<Adjustment>,
-    /// Viewers that came through the front, which looks at where their page is from, and all.
+    /// Number of viewers that connected through the front, which checks the origin of their page,
+    /// and of all viewers.
     led: Arc<AtomicUsize>,
     all: AtomicUsize,
 }
@@ -40,24 +41,25 @@ impl Writer {
         (Self { queue, led: Arc::default(), all: AtomicUsize::new(0) }, Changes(changes))
     }
 
-    /// Viewers that the front led here.
+    /// The count of viewers that connected through the front.
     pub fn led(&self) -> Arc<AtomicUsize> {
         Arc::clone(&self.led)
     }
 
-    /// A viewer came.
+    /// Counts a connected viewer.
     pub fn came(&self) {
         self.all.fetch_add(1, Ordering::AcqRel);
     }
 
-    /// A viewer went.
+    /// Counts a disconnected viewer.
     pub fn went(&self) {
         self.all.fetch_sub(1, Ordering::AcqRel);
     }
 
-    /// Hands on what is asked for. What is not on the list, no number, or too much at once is not.
+    /// Queues a change. Parameters off the list, values that are not numbers, and changes beyond
+    /// the queue's length are dropped.
     pub fn offer(&self, asked: &[Parameter]) {
-        // Somebody who avoided the front is here; it may be who asks.
+        // A viewer bypassed the front, and may be the sender.
         if self.all.load(Ordering::Acquire) > self.led.load(Ordering::Acquire) {
             tracing::warn!("a viewer's change is dropped: a viewer came another way");
             return;
@@ -70,7 +72,7 @@ impl Writer {
     }
 }
 
-/// What holds, as it is shown.
+/// The current values, as viewers see them.
 pub(super) fn shown_as(held: &Adjusted) -> Vec<(String, String)> {
     let [north, east, down] = held.goal.to_array();
     let values = [north, east, 0.0 - down, held.feedback_scale];

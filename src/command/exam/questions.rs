@@ -1,4 +1,4 @@
-//! What an exam asks: which cases, in which order.
+//! The cases of an exam, and their order.
 
 use anyhow::{Context, anyhow};
 use vehicle::VehicleParams;
@@ -11,7 +11,7 @@ use crate::exam::world::World;
 
 /// Stream of the exam's seed that the kinds and their order are drawn from.
 const ORDER: u64 = 0;
-/// Cases with something to find, where nothing else is asked for.
+/// Default number of cases with something to find.
 const CASES: usize = 60;
 /// The vehicles of a round trip.
 const SHIPPED: [&str; 2] = [
@@ -19,16 +19,16 @@ const SHIPPED: [&str; 2] = [
     include_str!("../../../config/vehicles/quad1200.toml"),
 ];
 
-/// Which cases an exam has: of each the flags of `exam`.
+/// The selection of cases by the flags of `exam`.
 #[derive(Clone, Debug, Default)]
 pub(in crate::command) struct Questions {
-    /// With something to find; all of a round trip, or a usual number, where there is none.
+    /// Number of cases with something to find; by default all of a round trip, else [`CASES`].
     pub cases: Option<usize>,
-    /// With nothing to find.
+    /// Number of cases with nothing to find.
     pub nulls: usize,
-    /// Only these; all where there are none.
+    /// Only cases of these kinds; all kinds if empty.
     pub kinds: Vec<Kind>,
-    /// Every effect at every strength on every shipped vehicle with logs in every state.
+    /// Every effect at every strength on every shipped vehicle with logs in every condition.
     pub round_trip: bool,
 }
 
@@ -40,10 +40,10 @@ impl From<&ExamArgs> for Questions {
 }
 
 impl Questions {
-    /// What each case asks, in an order that its name gives nothing away of.
+    /// The orders of all cases, shuffled so that a case's name reveals nothing.
     ///
     /// # Errors
-    /// None that is known: of the built-in vehicles.
+    /// An invalid built-in vehicle, which cannot occur.
     pub fn orders(&self, seed: u64) -> anyhow::Result<Vec<Order>> {
         let mut draw = Draw::new(seed, ORDER);
         let mut orders = if self.round_trip {
@@ -82,10 +82,10 @@ impl Questions {
     }
 }
 
-/// What is the same in every case.
+/// The settings that all cases share.
 ///
 /// # Errors
-/// Strengths that are not two ratios in their order.
+/// `strengths` is not two ratios above 0 in ascending order.
 pub(in crate::command) fn settings(
     seconds: f64,
     strengths: &[f64],

@@ -1,4 +1,4 @@
-//! How an input varies: by values, evenly, or by draws.
+//! The values of an input: listed, evenly spaced, or drawn.
 
 use std::path::Path;
 
@@ -18,12 +18,12 @@ pub(super) const POINTS_MAX: usize = 10_000_000;
 #[serde(untagged)]
 pub(super) enum Axis {
     Values(Vec<Value>),
-    /// Files or folders, of an input that is one.
+    /// A pattern of files or folders, for an input that is a path.
     Pattern(String),
     Range(Range),
 }
 
-/// Evenly spaced values, both ends among them.
+/// Evenly spaced values, including both ends.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Range {
@@ -64,7 +64,7 @@ impl Default for Seeds {
 }
 
 impl Seeds {
-    /// Each of them; more than a sweep may have is cut short.
+    /// All seeds; a count is cut to one more than [`POINTS_MAX`].
     pub fn each(&self) -> Vec<u64> {
         match self {
             Self::Count(count) => (1..=*count.min(&(POINTS_MAX as u64 + 1))).collect(),
@@ -74,7 +74,7 @@ impl Seeds {
 }
 
 impl Axis {
-    /// Its values; what a pattern fits lies in `folder`.
+    /// The values; patterns are relative to `folder`.
     pub fn values(&self, folder: &Path) -> anyhow::Result<Vec<Value>> {
         match self {
             Self::Values(values) => Ok(values.clone()),
@@ -104,7 +104,7 @@ impl Axis {
 }
 
 impl Drawn {
-    /// Refuses what cannot be drawn from.
+    /// Rejects an invalid distribution.
     pub fn check(&self) -> anyhow::Result<()> {
         match self {
             Self::Uniform([low, high]) if low.is_finite() && high.is_finite() && low <= high => {
@@ -126,7 +126,7 @@ impl Drawn {
         }
     }
 
-    /// A value.
+    /// Draws a value.
     pub fn draw(&self, rng: &mut impl Rng) -> Value {
         let between = |rng: &mut dyn rand::RngCore, low: f64, high: f64| {
             low + (high - low) * rng.random::<f64>()

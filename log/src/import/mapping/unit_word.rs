@@ -1,9 +1,9 @@
-//! Units as tables write them: at the end of a name, or in a line of their own below the names.
+//! Units as tables write them: at the end of a name, or in a line below the names.
 
-/// Separators between the words of a name; all are one.
+/// Replaces every sequence of separators between the words of a name.
 pub(super) const UNDERSCORE: char = '_';
 
-/// How a unit is written, and as a mapping file writes it.
+/// Spellings of units in tables, and the spelling in a mapping file.
 const UNITS: [(&str, &str); 35] = [
     ("m_s2", "m/s2"),
     ("m_s_2", "m/s2"),
@@ -42,10 +42,10 @@ const UNITS: [(&str, &str); 35] = [
     ("m", "m"),
 ];
 
-/// What stands where a column has no unit.
+/// Cells of a unit line for columns without a unit.
 const NONE: [&str; 4] = ["", "1", "none", "frame"];
 
-/// A name in lower case, its words joined: what is in brackets is a word as well.
+/// A name in lower case with its words joined by underscores; text in brackets counts as words.
 pub(super) fn words(name: &str) -> String {
     let mut words = String::new();
     for c in name.chars() {
@@ -60,7 +60,7 @@ pub(super) fn words(name: &str) -> String {
     words.trim_matches(UNDERSCORE).to_owned()
 }
 
-/// Words without the unit that they end with, and the unit.
+/// Splits a trailing unit off the words.
 pub(super) fn split(words: &str) -> (String, Option<&'static str>) {
     let ending = UNITS.iter().find_map(|(ending, unit)| {
         let stem = words.strip_suffix(ending)?.strip_suffix(UNDERSCORE)?;
@@ -70,19 +70,19 @@ pub(super) fn split(words: &str) -> (String, Option<&'static str>) {
     ending.unwrap_or_else(|| (words.to_owned(), None))
 }
 
-/// The unit that a cell says, alone or in brackets.
+/// The unit in a cell, alone or in brackets.
 pub(super) fn of_cell(cell: &str) -> Option<&'static str> {
     let words = words(cell);
     UNITS.iter().find(|(written, _)| *written == words).map(|(_, unit)| *unit)
 }
 
-/// The unit that a name says in brackets.
+/// The unit in brackets at the end of a name.
 pub(super) fn in_brackets(name: &str) -> Option<&'static str> {
     let open = name.rfind(['(', '['])?;
     name.ends_with([')', ']']).then(|| of_cell(name.get(open..)?)).flatten()
 }
 
-/// Whether the cells of a line say units, and nothing else.
+/// Whether the cells of a line are units, at least one, and otherwise empty or without a unit.
 pub(in crate::import) fn is_line(cells: &[String]) -> bool {
     let is_none = |cell: &String| NONE.contains(&words(cell).as_str());
     let mut any = false;
@@ -93,7 +93,7 @@ pub(in crate::import) fn is_line(cells: &[String]) -> bool {
     }) && any
 }
 
-/// What one of a unit is in SI.
+/// The SI value of one of a unit.
 pub(super) fn in_si(unit: &str) -> Option<f64> {
     Some(match unit {
         "s" | "m" | "m/s" | "m/s2" | "rad" | "rad/s" | "V" => 1.0,
