@@ -3,6 +3,7 @@
 pub mod additions;
 pub(super) mod assembly;
 pub(super) mod open_questions;
+pub mod quantities;
 pub mod words;
 
 use std::collections::BTreeMap;
@@ -126,8 +127,11 @@ pub struct Gap {
     pub metric: &'static str,
     /// With the vehicle file as shipped.
     pub before: f64,
-    /// With the named effects.
+    /// With the named effects; `with_file` tells whether with the file's numbers too.
     pub after: f64,
+    /// Whether `after` includes the file's numbers: the effects alone do not shrink the gap, because
+    /// errors of the file cancel them, and both together do.
+    pub with_file: bool,
     /// The gap from noise alone. 1, the unit of all gaps here, is the floor from sensor noise in
     /// simulation; this is higher where a flexible learner cannot predict more.
     pub floor: f64,
@@ -170,6 +174,8 @@ pub struct ExplanationAnswer {
     pub evidence: f64,
     /// Its posterior mass, 0..1.
     pub mass: f64,
+    /// Its fitted numbers, in the order of its effects.
+    pub numbers: Vec<f64>,
     /// All parameters of its effects, by effect and name.
     #[schemars(with = "BTreeMap<String, BTreeMap<String, Parameter>>")]
     pub parameters: BTreeMap<String, BTreeMap<String, ParameterValue>>,

@@ -12,7 +12,8 @@ use super::axis::significant;
 use super::bars::{self, Bar};
 use super::page::{Mood, Page, escape};
 use super::table::{Table, definitions};
-use crate::diagnose::answer::words::{self, closed_loop, one};
+use crate::diagnose::answer::quantities::{bounded, numbered, one};
+use crate::diagnose::answer::words::{self, closed_loop};
 use crate::diagnose::answer::{Answer, Gap};
 use crate::diagnose::remainder::map::Regime;
 use crate::diagnose::simulate::gap::QUANTITIES;
@@ -180,7 +181,7 @@ fn which(answer: &Answer) -> String {
         table.row(
             Mood::Plain,
             &[
-                words::numbered(explanation),
+                numbered(explanation),
                 format!("{:.1}", explanation.evidence),
                 format!("{:.1} %", 100.0 * explanation.mass),
             ],
@@ -195,9 +196,7 @@ fn which(answer: &Answer) -> String {
             let intervals: Vec<String> = effect
                 .intervals
                 .iter()
-                .map(|(name, [low, high])| {
-                    format!("{name} {} .. {}", significant(*low), significant(*high))
-                })
+                .map(|(name, interval)| bounded(effect.id, name, *interval))
                 .collect();
             table.row(
                 Mood::Plain,

@@ -99,6 +99,7 @@ impl Assembly<'_> {
                     effects: explained.effects.clone(),
                     evidence: explained.score() - best,
                     mass: *mass,
+                    numbers: explained.numbers.iter().map(|number| number.value).collect(),
                     parameters: explained.parameters.clone(),
                 })
                 .collect(),
@@ -173,24 +174,32 @@ impl Assembly<'_> {
         let shipped = inquiry.simulator(&EffectSet::new())?;
         let repaired = inquiry.simulator(effects)?;
         let floor = repaired.floor(held_out, &self.found.noise, inquiry.settings.seed);
-        let (Some(Floor { errors: floor, scatter }), Some(before), Some(after)) =
+        let (Some(Floor { errors: floor, scatter }), Some(before), Some(mut after)) =
             (floor, shipped.errors(held_out), repaired.errors(held_out))
         else {
             return Ok(None);
         };
         let over = |errors: &Errors| errors.over(&floor, inquiry.metric);
         let gap = |simulator: Simulator| simulator.errors(held_out).map(|errors| over(&errors));
+        let both = with_all(best)?.errors(held_out);
+        let with_file = !effects.is_empty()
+            && over(&after) > over(&before)
+            && both.is_some_and(|both| over(&both) < over(&before));
+        if let Some(both) = both.filter(|_| with_file) {
+            after = both;
+        }
         let [b, a, f] = [before, after, floor].map(|errors| over(&errors));
         let f = f.max(self.decision.noise);
         Ok(Some(Gap {
             metric: inquiry.metric.name(),
             before: b,
             after: a,
+            with_file,
             floor: f,
             scatter,
             closure: (b - f > GAP_MIN * f).then(|| (b - a) / (b - f)),
             nuisances_only: gap(with_all(&found.file)?),
-            with_nuisances: gap(with_all(best)?),
+            with_nuisances: both.map(|errors| over(&errors)),
             with_learner: self.evidence.learned,
             errors: [before, after, floor],
             noise: self.found.noise,

@@ -2,16 +2,16 @@
 
 use std::collections::BTreeSet;
 
-use vehicle::effects::{EffectId, ParameterValue};
+use vehicle::effects::EffectId;
 
-use crate::diagnose::answer::{Answer, EffectAnswer, ExplanationAnswer, FullVerdict};
+use crate::diagnose::answer::quantities::{bounded, numbered, one, short};
+use crate::diagnose::answer::{Answer, ExplanationAnswer, FullVerdict};
 use crate::diagnose::discovery::law::LawAnswer;
 use crate::diagnose::next_flight::NextFlight;
 use crate::diagnose::simulate::reflight::ClosedLoop;
 use crate::diagnose::verdict::Unexplained;
 use crate::diagnose::verdict::Verdict;
 use crate::diagnose::verdict::evidence::FileNumber;
-use crate::diagnose::verdict::parameter::Parameter;
 
 /// The finding of an answer in a sentence or two.
 pub fn finding(answer: &Answer) -> String {
@@ -111,6 +111,9 @@ fn effect(answer: &Answer) -> String {
     };
     if let Some(gap) = &answer.gap {
         text += &shrinks([gap.before, gap.after].map(|value| gap.times(value)), gap.closure);
+        if gap.with_file {
+            text += " That is with the vehicle file's numbers refitted; its errors hide the effects.";
+        }
     }
     if answer.finding.verdict == FullVerdict::OtherLaw {
         text += " Its equation is not quite the catalogue's: a part of the gap stays open.";
@@ -239,44 +242,6 @@ pub(in crate::diagnose) fn listed(effects: impl Iterator<Item = EffectId>) -> St
     ids.join(", ")
 }
 
-/// An effect with its numbers.
-pub fn one(effect: &EffectAnswer) -> String {
-    let numbers: Vec<String> = effect
-        .parameters
-        .iter()
-        .map(|(name, value)| match value {
-            Parameter::Index(index) => format!("{name} {index}"),
-            Parameter::Number(number) => format!("{name} {}", short(*number)),
-            Parameter::Vector(numbers) => {
-                let list: Vec<String> = numbers.iter().map(|n| short(*n)).collect();
-                format!("{name} [{}]", list.join(", "))
-            }
-        })
-        .collect();
-    format!("{} ({})", effect.id, numbers.join(", "))
-}
-
-/// The effects of an explanation with their fitted numbers.
-pub fn numbered(explanation: &ExplanationAnswer) -> String {
-    let effect = |id: &String| {
-        let parameters = explanation.parameters.get(id).into_iter().flatten();
-        let numbers: Vec<String> = parameters
-            .map(|(name, value)| match value {
-                ParameterValue::Number(number) if number.fract() == 0.0 => {
-                    format!("{name} {number}")
-                }
-                ParameterValue::Number(number) => format!("{name} {}", short(*number)),
-                ParameterValue::Vector(numbers) => {
-                    let list: Vec<String> = numbers.iter().map(|n| short(*n)).collect();
-                    format!("{name} [{}]", list.join(", "))
-                }
-            })
-            .collect();
-        format!("{id} ({})", numbers.join(", "))
-    };
-    explanation.effects.iter().map(effect).collect::<Vec<_>>().join(" and ")
-}
-
 /// Least posterior mass of an equivalent explanation that the answer mentions.
 const EQUIVALENT: f64 = 0.05;
 
@@ -309,15 +274,6 @@ pub fn alternative(other: &ExplanationAnswer) -> String {
     )
 }
 
-/// A number to four significant digits.
-fn short(number: f64) -> String {
-    if number == 0.0 {
-        return "0".to_owned();
-    }
-    let digits = 3 - number.abs().log10().floor() as i32;
-    format!("{number:.*}", usize::try_from(digits.clamp(0, 12)).unwrap_or(0))
-}
-
 /// The phrase for a gap after the search: effects are named only where they explain it.
 pub fn explanation(finding: FullVerdict) -> &'static str {
     match finding {
@@ -341,7 +297,7 @@ pub fn report(answer: &Answer) -> String {
         };
         text += &format!("{head:10} {:18} {:3.0} %", effect.id, 100.0 * effect.probability);
         for (name, [low, high]) in &effect.intervals {
-            text += &format!("  {name} {} .. {}", short(*low), short(*high));
+            text += &format!("  {}", bounded(effect.id, name, [*low, *high]));
         }
         text += "\n";
     }
@@ -425,7 +381,10 @@ pub fn report(answer: &Answer) -> String {
 mod tests {
     use std::collections::BTreeMap;
 
+    use vehicle::effects::ParameterValue;
+
     use super::*;
+    use crate::diagnose::answer::EffectAnswer;
     use crate::diagnose::answer::Gap;
     use crate::diagnose::likelihood::noise::ReportNoise;
     use crate::diagnose::simulate::gap::Errors;
@@ -438,6 +397,7 @@ mod tests {
             metric: "mean",
             before: 8.0,
             after: 8.0,
+            with_file: false,
             floor: 1.0,
             scatter: 0.02,
             closure: Some(0.0),
@@ -474,6 +434,7 @@ mod tests {
             effects: vec![id.to_owned()],
             evidence: 50.0,
             mass,
+            numbers: vec![value],
             parameters: [(
                 id.to_owned(),
                 [(name.to_owned(), ParameterValue::Number(value))].into(),
@@ -496,6 +457,6 @@ mod tests {
         assert!(equivalent(&answer).is_none());
         answer.explanations.push(explained("mass", "mass_kg", 0.034, 0.3));
         let text = report(&answer);
-        assert!(text.contains("or         mass (mass_kg 0.03400), 30 %"), "{text}");
+        assert!(text.contains("or         mass (mass_kg 0.03400 kg), 30 %"), "{text}");
     }
 }
