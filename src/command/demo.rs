@@ -95,7 +95,7 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
     let exit = demo.run(given, began)?;
     if exit == Exit::Interrupted {
         say(format_args!(
-            "the same command goes on with the flights that are whole in {}",
+            "run the same command again to continue with the complete flights in {}",
             args.out.display()
         ));
     }

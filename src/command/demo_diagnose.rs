@@ -228,7 +228,7 @@ impl Loop<'_> {
     /// told.
     fn excite(&self) -> anyhow::Result<Result<Vec<PathBuf>, Exit>> {
         let args = self.args;
-        say(format_args!("flying {:.0} s to see what it does", args.excite));
+        say(format_args!("flying {:.0} s to see its effect", args.excite));
         let out = args.out.join("excited");
         let collect = CollectArgs {
             config: args.config.clone(),
@@ -258,7 +258,7 @@ impl Loop<'_> {
         let held_out: Vec<PreparedFlight> = fitted.pop().into_iter().collect();
         if fitted.is_empty() {
             return Err(anyhow!(
-                "one flight is not enough to find an effect and to check it; give --excite more"
+                "one flight is not enough to find an effect and check it; raise --excite"
             ))
             .or_exit(Exit::Usage);
         }

@@ -170,7 +170,7 @@ impl Demo<'_> {
 /// What stdout shows.
 fn text(summary: &DemoSummary) -> String {
     let mut text = if summary.contenders.len() > 1 {
-        let heads = ["flights", "north", "east", "down", "3D", "most", "yaw/deg", "gain", "fb/%"];
+        let heads = ["flights", "north", "east", "down", "3D", "max", "yaw/deg", "gain", "fb/%"];
         let heads = heads.map(|head| format!("{head:>9}")).concat();
         let mut table = format!("flights {}\n{:22}{heads}\n", summary.end, "position RMSE / m");
         let reference = summary.contenders.first().map_or(f64::NAN, |c| c.mean.rmse_3d_m);
