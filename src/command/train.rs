@@ -182,7 +182,7 @@ pub fn learn(
         Best::NoBetterThanHolding => {
             let reason = standing.best.reason().unwrap_or_default();
             say(format_args!(
-                "warning: {reason}; look at the logs with `downwash log audit`, or give more flights"
+                "warning: {reason}; check the logs with `downwash log audit`, or give more flights"
             ));
         }
         Best::NotJudged | Best::Better => {}
