@@ -91,7 +91,7 @@ pub enum Withheld {
     #[error("nothing was proposed")]
     Nothing,
     /// The supervisor does not permit it, or the vehicle did not recently report that it obeys.
-    #[error("no setpoint may leave now")]
+    #[error("setpoints are not permitted now")]
     NotPermitted,
     /// The sample is too old by now.
     #[error("the sample is too old")]

@@ -37,8 +37,8 @@ pub enum ServiceError {
     },
     /// Others could read it.
     #[error(
-        "--metrics {address}: expected an address of this machine alone, such as 127.0.0.1:9464; put \
-         a proxy before it that says who may read"
+        "--metrics {address}: expected a loopback address, such as 127.0.0.1:9464; to serve \
+         others, put a proxy that controls access in front of it"
     )]
     Open {
         /// The address that it resolves to.
@@ -301,7 +301,7 @@ mod tests {
         assert!(get(&service, "/../etc/passwd").starts_with("HTTP/1.1 404"));
         assert!(ask(&service, &"A".repeat(9000)).starts_with("HTTP/1.1 400"));
         let open = Service::start("0.0.0.0:0").err().expect("others could read it");
-        assert!(open.to_string().contains("this machine alone"), "{open}");
+        assert!(open.to_string().contains("expected a loopback address"), "{open}");
         assert!(Service::start(&service.address().to_string()).is_err(), "it is taken");
     }
 }

@@ -195,7 +195,7 @@ impl Draft {
         let inertia =
             self.inertia.as_ref().filter(|given| given.is_estimate && key == "inertia")?;
         let [roll, pitch, yaw] = inertia.value.map(body::tidy);
-        Some(format!("taken as {roll}, {pitch}, {yaw}, {}", inertia.from))
+        Some(format!("assumed to be {roll}, {pitch}, {yaw}, {}", inertia.from))
     }
 
     /// The numbers in the file that are only estimates.

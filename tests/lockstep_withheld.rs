@@ -178,7 +178,7 @@ fn under_the_pilots_switch_a_vehicle_that_is_not_flown_is_outwaited() {
             Bench::new(StationSettings { policy, ..settings(&params, hover(30.0)) }, &params);
         bench.downlink = exchanged_for(MavAutopilot::MAV_AUTOPILOT_GENERIC);
         bench.run(3.5);
-        let why = "the modes of autopilot \"unknown\" are not known";
+        let why = "the modes of autopilot \"unknown\" are unknown";
         assert!(bench.told(why), "{:#?}", bench.texts());
         assert_eq!((bench.phase(), bench.setpoints_after(0)), (None, 0));
         if policy == EngagePolicy::Command {

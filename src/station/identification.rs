@@ -74,7 +74,7 @@ impl Station {
         match self.make_offboard(now, &profile) {
             Ok(Some(offboard)) => self.offboard = Some(offboard),
             Ok(None) => {
-                let why = format!("the modes of autopilot {:?} are not known", profile.name);
+                let why = format!("the modes of autopilot {:?} are unknown", profile.name);
                 self.refuse(now, why);
             }
             Err(error) => self.refuse(now, error.to_string()),

@@ -53,7 +53,7 @@ impl Supervisor {
     }
 
     fn mode_name(&self, status: &VehicleStatus) -> String {
-        status.mode.map_or_else(|| "not known".to_owned(), |mode| self.modes.name(mode))
+        status.mode.map_or_else(|| "unknown".to_owned(), |mode| self.modes.name(mode))
     }
 
     /// Why control, or an offer of it, ends, naming the mode.

@@ -293,8 +293,7 @@ impl fmt::Display for Report {
         for other in &self.others {
             writeln!(f, "another    {other}")?;
         }
-        let word =
-            |mode: Option<u32>| mode.map_or("not known".to_owned(), |m| format!("{m:#010x}"));
+        let word = |mode: Option<u32>| mode.map_or("unknown".to_owned(), |m| format!("{m:#010x}"));
         let armed = match self.armed {
             Some(true) => "armed",
             Some(false) => "disarmed",
