@@ -21,7 +21,7 @@ impl Supervisor {
             }
             Trigger::TimedOut => return self.timed_out(seen),
             Trigger::LinkLost => "the link is silent",
-            Trigger::VehicleHeard => "the vehicle answers",
+            Trigger::VehicleHeard => "the vehicle is on the link",
             Trigger::EngageAsked => "ready for the pilot's next switch",
             Trigger::Disarmed if self.state.is_flying() => "the motors were stopped in flight",
             Trigger::Disarmed => "disarmed",
