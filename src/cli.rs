@@ -46,9 +46,9 @@ use crate::exam::order::Kind;
 /// Flies MAVLink quadrotors and keeps the logs that explain what happened.
 ///
 /// Results go to stdout, progress and messages to stderr. Exit codes: 0 done, 1 failed while
-/// running, 2 bad flags or files, 3 no vehicle heard or link lost, 4 preflight or vehicle refused,
-/// 5 flight ended early by a safety reaction or by the pilot, 6 no plan was found that may be
-/// flown, 10 a check failed that was asked for, 130 interrupted after a clean stop.
+/// running, 2 bad flags or files, 3 no vehicle found or link lost, 4 preflight or vehicle refused,
+/// 5 flight ended early by a safety reaction or by the pilot, 6 no flyable plan was found, 10 a
+/// requested check failed, 130 interrupted after a clean stop.
 #[derive(Debug, Parser)]
 #[command(version, max_term_width = 100)]
 pub struct Cli {
@@ -63,44 +63,45 @@ pub struct Cli {
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// The whole experiment on the bundled vehicle, in lockstep: collect, learn, plan, fly,
+    /// Runs the whole experiment on the bundled vehicle, in lockstep: collect, learn, plan, fly,
     /// compare.
     ///
-    /// Learns a model from flights of a vehicle with effects that its file does not say, plans a
-    /// trajectory through it, and flies it with and without the plans. Leaves a report, its
+    /// Learns a model from flights of a vehicle with effects that its file does not describe, plans
+    /// a trajectory through it, and flies it with and without the plans. Writes a report, its
     /// numbers, the model, the plans and the logs.
     Demo(DemoArgs),
     /// Flies the simulated vehicle along one trajectory, in lockstep, and prints the flight as one
     /// row of numbers.
     Simulate(SimulateArgs),
-    /// Flies many of these flights: grids, lists and draws of any input, on any number of workers,
-    /// into one table.
+    /// Flies many such flights: grids, lists and draws of any input, on any number of workers, into
+    /// one table.
     Sweep(SweepArgs),
-    /// Flies simulated flights under drawn faults, and judges by the wire and by the vehicle's true
-    /// state what the daemon made of them.
+    /// Flies simulated flights with randomly drawn faults, and judges the daemon by the wire and by
+    /// the vehicle's true state.
     ///
-    /// Vehicle, autopilot, trajectory, controller and faults follow from the seed. A flight that breaks
-    /// a rule is shrunk to the shortest fault script that does. Exit code 10: some flight broke a
-    /// rule.
+    /// Vehicle, autopilot, trajectory, controller and faults follow from the seed. A flight that
+    /// breaks a rule is shrunk to the shortest fault script that still breaks it. Exit code 10:
+    /// some flight broke a rule.
     Campaign(CampaignArgs),
     /// Connects to a vehicle, flies one trajectory from take-off to landing, and logs it.
     Fly(FlyArgs),
-    /// Flies a programme that a model can be learned from, and logs each flight.
+    /// Flies a programme of flights to learn a model from, and logs each flight.
     Collect(CollectArgs),
-    /// Runs for long: streams a hold, and flies whenever the pilot switches the vehicle to
+    /// Runs continuously: streams a hold, and flies whenever the pilot switches the vehicle to
     /// OFFBOARD.
     Daemon(DaemonArgs),
-    /// Looks at a vehicle without changing it: what comes, what is missing, what would be refused.
+    /// Inspects a vehicle without changing it: what arrives, what is missing, what would be
+    /// refused.
     ///
-    /// Exit code 0: it can be flown as far as that can be told; 3: no vehicle was heard; 4: it would
-    /// be refused.
+    /// Exit code 0: it can be flown as far as can be seen; 3: no vehicle was found; 4: it would be
+    /// refused.
     Doctor(DoctorArgs),
     /// Shows the messages on a link, with rate, size, age and last value.
     Inspect(ListenArgs),
     /// Bridges poses of a rigid body from a motion-capture room to a vehicle.
     ///
-    /// It forwards only poses that it believes. Where the room swaps bodies, freezes, jumps or is late, it
-    /// forwards nothing, and says why and what to do. It runs beside `fly`, on an endpoint of its own.
+    /// Forwards only plausible poses. If the room swaps bodies, freezes, jumps or is late, it
+    /// forwards nothing, and reports why and what to do. Runs beside `fly`, on its own endpoint.
     Mocap(MocapArgs),
     /// Runs the bundled vehicle on MAVLink links.
     Sitl(SimulatorArgs),
@@ -112,31 +113,32 @@ pub enum Command {
     Log(LogCommand),
     /// Plays a flight log to a browser or to Foxglove, with pause, speed and seeking.
     Replay(ReplayArgs),
-    /// Lays flights of any logs side by side, A before `--` and B after it: errors with what chance
-    /// leaves open, and what differs between their vehicles, settings and versions.
+    /// Compares flights of any logs, A before `--` and B after it: errors with confidence
+    /// intervals, and what differs between their vehicles, settings and versions.
     Compare(CompareArgs),
     /// Learns a vehicle's dynamics from flight logs: networks, physics, and their hybrid.
     Train(TrainArgs),
-    /// Looks at, judges, runs and exports a learned model.
+    /// Inspects, evaluates, runs and exports a learned model.
     #[command(subcommand)]
     Model(ModelCommand),
     /// Plans a trajectory through a model: a reference that `fly` takes.
     Plan(PlanArgs),
-    /// Says where a simulator and flights part, which effect causes it, and how far it shrinks.
+    /// Finds where a simulator and flights differ, which effect causes it, and how far the gap
+    /// closes.
     Diagnose(DiagnoseArgs),
-    /// Says when something of the vehicle changed, in a flight or between flights, and what.
+    /// Finds when a vehicle changed, in a flight or between flights, and what changed.
     Onset(OnsetArgs),
-    /// Checks the diagnosis blindly, on simulated flights whose cause it is not told.
+    /// Tests the diagnosis blind, on simulated flights whose cause it does not know.
     Exam(ExamArgs),
-    /// Makes keys for signed links (MAVLink 2), and gives them to vehicles.
+    /// Makes keys for signed links (MAVLink 2), and sends them to vehicles.
     #[command(subcommand)]
     Signing(SigningCommand),
     /// Shows every setting and where its value comes from.
     Config(ConfigArgs),
-    /// Pages to look things up: effects, trajectory families, vehicle keys, settings, topics of logs,
-    /// exit codes, JSON.
+    /// Prints reference pages: effects, trajectory families, vehicle keys, settings, topics of
+    /// logs, exit codes, JSON.
     Reference(ReferenceArgs),
-    /// JSON Schemas of what the commands print with --json.
+    /// Prints the JSON Schemas of what the commands print with --json.
     Schema(SchemaArgs),
 }
 
@@ -160,63 +162,65 @@ pub struct DiagnoseArgs {
     /// The simulator's vehicle file.
     #[arg(long)]
     pub vehicle: PathBuf,
-    /// Instead of logs of one vehicle: many vehicles of the type. A folder with a folder of logs for each,
-    /// or a TOML file with a table `[vehicles]` of names with their logs, files or folders. What all share
-    /// is told apart from what single ones have.
+    /// Diagnoses many vehicles of one type, instead of one vehicle from its logs. A folder with a
+    /// folder of logs for each, or a TOML file with a table `[vehicles]` of names with their logs,
+    /// files or folders. Separates what all share from what single vehicles have.
     #[arg(
         long,
         value_name = "DIR|FILE",
         conflicts_with_all = ["logs", "holdout", "new", "next_flight", "config", "evidence", "discover"]
     )]
     pub fleet: Option<PathBuf>,
-    /// Folder for what is done of each vehicle of a fleet; the same command goes on with it.
+    /// Folder for the finished work on each vehicle of a fleet; the same command resumes from it.
     #[arg(long, value_name = "DIR", default_value = "fleet-rows")]
     pub rows: PathBuf,
-    /// A log to keep from the fit and to report the gap on; may be given again [default: the last
-    /// of the logs; of a single one its second half].
+    /// A log to hold out of the fit and to report the gap on; may be repeated [default: the last
+    /// log, or the second half of a single one].
     #[arg(long, value_name = "FILE")]
     pub holdout: Vec<PathBuf>,
-    /// A log of the flight that an earlier diagnosis asked for: part of the fit, never held out;
-    /// may be given again.
+    /// A log of the flight that an earlier diagnosis requested: part of the fit, never held out;
+    /// may be repeated.
     #[arg(long, value_name = "FILE")]
     pub new: Vec<PathBuf>,
     /// The vehicle file to write, with the effects that were found.
     #[arg(short, long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Folder for report.html and report.json; made if missing.
+    /// Folder for report.html and report.json; created if missing.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
-    /// The trajectory file to write, of the flight that would best tell what these logs leave open.
+    /// The trajectory file to write, of the flight that would best resolve what these logs leave
+    /// open.
     #[arg(long, value_name = "FILE")]
     pub next_flight: Option<PathBuf>,
     /// Configuration file: room and envelope of the next flight.
     #[arg(long)]
     pub config: Option<PathBuf>,
-    /// What the columns of CSV logs mean.
+    /// Mapping of the columns of CSV logs.
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
-    /// Simulated flights without any effect, which say how large chance makes the evidence.
+    /// Number of simulated flights without any effect, which show how large the evidence becomes by
+    /// chance.
     #[arg(long, default_value_t = TWINS)]
     pub twins: u32,
     /// Seed of the simulated flights.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// The JSON file to write, of the evidence that the verdict rests on.
+    /// The JSON file to write, with the evidence behind the verdict.
     #[arg(long, value_name = "FILE")]
     pub evidence: Option<PathBuf>,
-    /// An effect that is not to be considered, nor another that acts in the same way; may be given
-    /// again. What the flights hold of it is then a cause outside of the catalogue.
+    /// An effect to leave out, together with any other that acts in the same way; may be repeated.
+    /// What the flights contain of it is then a cause outside the catalogue.
     #[arg(long, value_name = "EFFECT")]
     pub without: Vec<EffectId>,
-    /// Also looks for a law: a formula that explains what no effect of the catalogue does. It takes
-    /// some more seconds.
+    /// Also searches for a law: a formula that explains what no effect of the catalogue does. Takes
+    /// some seconds more.
     #[arg(long)]
     pub discover: bool,
-    /// The effects file to write, of the law and what acts beside it, where a law is named; whatever
-    /// takes --effects takes it.
+    /// The effects file to write if a law is named, with the law and what acts beside it; every
+    /// command with --effects takes it.
     #[arg(long, value_name = "FILE", requires = "discover")]
     pub law: Option<PathBuf>,
-    /// Ends with exit code 10 on this verdict.
+    /// Exits with code 10 on this verdict.
     #[arg(long, value_enum, value_name = "VERDICT")]
     pub fail_on: Option<FailOnVerdict>,
     /// Prints the answer as JSON.
@@ -263,16 +267,16 @@ pub struct OnsetArgs {
     /// The vehicle file.
     #[arg(long)]
     pub vehicle: PathBuf,
-    /// What the columns of CSV logs mean.
+    /// Mapping of the columns of CSV logs.
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
-    /// Mean time between false alarms that the bound on the evidence is for, h of flight.
+    /// Mean time between false alarms that sets the bound on the evidence, h of flight.
     #[arg(long, value_name = "H", default_value_t = FALSE_ALARM_H)]
     pub false_alarm_h: f64,
-    /// Folder for report.html and report.json; made if missing.
+    /// Folder for report.html and report.json; created if missing.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
-    /// Ends with exit code 10 if something changed.
+    /// Exits with code 10 if something changed.
     #[arg(long)]
     pub fail_on_change: bool,
     /// Prints the answer as JSON.
@@ -301,61 +305,61 @@ const FALSE_ALARM_H: f64 = 1000.0;
 /// Flags of `exam`.
 #[derive(Debug, Args)]
 pub struct ExamArgs {
-    /// Cases with something to find [default: 60; of a round trip all].
+    /// Number of cases with something to find [default: 60; of a round trip all].
     #[arg(long, value_name = "COUNT")]
     pub cases: Option<usize>,
-    /// Cases with nothing to find.
+    /// Number of cases with nothing to find.
     #[arg(long, value_name = "COUNT", default_value_t = 20)]
     pub nulls: usize,
     /// Only cases of these kinds [default: all, in fixed shares].
     #[arg(long, value_enum, value_delimiter = ',')]
     pub kinds: Vec<Kind>,
-    /// Instead: every effect at three strengths on both shipped vehicles, with logs as they are, at
-    /// half their rate, with stamps 5 ms off, and with a tenth lost. Takes an hour or more.
+    /// Runs every effect at three strengths on both shipped vehicles instead, with logs as they
+    /// are, at half their rate, with stamps 5 ms off, and with a tenth lost. Takes an hour or more.
     #[arg(long, conflicts_with = "kinds")]
     pub round_trip: bool,
-    /// Instead: the labelled flights of this folder, which somebody else made: a folder for each case
-    /// with vehicle.json and flight_1.tlog and so on, and key.json, graded by the script that lies
-    /// with them. Nothing is drawn, and nothing is ever fitted to them.
+    /// Diagnoses the labelled flights of this folder instead, which somebody else made: a folder
+    /// for each case with vehicle.json, flight_1.tlog and so on, and key.json, graded by the script
+    /// that comes with them. Nothing is drawn, and nothing is ever fitted to them.
     #[arg(
         long,
         value_name = "DIR",
         conflicts_with_all = ["cases", "kinds", "round_trip", "exact", "seed", "fail_on_miss"]
     )]
     pub practice: Option<PathBuf>,
-    /// Instead: the evidence of an earlier exam's cases, decided anew and scored; a folder that
-    /// --evidence filled. Nothing is flown.
+    /// Decides and scores the evidence of an earlier exam's cases again; a folder that --evidence
+    /// filled. Nothing is flown.
     #[arg(
         long,
         value_name = "DIR",
         conflicts_with_all = ["cases", "kinds", "round_trip", "practice", "exact", "seed"]
     )]
     pub decide: Vec<PathBuf>,
-    /// The file to write, of the numbers of the decision that serve these cases best: those of some
-    /// families of cases; the others test them.
+    /// The file to write, with the numbers of the decision that serve these cases best: fitted to
+    /// some families of cases, tested on the others.
     #[arg(long, value_name = "FILE", requires = "decide")]
     pub calibrate: Option<PathBuf>,
-    /// Instead: this many vehicles with a law that the catalogue does not have, and --nulls without, from
-    /// whose flights laws are searched: how much of the gap on another mission each closes, whether it
-    /// depends on what the true one does, and how often a law is invented.
+    /// Searches for laws instead, in flights of this many vehicles with a law that the catalogue
+    /// lacks, and of --nulls vehicles without. Prints how much of the gap on another mission each
+    /// law closes, whether it depends on what the true one does, and how often a law is invented.
     #[arg(
         long,
         value_name = "COUNT",
         conflicts_with_all = ["cases", "kinds", "round_trip", "practice", "decide", "evidence"]
     )]
     pub laws: Option<usize>,
-    /// Instead: flies this many flights in which something of the vehicle changes at an instant, and --nulls of
-    /// ten minutes in which nothing does. Prints how near to the true time the detector dates the change, from
-    /// logs and live, and how often it reports one that is not there.
+    /// Flies this many flights instead in which the vehicle changes at an instant, and --nulls of
+    /// ten minutes in which it does not. Prints how close to the true time the detector dates the
+    /// change, from logs and live, and how often it reports one that is not there.
     #[arg(
         long,
         value_name = "COUNT",
         conflicts_with_all = ["cases", "kinds", "round_trip", "practice", "decide", "evidence", "laws"]
     )]
     pub onsets: Option<usize>,
-    /// Instead: this many fleets of --vehicles each with an effect that all share, and --nulls without one;
-    /// some vehicles have an effect of their own. Prints how often what is shared is named, and what single
-    /// vehicles have.
+    /// Diagnoses this many fleets of --vehicles instead, each with an effect that all share, and
+    /// --nulls without one; some vehicles have their own effect. Prints how often the shared
+    /// effects and those of single vehicles are named.
     #[arg(
         long,
         value_name = "COUNT",
@@ -366,30 +370,30 @@ pub struct ExamArgs {
     /// Vehicles of a fleet.
     #[arg(long, value_name = "COUNT", default_value_t = 50, requires = "fleet")]
     pub vehicles: usize,
-    /// Share of a fleet's vehicles that have an effect of their own.
+    /// Share of a fleet's vehicles that have their own effect.
     #[arg(long, value_name = "SHARE", default_value_t = 0.2, requires = "fleet")]
     pub damaged: f64,
-    /// Folder for each case's key, answer and the evidence that its verdict rests on; made if missing.
+    /// Folder for each case's key, answer and the evidence behind its verdict; created if missing.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["practice", "decide"])]
     pub evidence: Option<PathBuf>,
-    /// Instead of vehicle files as builders have them: files whose every number is the vehicle's, the
+    /// Uses exact vehicle files instead of typical ones: every number is the vehicle's, with the
     /// bundled on-board loop, and logs without nuisances.
     #[arg(long)]
     pub exact: bool,
-    /// Seed of everything that is drawn [default: from the system, and said].
+    /// Seed of everything that is drawn [default: from the system, and printed].
     #[arg(long)]
     pub seed: Option<u64>,
     /// Length of each of a case's flights, s.
     #[arg(long, default_value_t = 22.5)]
     pub seconds: f64,
-    /// How strongly single effects show with --exact, least and most: prediction errors that they
+    /// Least and greatest strength of single effects with --exact: prediction errors that they
     /// cause over those of noise.
     #[arg(long, value_name = "RATIO", num_args = 2, default_values_t = [0.3, 30.0])]
     pub strengths: Vec<f64>,
-    /// Simulated flights without any effect in each diagnosis [default: as `diagnose`].
+    /// Number of simulated flights without any effect in each diagnosis [default: as `diagnose`].
     #[arg(long, value_name = "COUNT")]
     pub twins: Option<u32>,
-    /// Cases at once [default: one for each core].
+    /// Cases in parallel [default: one for each core].
     #[arg(long, value_name = "COUNT")]
     pub jobs: Option<NonZeroUsize>,
     /// Folder for commitment.txt, the answers, key.json, summary.json and report.html; it must not
@@ -399,7 +403,7 @@ pub struct ExamArgs {
     /// Keeps vehicle files and logs.
     #[arg(long)]
     pub keep: bool,
-    /// Ends with exit code 10 if a rate or the Brier score misses its bound.
+    /// Exits with code 10 if a rate or the Brier score misses its bound.
     #[arg(long)]
     pub fail_on_miss: bool,
     /// Prints the result as JSON.

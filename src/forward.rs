@@ -50,7 +50,9 @@ pub enum ForwardError {
     #[error("forward.allow: no message is called {0:?}; names are MAVLink's, such as HEARTBEAT")]
     Message(String),
     /// A message on the list is reserved for this program.
-    #[error("forward.allow: {0} is this program's to send while it flies; take it off the list")]
+    #[error(
+        "forward.allow: only this program may send {0} while it flies; remove it from the list"
+    )]
     Own(String),
     /// The address does not resolve, or the system provides no socket.
     #[error("--forward {endpoint}: {source}")]
@@ -220,7 +222,9 @@ fn tell_refused(frame: &Frame, name: &str, refused: &mut BTreeMap<u32, u64>) {
             || format!("message {}", frame.id()),
             |message| message.message_name().to_owned(),
         );
-        tracing::info!("{word} of {name} is not passed on to the vehicle: forward.allow lacks it");
+        tracing::info!(
+            "{word} from {name} is not forwarded to the vehicle: forward.allow lacks it"
+        );
     }
 }
 
@@ -232,8 +236,7 @@ mod tests {
     fn the_list_takes_names_of_messages_and_no_setpoints() {
         let list = AllowList::new(&["HEARTBEAT", "PARAM_REQUEST_READ"]).expect("names");
         assert_eq!(list.0, BTreeSet::from([0, 20]));
-        for (wrong, words) in [("HEARTBEET", "no message"), ("SET_ATTITUDE_TARGET", "take it off")]
-        {
+        for (wrong, words) in [("HEARTBEET", "no message"), ("SET_ATTITUDE_TARGET", "remove it")] {
             let error = AllowList::new(&[wrong]).expect_err(wrong).to_string();
             assert!(error.contains(words) && error.contains(wrong), "{error}");
         }

@@ -91,16 +91,16 @@ pub enum Withheld {
     #[error("nothing was proposed")]
     Nothing,
     /// The supervisor does not permit it, or the vehicle did not recently report that it obeys.
-    #[error("no setpoint may leave now")]
+    #[error("setpoints are not permitted now")]
     NotPermitted,
     /// The sample is too old by now.
     #[error("the sample is too old")]
     Stale,
     /// The sample may be older than the control path's last stall.
-    #[error("the sample may be from before this process stood still")]
+    #[error("the sample may be from before this process stalled")]
     Stalled,
     /// The sample, or a newer one, was already answered.
-    #[error("the sample was answered before")]
+    #[error("the sample was already answered")]
     Answered,
     /// A component is NaN or infinite.
     #[error("the setpoint is not finite")]

@@ -264,7 +264,7 @@ impl OffboardController {
         }
         self.stall_told = Some(now);
         let text = format!(
-            "this process stood still for {:.3} s: what lay unread is not answered",
+            "this process stalled for {:.3} s: messages that arrived meanwhile get no answer",
             self.guard.stalled().as_secs_f64()
         );
         self.supervisor.tell(now, Severity::Warning, text);
@@ -332,7 +332,7 @@ impl OffboardController {
 
     /// Ends the flight: requests that the vehicle land itself.
     pub fn land(&mut self, now: HostTime) {
-        self.supervisor.fire(now, Trigger::LandNow, "landing is asked for");
+        self.supervisor.fire(now, Trigger::LandNow, "a landing is requested");
     }
 
     /// The present state of the flight.

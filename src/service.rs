@@ -37,8 +37,8 @@ pub enum ServiceError {
     },
     /// Others could read it.
     #[error(
-        "--metrics {address}: expected an address of this machine alone, such as 127.0.0.1:9464; put \
-         a proxy before it that says who may read"
+        "--metrics {address}: expected a loopback address, such as 127.0.0.1:9464; to serve \
+         others, put a proxy that controls access in front of it"
     )]
     Open {
         /// The address that it resolves to.
@@ -149,9 +149,8 @@ impl Service {
         };
         let thread =
             thread::Builder::new().name("service".into()).spawn(move || runtime.block_on(serve))?;
-        let address = start
-            .recv()
-            .map_err(|_| io::Error::other("its thread ended before it had begun"))??;
+        let address =
+            start.recv().map_err(|_| io::Error::other("its thread ended before it started"))??;
         Ok(Self { address, shown, stop: Some(stop), thread: Some(thread) })
     }
 
@@ -188,7 +187,7 @@ async fn answer(mut stream: TcpStream, shown: Arc<Mutex<Shown>>) -> io::Result<(
     let (status, kind, body) = match &request {
         None => ("400 Bad Request", "text/plain", "no HTTP\n".to_owned()),
         Some(Request { is_get: false, .. }) => {
-            ("405 Method Not Allowed", "text/plain", "there is only GET\n".to_owned())
+            ("405 Method Not Allowed", "text/plain", "only GET is supported\n".to_owned())
         }
         Some(Request { path, .. }) => match path.as_str() {
             "/health" => health(&shown),
@@ -199,7 +198,7 @@ async fn answer(mut stream: TcpStream, shown: Arc<Mutex<Shown>>) -> io::Result<(
                 metrics::text(&shown.status, shown.health.count, shown.age_s()),
             ),
             _ => {
-                let text = "there are /health, /status and /metrics\n".to_owned();
+                let text = "not found; try /health, /status or /metrics\n".to_owned();
                 ("404 Not Found", "text/plain", text)
             }
         },
@@ -211,9 +210,9 @@ async fn answer(mut stream: TcpStream, shown: Arc<Mutex<Shown>>) -> io::Result<(
 fn health(shown: &Shown) -> (&'static str, &'static str, String) {
     const NOT_WELL: &str = "503 Service Unavailable";
     let (status, text) = match shown.age_s() {
-        None => (NOT_WELL, "the control line has not begun\n".to_owned()),
+        None => (NOT_WELL, "the control loop has not started\n".to_owned()),
         Some(age_s) if age_s > AGE_MAX_S => {
-            (NOT_WELL, format!("the control line has not run for {age_s:.1} s\n"))
+            (NOT_WELL, format!("the control loop has not run for {age_s:.1} s\n"))
         }
         Some(_) if !is_logging_well(&shown.status) => {
             ("200 OK", "ok, but the log is not written or lacks records\n".to_owned())
@@ -302,7 +301,7 @@ mod tests {
         assert!(get(&service, "/../etc/passwd").starts_with("HTTP/1.1 404"));
         assert!(ask(&service, &"A".repeat(9000)).starts_with("HTTP/1.1 400"));
         let open = Service::start("0.0.0.0:0").err().expect("others could read it");
-        assert!(open.to_string().contains("this machine alone"), "{open}");
+        assert!(open.to_string().contains("expected a loopback address"), "{open}");
         assert!(Service::start(&service.address().to_string()).is_err(), "it is taken");
     }
 }

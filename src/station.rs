@@ -153,7 +153,7 @@ impl Station {
         let paused_s = paused.as_secs_f64();
         let text = format!(
             "this process was paused for {paused_s:.2} s: nothing is commanded until the vehicle \
-             tells its mode again"
+             reports its mode again"
         );
         self.tell(now, Severity::Warning, text);
         self.session.withdraw_commands();
@@ -271,7 +271,7 @@ impl Station {
         {
             self.end.get_or_insert_with(|| match self.session.vehicle() {
                 None => End::NoVehicle,
-                Some(id) => End::LinkLost(format!("nothing more was heard of {id}")),
+                Some(id) => End::LinkLost(format!("nothing more was received from {id}")),
             });
         }
     }
@@ -405,7 +405,7 @@ impl Station {
             self.aftermath = Some(Aftermath::new(now));
             let limit_s = aftermath::LIMIT.as_secs();
             let text =
-                format!("recording goes on until the vehicle is down, for at most {limit_s} s");
+                format!("recording continues until the vehicle is down, for at most {limit_s} s");
             self.tell(now, Severity::Notice, text);
         } else if let (Some(aftermath), Some(offboard)) = (&mut self.aftermath, &self.offboard)
             && aftermath.is_over(now, offboard.telemetry().status())

@@ -186,7 +186,7 @@ impl Supervisor {
     /// Requests a flight, or another one after the last is over.
     pub fn engage(&mut self, now: HostTime) {
         self.engaged = true;
-        self.fire(now, Trigger::EngageAsked, "a flight is asked for");
+        self.fire(now, Trigger::EngageAsked, "a flight is requested");
     }
 
     /// Records that the vehicle refused a request; `text` says why, where it is known.

@@ -150,10 +150,10 @@ pub struct Draft {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum NoQuadrotor {
     /// It does not have four motors.
-    #[error("its parameters are of a vehicle with {0} motors; only quadrotors are understood")]
+    #[error("its parameters describe a vehicle with {0} motors; only quadrotors are supported")]
     Motors(u32),
     /// It is not a multirotor.
-    #[error("CA_AIRFRAME is {0}, which is no multirotor; only quadrotors are understood")]
+    #[error("CA_AIRFRAME is {0}, which is not a multirotor; only quadrotors are supported")]
     Airframe(f64),
 }
 
@@ -195,7 +195,7 @@ impl Draft {
         let inertia =
             self.inertia.as_ref().filter(|given| given.is_estimate && key == "inertia")?;
         let [roll, pitch, yaw] = inertia.value.map(body::tidy);
-        Some(format!("taken as {roll}, {pitch}, {yaw}, {}", inertia.from))
+        Some(format!("assumed to be {roll}, {pitch}, {yaw}, {}", inertia.from))
     }
 
     /// The numbers in the file that are only estimates.
@@ -224,7 +224,7 @@ const WANTING: [Wanting; 9] = [
     },
     Wanting {
         key: "rotors.position_m",
-        what: "the rotors' places from the centre of mass in m",
+        what: "the rotors' positions from the centre of mass in m",
         how: "measure from the centre to a motor's axis: --arm, or across between opposite motors: \
               --wheelbase",
     },
@@ -237,9 +237,9 @@ const WANTING: [Wanting; 9] = [
     Wanting {
         key: "inertia",
         what: "the moments of inertia about front, right and down in kg m^2",
-        how: "hang the vehicle by two lines of length l, 2 r apart, and time its swing about them: \
-              I = m g r^2 T^2 / (4 pi^2 l): --inertia; or let `downwash diagnose` find it from \
-              flights with outputs logged at 100 Hz or more",
+        how: "hang the vehicle from two lines of length l, 2 r apart, and time its swing about \
+              them: I = m g r^2 T^2 / (4 pi^2 l): --inertia; or let `downwash diagnose` find it \
+              from flights with outputs logged at 100 Hz or more",
     },
     Wanting {
         key: "rotors.drag_torque_per_thrust_m",

@@ -44,7 +44,7 @@ fn what_is_read_is_not_written_over() {
         train(&vehicle, &folder.join("o"), &[log, &checkpoint]),
     ] {
         let errors = refused(&folder, &borrowed(&arguments));
-        assert!(errors.contains("it would destroy"), "{arguments:?}: {errors}");
+        assert!(errors.contains("it would overwrite"), "{arguments:?}: {errors}");
     }
     let [plan, out, with] = ["plan", "-o", "--model"].map(Path::new);
     let (on, config) = (Path::new("--vehicle"), Path::new("--config"));
@@ -55,7 +55,7 @@ fn what_is_read_is_not_written_over() {
         vec![plan, &trajectory, config, &mapping, out, &mapping],
     ] {
         let errors = refused(&folder, &arguments);
-        assert!(errors.contains("it would destroy"), "{arguments:?}: {errors}");
+        assert!(errors.contains("it would overwrite"), "{arguments:?}: {errors}");
     }
     for name in names {
         assert_eq!(fs::read_to_string(folder.join(name)).expect("the file"), name);

@@ -191,7 +191,7 @@ fn where_a_later_window_leaves_too_few_rows_the_earlier_ones_models_are_taken() 
     assert!(!is_there && told.contains("rows to train on"), "{told}");
     let (is_there, output) = trained("22,1");
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(is_there && told.contains("the earlier window's models are taken"), "{told}");
+    assert!(is_there && told.contains("using the earlier window's models"), "{told}");
     let taken = learn::number(&learn::summary(&output), "/settings/window_half_s");
     assert_eq!(taken, 0.022);
 }

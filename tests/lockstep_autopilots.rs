@@ -103,7 +103,7 @@ fn an_estimate_that_slides_in_small_steps_is_not_flown_after() {
         bench.run(0.05);
         farthest = farthest.max((bench.position() - held).norm());
     }
-    assert!(bench.told("position estimate slid by"), "{:?}", bench.texts());
+    assert!(bench.told("position estimate drifted by"), "{:?}", bench.texts());
     assert!(!bench.told("from the reference"), "{:?}", bench.texts());
     // What is no slide yet, 1 m, and what is left of one.
     assert!(farthest < 1.2, "{farthest} m in truth");
@@ -185,7 +185,7 @@ fn a_serial_line_without_room_for_the_state_is_told_with_the_rate_that_fits() {
         let line = "serial line: expected room for 80 Hz of attitude and position";
         assert!(bench.told(line), "{:?}", bench.texts());
         assert!(bench.told("set control.rate_hz to 25 or less"), "{:?}", bench.texts());
-        assert!(bench.told("57600 baud, which carry 5760 bytes/s"), "{:?}", bench.texts());
+        assert!(bench.told("57600 baud, which carries 5760 bytes/s"), "{:?}", bench.texts());
         assert_eq!(bench.setpoints_after(0), 0);
     }
 }

@@ -166,7 +166,7 @@ fn left_fence_and_tilt_end_the_flight() {
     fenced.offboard.safety.fence_radius_m = 0.6;
     let mut bench = Bench::new(fenced, &params);
     bench.until(FlightState::Land, 60.0);
-    assert!(bench.told("outside the fence"), "{:?}", bench.texts());
+    assert!(bench.told("outside the geofence"), "{:?}", bench.texts());
     bench.until(FlightState::Done, 60.0);
 
     let mut bench = stopped_in_flight();

@@ -87,7 +87,7 @@ fn unknown_loop(vehicle: &str, on_board: Option<f64>, setting: Option<[f64; 3]>)
     let (end, records) = fly(settings, &params, &[], SitlConfig::default(), 1);
     assert_eq!((end, masks(&records)), (End::Done, vec![0x07]), "{vehicle}");
     let assumed = records.iter().any(|record| {
-        matches!(record, Record::Event { text, .. } if text.contains("attitude loop is not known"))
+        matches!(record, Record::Event { text, .. } if text.contains("attitude loop is unknown"))
     });
     assert_eq!(assumed, setting.is_none(), "what is assumed is said");
     errors(&records)

@@ -125,7 +125,9 @@ fn another_autopilot_gets_no_setpoint_and_its_mode_is_no_word_of_the_pilot() {
     bench.downlink = exchanged_for(MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA);
     bench.until(FlightState::Abort, 1.1);
     let aborted_us = bench.now_us();
-    assert!(bench.told("another vehicle is heard: system 1 component 1: autopilot ArduPilot"));
+    assert!(
+        bench.told("another vehicle is on the link: system 1 component 1: autopilot ArduPilot")
+    );
     bench.run(3.0);
     assert!(bench.told("vehicle is ArduCopter"), "{:#?}", bench.texts());
     assert_eq!(bench.setpoints_after(aborted_us), 0);
@@ -159,7 +161,7 @@ fn under_the_pilots_switch_too_and_the_flights_log_has_nothing_of_the_other_vehi
         bench.downlink = other;
         bench.run(if name == "PX4" { 0.9 } else { 3.2 });
         assert!(bench.told("abort: another vehicle answers on the link"), "{:#?}", bench.texts());
-        assert!(!bench.told("recording goes on"), "{:#?}", bench.texts());
+        assert!(!bench.told("recording continues"), "{:#?}", bench.texts());
         assert_eq!(facts_and_flights(&bench), ["bundled", "begins", "ends", name]);
         let waits = bench.phase().is_some_and(FlightState::precedes_stream);
         assert!(waits, "the next flight's pilot does: {:?}", bench.phase());
@@ -176,7 +178,7 @@ fn under_the_pilots_switch_a_vehicle_that_is_not_flown_is_outwaited() {
             Bench::new(StationSettings { policy, ..settings(&params, hover(30.0)) }, &params);
         bench.downlink = exchanged_for(MavAutopilot::MAV_AUTOPILOT_GENERIC);
         bench.run(3.5);
-        let why = "the modes of autopilot \"unknown\" are not known";
+        let why = "the modes of autopilot \"unknown\" are unknown";
         assert!(bench.told(why), "{:#?}", bench.texts());
         assert_eq!((bench.phase(), bench.setpoints_after(0)), (None, 0));
         if policy == EngagePolicy::Command {
@@ -349,7 +351,7 @@ fn after_a_stall_nothing_is_sent_until_a_sample_that_is_newer_than_it() {
         bench.run(0.03);
         assert!(bench.setpoints_after(woke_us) >= 2, "{stall_s}: {:#?}", bench.texts());
         bench.run(0.5);
-        assert!(bench.told("this process stood still for"), "{:#?}", bench.texts());
+        assert!(bench.told("this process stalled for"), "{:#?}", bench.texts());
         assert_eq!(bench.phase(), Some(FlightState::Track), "{stall_s}: {:#?}", bench.texts());
     }
     // A short one is none.
@@ -357,5 +359,5 @@ fn after_a_stall_nothing_is_sent_until_a_sample_that_is_newer_than_it() {
     let stopped_us = bench.now_us();
     bench.stall(0.04);
     assert!(bench.setpoints_after(stopped_us) >= 3);
-    assert!(!bench.told("this process stood still"));
+    assert!(!bench.told("this process stalled"));
 }

@@ -246,5 +246,5 @@ fn low_battery_and_a_left_fence_land_the_vehicle() {
     let mut away = Flight::new(vehicle, EngagePolicy::Command, source, settings);
     away.until(FlightState::Land, 30.0);
     assert!((away.vehicle.state.position.north() - 1.0).abs() < 0.1);
-    assert!(away.events.iter().any(|event| event.text.contains("outside the fence")));
+    assert!(away.events.iter().any(|event| event.text.contains("outside the geofence")));
 }

@@ -186,7 +186,7 @@ fn a_mode_that_returns_with_the_disarming_is_no_switch_of_the_pilot() {
         flight.vehicle.armed = false;
         flight.run(3.0);
         assert_eq!(flight.offboard.flight_state(), FlightState::AwaitRelease, "{heartbeat_first}");
-        assert!(told(&flight, "no switch of the pilot's"), "{:#?}", flight.events);
+        assert!(told(&flight, "not the pilot's switch"), "{:#?}", flight.events);
         // The next arming, by anyone, takes off nowhere.
         let now = flight.vehicle.now();
         flight.vehicle.armed = true;
@@ -222,7 +222,11 @@ fn an_offer_ends_when_the_pilot_leaves_again_before_it_was_taken_for_his_word() 
         flight.offboard.handle(&Received { host, vehicle: None, delay: None, message });
         flight.run(0.05);
     }
-    assert!(told(&flight, "OFFBOARD was left again: the mode is Position"), "{:#?}", flight.events);
+    assert!(
+        told(&flight, "the vehicle left OFFBOARD again: the mode is Position"),
+        "{:#?}",
+        flight.events
+    );
     let left = flight.vehicle.now();
     flight.run(0.5);
     assert_eq!(flight.streamed_since(left), 0);
@@ -322,8 +326,8 @@ fn a_vehicle_that_declares_a_failsafe_or_a_critical_battery_is_landed() {
     let failsafe = Inbound::StatusText { severity: 3, text: "Battery Failsafe".to_owned() };
     let critical = Battery { charge: ChargeState::Critical, ..Battery::default() };
     for (message, words) in [
-        (failsafe, "declares a failsafe: Battery Failsafe"),
-        (Inbound::Battery(critical), "calls its battery critical"),
+        (failsafe, "reports a failsafe: Battery Failsafe"),
+        (Inbound::Battery(critical), "reports a critical battery"),
     ] {
         let mut flight = in_track(EngagePolicy::Command);
         let host = flight.vehicle.now();
@@ -363,7 +367,7 @@ fn a_position_that_the_vehicle_no_longer_vouches_for_is_not_followed() {
     assert_eq!(flight.offboard.flight_state(), FlightState::Track, "one report may be wrong");
     flight.run(0.4);
     assert_eq!(flight.actions, [Action::SetModeLand]);
-    assert!(told(&flight, "position estimate unhealthy"), "{:#?}", flight.events);
+    assert!(told(&flight, "unhealthy position estimate"), "{:#?}", flight.events);
 }
 
 #[test]

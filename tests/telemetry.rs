@@ -263,7 +263,7 @@ fn message_that_waited_on_its_way_is_not_acted_upon_and_told() {
     let fault = link.hear(&mut telemetry, host, late);
     assert!(matches!(fault, Err(TelemetryFault::Late { .. })), "{fault:?}");
     let told = telemetry.take_late(host).expect("told").to_string();
-    assert_eq!(told, "1 message of the state came late by up to 0.30 s");
+    assert_eq!(told, "1 state message arrived up to 0.30 s late");
     assert_eq!((telemetry.take_late(host), telemetry.late().count), (None, 1));
     let next = odometry(1_320_000);
     assert!(matches!(link.hear(&mut telemetry, next.host, next), Ok(Some(_))));

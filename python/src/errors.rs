@@ -4,7 +4,12 @@ use downwash::command::{Exit, exit_of, in_words};
 use pyo3::exceptions::{PyException, PyValueError};
 use pyo3::prelude::*;
 
-pyo3::create_exception!(downwash, DownwashError, PyException, "What downwash refuses, and why.");
+pyo3::create_exception!(
+    downwash,
+    DownwashError,
+    PyException,
+    "An error of downwash; `exit_code` is the command line's exit code."
+);
 
 pub fn add(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let class = module.py().get_type::<DownwashError>();

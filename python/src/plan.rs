@@ -107,7 +107,7 @@ pub fn plan(
     let through = match model {
         Some(_) if matches!(wish, TrajectoryFile::Task(_)) => {
             return Err(wrong(
-                "model: expected None, as the fastest way is planned through the vehicle's own physics",
+                "model: expected None, because the fastest plan uses the vehicle's own physics",
             ));
         }
         Some(model) => model.plan_model(kind),

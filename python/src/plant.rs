@@ -199,7 +199,7 @@ pub fn rollouts(
         return Ok(());
     }
     if outputs.len() % (count * ROTORS) != 0 || start.len() % STATE != 0 {
-        return Err(wrong("outputs: expected as many rows for each start"));
+        return Err(wrong("outputs: expected the same number of rows for each start"));
     }
     if effects.len() != 1 && effects.len() != count {
         return Err(wrong("effects: expected one set, or one for each start"));

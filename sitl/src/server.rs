@@ -190,7 +190,7 @@ impl Server {
             }
             Wake::Lost(link, error) => {
                 let endpoint = self.links[link].endpoint.clone();
-                eprintln!("{endpoint}: lost ({error}), opening it again");
+                eprintln!("{endpoint}: lost ({error}), reopening it");
                 self.forget(|route| route.link == link);
                 self.links[link].state = LinkState::Reopening(Box::pin(reopen(endpoint)));
             }

@@ -102,7 +102,7 @@ fn land_mode_does_not_arm_and_says_so() {
     assert_eq!(bench.set_mode(Mode::Land), ACCEPTED);
     let (result, texts) =
         bench.command_and_texts(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, &[1.0, 21196.0]);
-    assert_eq!(result, REJECTED, "force does not skip the checks of arming");
+    assert_eq!(result, REJECTED, "force does not skip the arming checks");
     assert!(texts.contains("Arming denied: mode Land"), "{texts}");
 }
 
@@ -136,7 +136,7 @@ fn another_peer_takes_over() {
         matches!(&heard.message, MavMessage::CURRENT_MODE(mode)
             if mode.custom_mode == Mode::Position.custom_mode())
     });
-    assert!(told, "the first peer hears of it at once");
+    assert!(told, "the first peer receives it at once");
     bench.run(3.0);
     assert_eq!(bench.mode(), Mode::Position, "the live stream does not take control back");
 }

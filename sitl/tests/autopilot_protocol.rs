@@ -89,7 +89,7 @@ fn a_message_interval_can_be_asked_for() {
     bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[331.0]));
     bench.send(&bench::command_long(SET_INTERVAL, &[331.0, 10_000.0]));
     bench.heard();
-    #[allow(deprecated, reason = "clients still ask this way")]
+    #[allow(deprecated, reason = "clients still request it this way")]
     bench.send(&bench::command_long(MavCmd::MAV_CMD_GET_MESSAGE_INTERVAL, &[331.0]));
     let heard = bench.heard();
     let MavMessage::MESSAGE_INTERVAL(interval) = &heard[0].message else { panic!("no interval") };
@@ -251,7 +251,7 @@ fn parameters_are_listed_read_and_set() {
             MavMessage::PARAM_VALUE(value) => Some(value.param_value.to_bits()),
             _ => None,
         });
-        assert_eq!(told, Some(5), "everyone hears of a change");
+        assert_eq!(told, Some(5), "every peer receives a change");
     }
     bench.send(&MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
         param_index: -1,

@@ -86,7 +86,7 @@ fn setpoints_take_off_after_arming_delay_and_spool_up() {
     bench.stream(setpoint(0.0, 0.0, 0.6, 0x07));
     assert_eq!(bench.arm(), ACCEPTED);
     bench.run(1.9);
-    assert!(bench.height() < 0.02, "the motors stand at first");
+    assert!(bench.height() < 0.02, "the motors stand still at first");
     bench.run(2.5);
     assert!(bench.height() > 0.5, "height {}", bench.height());
 }
@@ -249,7 +249,7 @@ fn a_lost_stream_is_flown_to_its_time_out_then_level_and_guided_for_ever() {
     bench.run(20.0);
     assert_eq!(bench.mode(), Mode::Offboard, "no reaction");
     assert!((bench.height() - height).abs() < 1.0, "holds its height");
-    assert!(bench.texts().is_empty(), "and says nothing");
+    assert!(bench.texts().is_empty(), "and reports nothing");
     bench.stream(setpoint(8f64.to_radians(), 0.0, HOVER, 0x07));
     bench.run(0.6);
     assert!(bench.roll_deg() > 5.0, "the next setpoint is flown at once");
@@ -368,7 +368,7 @@ fn rates_are_none_by_default_and_honest() {
     for (id, hz) in [(31, 100.0), (31, 333.0), (32, 100.0), (36, 50.0), (147, 5.0)] {
         assert_eq!(bench.request(id, hz), ACCEPTED);
         let found = bench.rate_of(id);
-        assert!((found - f64::from(hz)).abs() <= 1.5, "{id} asked {hz}: {found} Hz");
+        assert!((found - f64::from(hz)).abs() <= 1.5, "{id} requested at {hz}: {found} Hz");
     }
     for (id, hz) in [(31, 500.0), (331, 100.0), (375, 50.0), (291, 10.0), (9999, 1.0)] {
         assert_eq!(bench.request(id, hz), DENIED, "{id} at {hz} Hz");

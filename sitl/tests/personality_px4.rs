@@ -363,7 +363,7 @@ fn rates_are_px4s_defaults_and_what_it_grants() {
     for (id, asked, hz) in granted.into_iter().chain([(436, 50.0, 2.0), (375, 50.0, 50.0)]) {
         assert_eq!(bench.request(id, asked), ACCEPTED);
         let found = bench.rate_of(id);
-        assert!((found - hz).abs() <= 1.5, "{id} asked {asked}: {found} Hz");
+        assert!((found - hz).abs() <= 1.5, "{id} requested at {asked}: {found} Hz");
     }
     assert_eq!(bench.request(291, 10.0), ACCEPTED);
     assert_eq!(bench.rate_of(291), 0.0, "accepted, never sent");

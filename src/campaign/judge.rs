@@ -240,23 +240,24 @@ impl Judge {
         let answered = self.states.iter().position(is_now).filter(|_| on_its_way_s > 0.0);
         self.states.drain(..answered.map_or(self.states.len(), |first| first + 1));
         let Some(state) = newest else {
-            return self.violated(Rule::Fresh, now_us, "it answers no state that came just now");
+            return self.violated(Rule::Fresh, now_us, "it answers no state that has just arrived");
         };
         // Without a common clock, a constant delay of the link cannot be detected.
         let base_s = self.quickest_us as f64 * 1e-6;
         let age_s = seconds(state.said_us, now_us);
         if age_s > LATE_S + LOOK_S + STALL_S + 3.0 * base_s + on_its_way_s {
-            let what = format!("the newest state is {age_s:.3} s old, the quickest {base_s:.3} s");
+            let what =
+                format!("the newest state is {age_s:.3} s old, the fastest one was {base_s:.3} s");
             self.violated(Rule::Fresh, now_us, what);
         }
         let early_s = seconds(state.due_us, self.woke_us);
         if early_s > 0.015 {
-            let what = format!("the newest state came {early_s:.3} s before the stall's end");
+            let what = format!("the newest state arrived {early_s:.3} s before the stall's end");
             self.violated(Rule::Stalled, now_us, what);
         }
         let since_s = seconds(self.woke_us, now_us);
         if self.woke_us > 0 && (0.0..DRAIN_S).contains(&since_s) {
-            let what = format!("{since_s:.3} s after a stall, while what lay unread is read");
+            let what = format!("{since_s:.3} s after a stall, while the backlog is read");
             self.violated(Rule::Stalled, now_us, what);
         }
     }
@@ -265,12 +266,16 @@ impl Judge {
         self.notice_release(now_us);
         let is_stopped = self.disarmed_us.is_some_and(|at| self.is_known_since(at, now_us));
         if is_stopped && self.policy == EngagePolicy::Command {
-            self.violated(Rule::AfterDisarming, now_us, "the vehicle told that its motors stopped");
+            self.violated(
+                Rule::AfterDisarming,
+                now_us,
+                "the vehicle reported that its motors stopped",
+            );
         }
         if let Some(land_us) = self.land_us
             && seconds(land_us, now_us) > HANDOVER_S + LOOK_S + self.on_its_way_s
         {
-            let what = format!("{:.2} s after landing was asked for", seconds(land_us, now_us));
+            let what = format!("{:.2} s after the landing request", seconds(land_us, now_us));
             self.violated(Rule::AfterLanding, now_us, what);
         }
         let Some(mode) = self.mode else {
@@ -284,16 +289,17 @@ impl Judge {
             self.flew |= self.policy == EngagePolicy::Command || self.armed == Some(true);
             let known_s = seconds(mode.heard_us, now_us);
             if known_s > MODE_KNOWN_S + LOOK_S + self.on_its_way_s {
-                let what = format!("the mode was told {known_s:.2} s ago");
+                let what = format!("the vehicle last reported its mode {known_s:.2} s ago");
                 self.violated(Rule::OldMode, now_us, what);
             }
             if mode.said_us < self.silent_us {
-                let what = "the mode was told before the link fell silent, and not since";
+                let what =
+                    "the vehicle reported its mode before the link fell silent, and not since";
                 self.violated(Rule::OldMode, now_us, what);
             }
         } else if self.flew && self.left_us.is_none_or(|left| self.is_known_since(left, now_us)) {
             let left_s = self.left_us.map_or(0.0, |left| seconds(left, now_us));
-            let what = format!("{left_s:.3} s after the vehicle told mode {:#x}", mode.word);
+            let what = format!("{left_s:.3} s after the vehicle reported mode {:#x}", mode.word);
             self.violated(Rule::AgainstThePilot, now_us, what);
         }
     }
@@ -336,7 +342,8 @@ impl Judge {
                 && self.left_us.is_none_or(|left| self.is_known_since(left, now_us))
         });
         if let Some(mode) = led.filter(|_| self.policy == EngagePolicy::Command) {
-            let what = format!("{:?} while the vehicle told mode {:#x}", data.command, mode.word);
+            let what =
+                format!("{:?} while the vehicle reported mode {:#x}", data.command, mode.word);
             self.violated(Rule::Commands, now_us, what);
         }
     }
@@ -359,9 +366,9 @@ impl Judge {
     /// Judges the flight's true end; `None` where it had none.
     pub fn ends(&mut self, now_us: u64, ending: Option<Ending>) {
         match ending {
-            None => self.violated(Rule::Ends, now_us, "the station never came to an end"),
+            None => self.violated(Rule::Ends, now_us, "the station never ended"),
             Some(Ending::Adrift) => {
-                let what = "it flies on in the mode in which it obeys, and nobody leads it";
+                let what = "it flies on in the mode that obeys setpoints, and nobody sends any";
                 self.violated(Rule::GoodEnd, now_us, what);
             }
             Some(_) => {}

@@ -45,7 +45,7 @@ impl Relay {
         // If nothing listens at the port, the send after an empty datagram is refused.
         while self.is_refused() {
             if asked.elapsed() > limit {
-                let message = "it does not listen at its port";
+                let message = "it does not listen on its port";
                 return Err(io::Error::new(io::ErrorKind::TimedOut, message));
             }
         }

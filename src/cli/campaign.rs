@@ -10,7 +10,7 @@ use super::Shard;
 /// Flags of `campaign`.
 #[derive(Debug, Args)]
 pub struct CampaignArgs {
-    /// Flights of the whole campaign.
+    /// Number of flights in the campaign.
     #[arg(long, value_name = "COUNT", default_value_t = 300)]
     pub flights: usize,
     /// Seed that every flight is drawn from.
@@ -19,21 +19,22 @@ pub struct CampaignArgs {
     /// Flies only every N-th flight, from the I-th: one of N workers on one folder.
     #[arg(long, value_name = "I/N", default_value = "1/1")]
     pub shard: Shard,
-    /// Folder for the rows and the scripts of flights that failed; made if missing. Flights that
-    /// are there are not flown again.
+    /// Folder for the rows and for the scripts of failed flights; created if missing. Flights
+    /// already in it are not flown again.
     #[arg(long, value_name = "DIR", default_value = "campaign-out")]
     pub out: PathBuf,
-    /// In real time: a process of this program on a socket, which is stopped and killed as the scripts
-    /// say, the simulated vehicle and the link's faults on the other side.
+    /// Runs in real time: a process of this program on a socket, which is stopped and killed as the
+    /// scripts say, against the simulated vehicle and the link's faults.
     #[arg(long)]
     pub real_time: bool,
-    /// Flights at once [default: one for each core; 10 in real time]. The rows do not depend on it.
+    /// Flights in parallel [default: one for each core; 10 in real time]. The rows do not depend on
+    /// it.
     #[arg(long, value_name = "COUNT")]
     pub jobs: Option<NonZeroUsize>,
-    /// Instead: flies this fault script, JSON or TOML.
+    /// Flies this fault script (JSON or TOML) instead.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["flights", "seed", "shard", "jobs", "draw"])]
     pub script: Option<PathBuf>,
-    /// Instead: prints the fault script of this flight, and flies nothing.
+    /// Prints the fault script of this flight instead of flying.
     #[arg(long, value_name = "NUMBER")]
     pub draw: Option<u64>,
     /// Prints the summary, or the script's flight, as JSON.

@@ -7,28 +7,28 @@ use clap::{Args, ValueEnum};
 /// Flags of `compare`.
 #[derive(Debug, Args)]
 pub struct CompareArgs {
-    /// Flight logs of A: what is compared with. Logs of any kind that `log import` takes.
+    /// Flight logs of A, the baseline: any format that `log import` reads.
     #[arg(required = true, value_name = "A")]
     pub a: Vec<PathBuf>,
-    /// Flight logs of B, after `--`: what is new.
+    /// Flight logs of B, to compare with A, after `--`.
     #[arg(last = true, required = true, value_name = "B")]
     pub b: Vec<PathBuf>,
-    /// What the page's curves are laid along.
+    /// What aligns the page's curves.
     #[arg(long, value_enum, default_value_t = AlignChoice::Time)]
     pub align: AlignChoice,
     /// How flights of A and B are paired.
     #[arg(long, value_enum, default_value_t = PairChoice::Auto)]
     pub pair: PairChoice,
-    /// What the columns of tables are: a file (TOML), or the name of a shipped one
-    /// (motion-capture, motive).
+    /// Mapping of the columns of tables: a TOML file, or the name of a shipped one (motion-capture,
+    /// motive).
     #[arg(long, value_name = "MAP")]
     pub mapping: Option<PathBuf>,
     /// The page to write.
     #[arg(short, long, value_name = "FILE", default_value = "compare.html")]
     pub out: PathBuf,
-    /// Ends with exit code 10 if B is worse than A by more than chance: if the 95 % interval of the
-    /// first number's difference lies above zero. Fewer than two flights on a side, or two pairs,
-    /// are refused.
+    /// Exits with code 10 if B is worse than A by more than chance: if the 95 % interval of the
+    /// first number's difference is above zero. Refuses fewer than two flights on a side, or fewer
+    /// than two pairs.
     #[arg(long)]
     pub baseline: bool,
     /// Prints the comparison as JSON.
@@ -52,12 +52,12 @@ impl CompareArgs {
     }
 }
 
-/// What flights are laid along.
+/// What aligns the flights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum AlignChoice {
     /// Time since the trajectory's start, or since take-off.
     Time,
-    /// Way along the path.
+    /// Distance along the path.
     Position,
     /// Share of the time between start and end.
     Phase,

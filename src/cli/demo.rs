@@ -11,29 +11,28 @@ use crate::model::file::ModelKind;
 /// Flags of `demo`.
 #[derive(Debug, Args)]
 pub struct DemoArgs {
-    /// Folder for report.html, summary.json, the logs, the model and the plans; made if missing.
+    /// Folder for report.html, summary.json, the logs, the model and the plans; created if missing.
     #[arg(long, default_value = "demo-out")]
     pub out: PathBuf,
-    /// What flies the trajectory: feedback alone, or plans through these models of what was
-    /// learned.
+    /// What flies the trajectory: feedback alone, or plans through these learned models.
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = Contestant::PAPER)]
     pub fly: Vec<Contestant>,
     /// Length of the flights that the models are learned from, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 900.0)]
     pub learn: f64,
     /// Closes the loop instead: the simulated vehicle hides an effect (--hidden, else drawn from
-    /// the seed), which is diagnosed from a short programme of flights; the trajectory is planned
-    /// and flown with the vehicle file as shipped and with the improved one.
+    /// the seed), and a short programme of flights diagnoses it; the trajectory is planned and
+    /// flown with the shipped and with the improved vehicle file.
     #[arg(long, conflicts_with_all = ["fly", "learn"])]
     pub diagnose: bool,
     /// Length of the flights that are diagnosed, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 90.0, requires = "diagnose")]
     pub excite: f64,
-    /// Control laws, each of which flies the same flights, a row of the table for each [default:
+    /// Control laws to compare: each flies the same flights, for one row of the table [default:
     /// control.law of the configuration].
     #[arg(long, value_delimiter = ',', conflicts_with = "diagnose", value_parser = super::law())]
     pub law: Vec<Law>,
-    /// Flights of each, with seeds from --seed on.
+    /// Number of flights for each, with consecutive seeds from --seed.
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
     pub flights: u64,
     /// Vehicle file [default: a built-in nano quadrotor].
@@ -67,7 +66,7 @@ pub enum Contestant {
     Physics,
     /// A plan through physics and networks together.
     Hybrid,
-    /// Plans through physics and networks together, made anew in flight.
+    /// Plans through physics and networks together, renewed in flight.
     Replanned,
 }
 

@@ -13,14 +13,14 @@ use crate::model::file::ModelKind;
 pub struct FlyArgs {
     /// Trajectory file (TOML or CSV), or a plan (.json).
     pub trajectory: PathBuf,
-    /// Where the vehicle is: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
+    /// Connection to the vehicle: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
     #[arg(long, value_name = "URL")]
     pub connect: Option<String>,
     /// Vehicle file, or the name of a shipped one.
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
-    /// Plans anew in flight, through the model of --model. Where the trajectory's file changes in
-    /// flight, the vehicle is led over to what it then says.
+    /// Replans in flight, through the model of --model. If the trajectory file changes in flight,
+    /// the vehicle moves over to the new trajectory.
     #[arg(long)]
     pub replan: bool,
     /// Model file to replan through [default: the vehicle file's own physics].
@@ -32,7 +32,7 @@ pub struct FlyArgs {
     /// Control law [default: control.law of the configuration].
     #[arg(long, value_parser = super::law())]
     pub law: Option<Law>,
-    /// Takes over a vehicle that others fly: one that is armed or in the air.
+    /// Takes over a vehicle that is already armed or in the air.
     #[arg(long)]
     pub take_over: bool,
     /// Folder for the flight log.
@@ -44,7 +44,7 @@ pub struct FlyArgs {
     /// System id of the vehicle, where several are on the link.
     #[arg(long, value_name = "ID")]
     pub system: Option<u8>,
-    /// Makes the checks before a flight and flies nothing; exit code 4 if one fails.
+    /// Runs the preflight checks and flies nothing; exit code 4 if one fails.
     #[arg(long, conflicts_with_all = ["replan", "tlog", "view", "forward", "metrics", "tui"])]
     pub check: bool,
     /// The live view.
@@ -56,7 +56,7 @@ pub struct FlyArgs {
     /// What monitors ask.
     #[command(flatten)]
     pub service: ServiceArgs,
-    /// Shows the flight on the whole terminal, for a laptop over ssh.
+    /// Shows the flight full-screen in the terminal, such as over ssh.
     #[arg(long)]
     pub tui: bool,
     /// Configuration file.
@@ -70,14 +70,14 @@ pub struct FlyArgs {
 /// Flags of `collect`.
 #[derive(Debug, Args)]
 pub struct CollectArgs {
-    /// Folder for the logs, one a flight; made if missing. Flights whose whole log is there are
-    /// not flown again.
+    /// Folder for the logs, one per flight; created if missing. Flights whose complete log is in it
+    /// are not flown again.
     #[arg(long)]
     pub out: PathBuf,
     /// Vehicle file [default: in simulation a built-in nano quadrotor].
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
-    /// Flies the vehicle there, one flight after the other, instead of the simulated one.
+    /// Flies the vehicle at this address, one flight after the other, instead of the simulated one.
     #[arg(long, value_name = "URL", conflicts_with_all = ["sitl_config", "effects", "effect", "jobs"])]
     pub connect: Option<String>,
     /// System id of the vehicle, where several are on the link.
@@ -86,7 +86,7 @@ pub struct CollectArgs {
     /// Length of the programme's trajectories, s; landings and take-offs are extra.
     #[arg(long, value_name = "SECONDS", default_value_t = 2400.0)]
     pub seconds: f64,
-    /// Adds flights that move and turn at once, to test a model on, s.
+    /// Length of additional flights that move and turn at once, to test a model on, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     pub combined: f64,
     /// Seed of the programme and, in simulation, of noise, delays and gusts.
@@ -95,17 +95,16 @@ pub struct CollectArgs {
     /// The simulated vehicle.
     #[command(flatten)]
     pub simulation: SimulationArgs,
-    /// Simulated flights at once [default: one for each core]. The logs do not depend on it.
+    /// Simulated flights in parallel [default: one for each core]. The logs do not depend on it.
     #[arg(long, value_name = "COUNT")]
     pub jobs: Option<std::num::NonZeroUsize>,
-    /// Shows the programme and flies nothing.
+    /// Shows the programme without flying it.
     #[arg(long)]
     pub list: bool,
-    /// Writes the programme's trajectory files, which `fly` takes, into this folder and flies
-    /// nothing.
+    /// Writes the programme's trajectory files, for `fly`, into this folder without flying them.
     #[arg(long, value_name = "FOLDER")]
     pub write_trajectories: Option<PathBuf>,
-    /// Configuration file; its `collect` says where and how boldly is flown.
+    /// Configuration file; its `collect` sets where and how boldly to fly.
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Prints the flights as JSON.
@@ -134,17 +133,18 @@ impl CollectArgs {
     }
 }
 
-/// What of the simulated vehicle the vehicle file does not say.
+/// What the simulated vehicle has beyond its vehicle file.
 #[derive(Clone, Debug, Args)]
 pub struct SimulationArgs {
     /// The simulated vehicle's own configuration: sensors, pack, start.
     #[arg(long)]
     pub sitl_config: Option<PathBuf>,
-    /// Effects of the simulated vehicle that the daemon does not know: a TOML table for each id.
+    /// Effects of the simulated vehicle that the controller does not know: a TOML file with a table
+    /// for each id.
     #[arg(long, value_name = "FILE")]
     pub effects: Option<PathBuf>,
-    /// One such effect, over those of the file: id:key=value,... With @41.2 behind it, it sets in at
-    /// 41.2 s of the vehicle's clock.
+    /// One such effect, which overrides the file's: id:key=value,... With the suffix @41.2, it sets
+    /// in at 41.2 s on the vehicle's clock.
     #[arg(long, visible_alias = "hidden", value_name = "EFFECT[@S]")]
     pub effect: Vec<String>,
 }
@@ -167,7 +167,7 @@ pub struct DaemonArgs {
     /// What monitors ask.
     #[command(flatten)]
     pub service: ServiceArgs,
-    /// Shows the flight on the whole terminal, for a laptop over ssh.
+    /// Shows the flight full-screen in the terminal, such as over ssh.
     #[arg(long)]
     pub tui: bool,
 }
@@ -175,7 +175,7 @@ pub struct DaemonArgs {
 /// Flags of `doctor` and `inspect`.
 #[derive(Debug, Args)]
 pub struct ListenArgs {
-    /// Where the vehicle is: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
+    /// Connection to the vehicle: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
     #[arg(long, value_name = "URL")]
     pub connect: Option<String>,
     /// System id of the vehicle, where several are on the link.
@@ -198,8 +198,8 @@ pub struct DoctorArgs {
     /// The link.
     #[command(flatten)]
     pub listen: ListenArgs,
-    /// Also asks for the messages and rates that a flight asks for, to see whether the link carries
-    /// them; the vehicle keeps them until it restarts.
+    /// Also requests the messages and rates of a flight, to see whether the link carries them; the
+    /// vehicle keeps them until it restarts.
     #[arg(long)]
     pub rates: bool,
 }

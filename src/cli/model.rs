@@ -29,38 +29,38 @@ pub struct TrainArgs {
     /// The model file to write.
     #[arg(short, long, value_name = "FILE")]
     pub out: PathBuf,
-    /// Folder for report.html and report.json; made if missing.
+    /// Folder for report.html and report.json; created if missing.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
-    /// What the columns of CSV logs mean.
+    /// Mapping of the columns of CSV logs.
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
-    /// What the networks are given.
+    /// Inputs of the networks.
     #[arg(long, value_enum, default_value_t = FEATURES)]
     pub features: FeatureChoice,
-    /// How weights follow the gradient.
+    /// Optimiser of the weights.
     #[arg(long, value_enum, default_value_t = METHOD)]
     pub method: MethodChoice,
     /// Hidden units of each network.
     #[arg(long, default_value_t = HIDDEN, value_parser = clap::value_parser!(u16).range(1..=256))]
     pub hidden: u16,
-    /// Passes through the training rows at most.
+    /// Passes through the training rows, at most.
     #[arg(long, default_value_t = PASSES, value_parser = clap::value_parser!(u32).range(1..))]
     pub passes: u32,
-    /// Weights of the squared weights to try; the validation rows decide.
+    /// Weights of L2 regularisation to try; the validation rows decide.
     #[arg(long, value_delimiter = ',', default_values_t = REGULARIZATION)]
     pub regularization: Vec<f64>,
-    /// Half widths of the window that makes labels, ms. A later one is tried only where the models
-    /// of the earlier do not predict better than holding the state.
+    /// Half widths of the window that makes labels, ms. A later one is tried only if the models of
+    /// the earlier one do not predict better than holding the state.
     #[arg(long, value_name = "MS", value_delimiter = ',', default_values_t = WINDOW_MS)]
     pub window: Vec<f64>,
-    /// Seed of the weights.
+    /// Seed of the initial weights.
     #[arg(long, default_value_t = SEED)]
     pub seed: u64,
     /// Threads [default: one for each core]. The model does not depend on it.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
-    /// Goes on from the checkpoint that an interrupted training left beside --out.
+    /// Resumes from the checkpoint that an interrupted training left next to --out.
     #[arg(long)]
     pub resume: bool,
     /// Prints the summary as JSON.
@@ -92,7 +92,7 @@ impl TrainArgs {
     }
 }
 
-/// What the networks are given.
+/// Inputs of the networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum FeatureChoice {
     /// As in the paper: all in world axes.
@@ -103,7 +103,7 @@ pub enum FeatureChoice {
     Body,
 }
 
-/// How weights follow the gradient.
+/// Optimiser of the weights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum MethodChoice {
     /// Adam over shuffled batches: reaches lower errors in fewer passes.
@@ -115,7 +115,7 @@ pub enum MethodChoice {
 /// Commands on model files.
 #[derive(Debug, Subcommand)]
 pub enum ModelCommand {
-    /// What is in a model file, and how it was trained.
+    /// Shows what a model file contains, and how it was trained.
     Info {
         /// Model file.
         #[arg(required_unless_present = "model")]
@@ -127,7 +127,7 @@ pub enum ModelCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Judges a model on flight logs: accelerations and open-loop predictions.
+    /// Evaluates a model on flight logs: accelerations and open-loop predictions.
     Eval {
         /// Flight logs: .mcap, .tlog, .ulg, .bin, or .csv with --mapping.
         #[arg(required = true)]
@@ -138,7 +138,7 @@ pub enum ModelCommand {
         /// Vehicle file of the logs, to check that the model is for it.
         #[arg(long)]
         vehicle: Option<PathBuf>,
-        /// What the columns of CSV logs mean.
+        /// Mapping of the columns of CSV logs.
         #[arg(long, value_name = "FILE")]
         mapping: Option<PathBuf>,
         /// Prints one JSON object.
@@ -155,7 +155,7 @@ pub enum ModelCommand {
         /// Model file.
         #[arg(long)]
         model: PathBuf,
-        /// How far to predict, s.
+        /// Prediction horizon, s.
         #[arg(long, default_value_t = 0.5)]
         horizon: f64,
         /// Which of the file's models [default: the one that did best in its validation].
@@ -164,14 +164,14 @@ pub enum ModelCommand {
         /// Vehicle file of the log, to check that the model is for it.
         #[arg(long)]
         vehicle: Option<PathBuf>,
-        /// What the columns of a CSV log mean.
+        /// Mapping of the columns of a CSV log.
         #[arg(long, value_name = "FILE")]
         mapping: Option<PathBuf>,
         /// The CSV to write [default: stdout].
         #[arg(short, long)]
         out: Option<PathBuf>,
     },
-    /// Writes the networks for other programs.
+    /// Exports the networks for other programs.
     Export {
         /// Model file.
         #[arg(required_unless_present = "model")]
@@ -182,7 +182,7 @@ pub enum ModelCommand {
         /// The ONNX file to write.
         #[arg(short, long, visible_alias = "onnx", value_name = "FILE")]
         out: PathBuf,
-        /// Whose networks; the physics has none.
+        /// The model whose networks to export; the physics has none.
         #[arg(long, value_enum, default_value_t = Networks::Net)]
         kind: Networks,
     },
@@ -205,13 +205,14 @@ pub struct PlanArgs {
     /// The plan to write.
     #[arg(short, long, value_name = "FILE", default_value = "plan.json")]
     pub out: PathBuf,
-    /// Folder for report.html and report.json; made if missing.
+    /// Folder for report.html and report.json; created if missing.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
-    /// What solves the subproblems.
+    /// Solver of the subproblems.
     #[arg(long, value_enum)]
     pub solver: Option<SolverChoice>,
-    /// Ends the search at this time with the best plan so far [default: 8, or the configuration's].
+    /// Ends the search after this time, s, with the best plan so far [default: 8, or the
+    /// configuration's].
     #[arg(long, value_name = "SECONDS")]
     pub time_limit: Option<f64>,
     /// Configuration file.

@@ -7,10 +7,10 @@ use clap::{Args, ValueEnum};
 /// Flags of `reference`.
 #[derive(Debug, Args)]
 pub struct ReferenceArgs {
-    /// Which page.
+    /// Page to print.
     #[arg(required_unless_present = "out")]
     pub page: Option<PageChoice>,
-    /// Writes every page into this folder instead, the JSON Schemas into its folder `schemas`.
+    /// Writes every page into this folder instead, and the JSON Schemas into its folder `schemas`.
     #[arg(short, long, value_name = "DIR", conflicts_with = "page")]
     pub out: Option<PathBuf>,
 }

@@ -9,7 +9,7 @@ use super::view::VIEW_ADDRESS;
 /// Flags of `replay`.
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
-    /// Flight log, of any kind that `log import` reads.
+    /// Flight log, of any format that `log import` reads.
     pub log: PathBuf,
     /// Where the view is served.
     #[arg(
@@ -21,10 +21,10 @@ pub struct ReplayArgs {
         default_missing_value = VIEW_ADDRESS
     )]
     pub view: String,
-    /// Waits at the beginning until a viewer plays it.
+    /// Waits at the start until a viewer starts playback.
     #[arg(long)]
     pub paused: bool,
-    /// What the columns of a table are: a file (TOML), or the name of a shipped one.
+    /// Mapping of a table's columns: a TOML file, or the name of a shipped one.
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
 }

@@ -5,7 +5,7 @@ use clap::Args;
 /// Flags of `schema`.
 #[derive(Debug, Args)]
 pub struct SchemaArgs {
-    /// Whose output, such as downwash.simulate [default: lists all].
+    /// Name of the schema, such as downwash.simulate [default: lists all].
     pub name: Option<String>,
     /// Lists all as JSON.
     #[arg(long, conflicts_with = "name")]

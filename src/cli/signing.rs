@@ -12,7 +12,7 @@ pub enum SigningCommand {
         /// The file to write.
         file: PathBuf,
     },
-    /// Gives a vehicle the key of link.signing (SETUP_SIGNING), or takes it away.
+    /// Sends a vehicle the key of link.signing (SETUP_SIGNING), or removes its key.
     ///
     /// The key crosses the link in the clear, unless the link is encrypted: do this over USB or a
     /// cable. The vehicle must be disarmed. Exit code 3: it did not sign afterwards.
@@ -22,16 +22,16 @@ pub enum SigningCommand {
 /// Flags of `signing setup`.
 #[derive(Debug, Args)]
 pub struct SetupArgs {
-    /// Where the vehicle is: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
+    /// Connection to the vehicle: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
     #[arg(long, value_name = "URL")]
     pub connect: Option<String>,
     /// System id of the vehicle, where several are on the link.
     #[arg(long, value_name = "ID")]
     pub system: Option<u8>,
-    /// The vehicle has this key now, and gets that of link.signing.
+    /// The vehicle's present key, which that of link.signing replaces.
     #[arg(long, value_name = "FILE")]
     pub old_key: Option<PathBuf>,
-    /// Takes the key away: the vehicle signs nothing and believes everybody.
+    /// Removes the key: the vehicle no longer signs, and accepts every sender.
     #[arg(long, conflicts_with = "old_key")]
     pub off: bool,
     /// Configuration file.

@@ -17,19 +17,19 @@ pub struct SimulateArgs {
     /// The simulated vehicle.
     #[command(flatten)]
     pub simulation: SimulationArgs,
-    /// A setting over those of the configuration, such as control.thrust=0.5; may be given again.
+    /// Overrides a setting of the configuration, such as control.thrust=0.5; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
     /// Seed of noise, delays and gusts.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Folder for the log and its report; made if missing.
+    /// Folder for the log and its report; created if missing.
     #[arg(long, value_name = "DIR", default_value = "simulate-out")]
     pub out: PathBuf,
-    /// Keeps no log, and so makes no report.
+    /// Writes no log, and therefore no report.
     #[arg(long)]
     pub no_log: bool,
-    /// Makes no report.
+    /// Writes no report.
     #[arg(long)]
     pub no_report: bool,
     /// The live view; the flight then takes as long as a real one.

@@ -9,22 +9,24 @@ use clap::Args;
 /// Flags of `sweep`.
 #[derive(Debug, Args)]
 pub struct SweepArgs {
-    /// What is done (TOML): inputs of `simulate`, `diagnose` or `exam`, some of them on a grid, a list, or drawn.
+    /// The sweep (TOML): inputs of `simulate`, `diagnose` or `exam`, some of them on a grid, in a
+    /// list, or drawn.
     pub manifest: PathBuf,
-    /// Folder for the rows and table.csv; made if missing. Rows that are there are not made again.
+    /// Folder for the rows and table.csv; created if missing. Rows already in it are not computed
+    /// again.
     #[arg(long, value_name = "DIR", default_value = "sweep-out")]
     pub out: PathBuf,
-    /// Does only every N-th point, from the I-th: one of N workers on one folder. Whichever finds
-    /// every row there writes the table.
+    /// Computes only every N-th point, from the I-th: one of N workers on one folder. The worker
+    /// that finds all rows in it writes the table.
     #[arg(long, value_name = "I/N", default_value = "1/1")]
     pub shard: Shard,
-    /// Points at once [default: one for each core]. The rows do not depend on it.
+    /// Points in parallel [default: one for each core]. The rows do not depend on it.
     #[arg(long, value_name = "COUNT")]
     pub jobs: Option<NonZeroUsize>,
-    /// Shows the points and does nothing.
+    /// Lists the points and computes nothing.
     #[arg(long)]
     pub list: bool,
-    /// Prints the summary as JSON; of --list the points, one object a line.
+    /// Prints the summary as JSON; with --list the points, one object per line.
     #[arg(long)]
     pub json: bool,
 }

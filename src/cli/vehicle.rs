@@ -7,22 +7,22 @@ use clap::{Args, Subcommand, ValueEnum};
 /// Commands on vehicle files.
 #[derive(Debug, Subcommand)]
 pub enum VehicleCommand {
-    /// The vehicles and trajectories that the program brings along; every command takes their
+    /// Lists the vehicles and trajectories that ship with the program; every command takes their
     /// names.
     List {
         /// Prints one JSON object.
         #[arg(long)]
         json: bool,
     },
-    /// Says which numbers of a vehicle file do not fit each other, and what is expected of them.
+    /// Checks which numbers of a vehicle file do not fit each other, and states what is expected.
     ///
-    /// With `--log` also what the file predicts of a flight, each number with what the log shows of
-    /// it: the hover, the range of the outputs, how quickly the on-board loop follows, its gains.
-    /// Ends with exit code 10 if anything does not fit.
+    /// With `--log`, also compares what the file predicts with what a flight shows: the hover, the
+    /// range of the outputs, how quickly the on-board loop follows, its gains. Exits with code 10
+    /// if anything does not fit.
     Check {
         /// Vehicle file, or the name of a shipped one.
         file: PathBuf,
-        /// A flight of the vehicle to hold the file against: .mcap, .ulg, .bin, .tlog.
+        /// A flight of the vehicle to compare the file with: .mcap, .ulg, .bin, .tlog.
         #[arg(long)]
         log: Option<PathBuf>,
         /// Prints one JSON object.
@@ -31,13 +31,13 @@ pub enum VehicleCommand {
     },
     /// Writes a commented vehicle file from an autopilot's parameters and from measured numbers.
     ///
-    /// Parameters come from a vehicle on a link, a flight log, or a parameter file; nothing is
-    /// changed on the vehicle. What no source says is named, with the way to measure it and the
+    /// Parameters come from a vehicle on a link, a flight log, or a parameter file; the vehicle is
+    /// not changed. Each number that no source gives is named, with the way to measure it and the
     /// flag that takes it.
     Init(Box<InitArgs>),
-    /// Writes a vehicle, its modelled effects included, for another simulator.
+    /// Exports a vehicle, including its modelled effects, to another simulator.
     ///
-    /// What that one's equations cannot express is named on stderr and in the file.
+    /// What that simulator's equations cannot express is named on stderr and in the file.
     Export {
         /// Vehicle file, or the name of a shipped one.
         file: PathBuf,
@@ -47,7 +47,7 @@ pub enum VehicleCommand {
         /// The file to write [default: stdout].
         #[arg(short, long, value_name = "FILE")]
         out: Option<PathBuf>,
-        /// Writes over a file that is there.
+        /// Overwrites an existing file.
         #[arg(long, requires = "out")]
         force: bool,
     },
@@ -78,16 +78,16 @@ pub struct InitArgs {
     /// Planner .param, PX4's `param save`).
     #[arg(conflicts_with = "connect")]
     pub file: Option<PathBuf>,
-    /// Reads the parameters of the vehicle there, such as udpin:0.0.0.0:14540.
+    /// Reads the parameters of the vehicle at this address, such as udpin:0.0.0.0:14540.
     #[arg(long, value_name = "URL")]
     pub connect: Option<String>,
-    /// System id of the vehicle [default: the first autopilot that is heard].
+    /// System id of the vehicle [default: the first autopilot on the link].
     #[arg(long, value_name = "ID", requires = "connect")]
     pub system: Option<u8>,
     /// The vehicle file to write [default: stdout].
     #[arg(short, long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Writes over a file that is there.
+    /// Overwrites an existing file.
     #[arg(long, requires = "out")]
     pub force: bool,
     /// Name of the vehicle.
@@ -105,7 +105,7 @@ pub struct InitArgs {
     /// Between the axes of opposite motors.
     #[arg(long, value_name = "M")]
     pub wheelbase: Option<f64>,
-    /// Layout, where no parameters say it [default: x].
+    /// Layout, if no parameters state it [default: x].
     #[arg(long, value_enum)]
     pub layout: Option<LayoutChoice>,
     /// Full thrust of one rotor.

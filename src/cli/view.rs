@@ -12,9 +12,9 @@ pub const METRICS_ADDRESS: &str = "127.0.0.1:9464";
 /// Flags of the fan-out.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ForwardArgs {
-    /// Sends the vehicle's messages on to a ground station, udpout:HOST:PORT; may be given again.
-    /// Of its messages the vehicle gets those that forward.allow of the configuration names: none
-    /// by default.
+    /// Forwards the vehicle's messages to a ground station, udpout:HOST:PORT; may be repeated. Of
+    /// the station's messages, the vehicle gets those that forward.allow names in the
+    /// configuration: none by default.
     #[arg(long, value_name = "URL")]
     pub forward: Vec<Endpoint>,
 }

@@ -180,7 +180,7 @@ impl Audience {
 pub(super) fn say_address(address: std::net::SocketAddr) {
     say(format_args!("view at http://{address}/ (Foxglove: ws://{address})"));
     if !address.ip().is_loopback() {
-        say(format_args!("anybody who reaches {address} can watch"));
+        say(format_args!("anyone who can reach {address} can watch"));
     }
 }
 

@@ -206,8 +206,8 @@ fn fly(
         let (logs, are, them) =
             if strange == 1 { ("log", "is", "it") } else { ("logs", "are", "them") };
         say(format_args!(
-            "{}: {strange} {logs} of another programme, vehicle or truth {are} there too, and a \
-             training on the whole folder learns from {them} as well",
+            "{}: {strange} {logs} of another programme, vehicle or truth {are} there too; training \
+             on the whole folder includes {them}",
             args.out.display()
         ));
     }

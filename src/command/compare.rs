@@ -67,7 +67,8 @@ pub fn compared(args: &CompareArgs) -> anyhow::Result<Compared> {
         PairChoice::Auto => Pairing::Auto,
         PairChoice::Order if a.len() != b.len() => {
             let (a, b) = (a.len(), b.len());
-            let error = anyhow!("--pair order: A has {a} flights and B has {b}; give as many");
+            let error =
+                anyhow!("--pair order: A has {a} flights and B has {b}; give the same number");
             return Err(error).or_exit(Exit::Usage);
         }
         PairChoice::Order => Pairing::Order,
@@ -105,7 +106,7 @@ pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
     let flight = flight?;
     if is_own {
         say(format_args!(
-            "{}: no trajectory was followed: the whole flight is taken",
+            "{}: no trajectory was followed; comparing the whole flight",
             log.display()
         ));
     }

@@ -60,7 +60,7 @@ impl Course {
                 let effective = EffectiveVehicle::new(params).or_exit(Exit::Usage)?;
                 if plan.vehicle != params.name {
                     return Err(anyhow!(
-                        "the plan is for the vehicle {:?}, this is {:?}; plan it for this one",
+                        "the plan is for the vehicle {:?}, this is {:?}; make a plan for this one",
                         plan.vehicle,
                         params.name
                     ))
@@ -68,8 +68,8 @@ impl Course {
                 }
                 if effective.body() != plan.body {
                     return Err(anyhow!(
-                        "the plan is for another vehicle of this name: {:?} there and {:?} here; \
-                         plan it for this one",
+                        "the plan is for another vehicle with this name: {:?} there and {:?} here; \
+                         make a plan for this one",
                         plan.body,
                         effective.body()
                     ))
@@ -77,8 +77,7 @@ impl Course {
                 }
                 if effective.attitude_pd != Some(plan.answer.attitude_pd) {
                     return Err(anyhow!(
-                        "the plan is for another on-board attitude loop than the vehicle file's; \
-                         plan it again"
+                        "the plan's on-board attitude loop is not the vehicle file's; plan it again"
                     ))
                     .or_exit(Exit::Refused);
                 }

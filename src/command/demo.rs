@@ -95,7 +95,7 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
     let exit = demo.run(given, began)?;
     if exit == Exit::Interrupted {
         say(format_args!(
-            "the same command goes on with the flights that are whole in {}",
+            "run the same command again to continue with the complete flights in {}",
             args.out.display()
         ));
     }
@@ -187,8 +187,11 @@ impl Demo<'_> {
         kind: ModelKind,
         learned: &Learned,
     ) -> anyhow::Result<(Plan, PlanRow)> {
-        let desired =
-            self.desired.as_ref().context("a plan is not planned again").or_exit(Exit::Usage)?;
+        let desired = self
+            .desired
+            .as_ref()
+            .context("a plan cannot be planned again; give a trajectory")
+            .or_exit(Exit::Usage)?;
         say(format_args!("planning through the {} model", kind.name()));
         let began = Instant::now();
         let through = PlanModel::learned(&learned.file, kind, &sha256_of(&learned.path)?)?;
@@ -212,8 +215,11 @@ impl Demo<'_> {
 
     /// Plans the trajectory in flight, on the virtual clock.
     fn receding(&self, kind: ModelKind, learned: &Learned) -> anyhow::Result<Course> {
-        let goal =
-            self.desired.clone().context("a plan is not planned again").or_exit(Exit::Usage)?;
+        let goal = self
+            .desired
+            .clone()
+            .context("a plan cannot be planned again; give a trajectory")
+            .or_exit(Exit::Usage)?;
         let through = PlanModel::learned(&learned.file, kind, &sha256_of(&learned.path)?)?;
         let (planner, answer) = planner(&self.vehicle.params, &through, &self.config)?;
         let settings = self.config.settings.plan.receding.for_loop(false);

@@ -228,7 +228,7 @@ impl Loop<'_> {
     /// told.
     fn excite(&self) -> anyhow::Result<Result<Vec<PathBuf>, Exit>> {
         let args = self.args;
-        say(format_args!("flying {:.0} s to see what it does", args.excite));
+        say(format_args!("flying {:.0} s to see its effect", args.excite));
         let out = args.out.join("excited");
         let collect = CollectArgs {
             config: args.config.clone(),
@@ -258,7 +258,7 @@ impl Loop<'_> {
         let held_out: Vec<PreparedFlight> = fitted.pop().into_iter().collect();
         if fitted.is_empty() {
             return Err(anyhow!(
-                "one flight is not enough to find an effect and to check it; give --excite more"
+                "one flight is not enough to find an effect and check it; raise --excite"
             ))
             .or_exit(Exit::Usage);
         }
@@ -401,7 +401,9 @@ impl Loop<'_> {
         let notes = [
             (
                 "flights",
-                "the bundled vehicle in lockstep, with the whole protocol; feedback, limits and rates are the same, the gains by each vehicle file".to_owned(),
+                "the bundled vehicle in lockstep, with the whole protocol; the same feedback, \
+                 limits and rates, with gains from each vehicle file"
+                    .to_owned(),
             ),
             (
                 "diagnosis",
@@ -453,7 +455,7 @@ fn text(summary: &RepairSummary, hidden: &str) -> String {
     row("yaw RMSE / deg", |c| c.mean.rmse_yaw_rad.to_degrees(), 2);
     row("feedback's share / %", |c| 100.0 * c.share.feedback_share, 0);
     text += &format!(
-        "diagnosed {:.0} s of flight in {:.1} s; {:.0} s in all\nreport  {}\nvehicle {}\n",
+        "diagnosed {:.0} s of flight in {:.1} s; {:.0} s in total\nreport  {}\nvehicle {}\n",
         summary.excited_s,
         summary.diagnosis_wall_s,
         summary.total_wall_s,

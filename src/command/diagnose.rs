@@ -162,7 +162,7 @@ pub fn find(
         let next = propose(args, &proposing, &vehicle, &diagnosis)?;
         match &next {
             Some(next) => write_file(path, next.file.as_bytes())?,
-            None => say(format_args!("no next flight is needed, or none would tell more")),
+            None => say(format_args!("no next flight is needed, or none would add information")),
         }
         diagnosis.answer.next_flight = next;
     }
@@ -239,7 +239,9 @@ impl Finding {
         if let Some(path) = &args.law {
             match self.law()? {
                 Some(law) => write_file(path, law.as_bytes())?,
-                None => say(format_args!("{}: not written: no law is named", path.display())),
+                None => {
+                    say(format_args!("{}: not written, because no law is named", path.display()))
+                }
             }
         }
         if args.json {
@@ -293,8 +295,8 @@ pub(super) fn audited(
         let mut flight = open_for(path, mapping, vehicle)?;
         if Onboard::new(vehicle)?.complete_outputs(&mut flight) {
             say(format_args!(
-                "{}: motor outputs are not logged; they are what attitude_pd of the vehicle file \
-                 makes of the setpoints",
+                "{}: motor outputs are not logged; computing them from the setpoints with the \
+                 vehicle file's attitude_pd",
                 path.display()
             ));
         }
@@ -360,7 +362,7 @@ pub(super) fn parted(
 /// The first and the last part of one flight, with a guard between.
 fn halves(flight: &PreparedFlight) -> anyhow::Result<(Vec<PreparedFlight>, Vec<PreparedFlight>)> {
     let (first, second) = flight.split(GUARD_S).ok_or_else(|| {
-        anyhow!("{}: too short to hold a part of it out; give another flight", flight.name)
+        anyhow!("{}: too short to hold out a part of it; give another flight", flight.name)
     })?;
     Ok((vec![first], vec![second]))
 }

@@ -200,7 +200,7 @@ impl Hall<'_> {
         let settings = settings(args.seconds, &args.strengths, args.exact)?;
         let cases = self.out.join("cases");
         if cases.exists() {
-            bail!("{} exists already: give an exam an --out of its own", cases.display());
+            bail!("{} already exists; give every exam its own --out", cases.display());
         }
         let flown = self.each(orders.len(), "flying", |number| {
             let name = format!("case_{number:03}");

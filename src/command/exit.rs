@@ -25,22 +25,22 @@ exits! {
     Failure = 1,
     /// Bad flags, configuration, vehicle, trajectory or log file.
     Usage = 2,
-    /// No vehicle was heard, or the link was lost.
+    /// No vehicle was found, or the link was lost.
     Link = 3,
-    /// The vehicle may not or would not be flown (`fly --check` and `doctor`: would not be):
-    /// preflight, mode or arming refused; two autopilots on the link; a form of poses that it does not
-    /// take (`mocap`).
+    /// The vehicle was refused, or would be (`fly --check` and `doctor`): preflight, mode or arming
+    /// refused; two autopilots on the link; a form of poses that it does not accept (`mocap`).
     Refused = 4,
-    /// The flight was ended early: a safety reaction, or the pilot took over.
+    /// The flight ended early: a safety reaction, or the pilot took over.
     Aborted = 5,
-    /// No plan was found that may be flown; what was found is written.
+    /// No flyable plan was found; what was found is written.
     NoPlan = 6,
-    /// A check that was asked for failed: `log audit --fail-on`, `diagnose --fail-on`,
+    /// A requested check failed: `log audit --fail-on`, `diagnose --fail-on`,
     /// `exam --fail-on-miss`, `compare --baseline`, `campaign`.
     Check = 10,
-    /// Interrupted by Ctrl-C or SIGTERM: a command that flies no vehicle ends within two seconds and
-    /// keeps what is done; one that flies lands first. A link that was lost, a pilot who took over or
-    /// a safety reaction meanwhile has its own code. SIGTERM ends `daemon`, `mocap` and `sitl` with 0.
+    /// Interrupted by Ctrl-C or SIGTERM: a command that flies no vehicle ends within two seconds
+    /// and keeps its finished work; one that flies lands first. A lost link, a pilot's takeover or
+    /// a safety reaction meanwhile has its own code. SIGTERM ends `daemon`, `mocap` and `sitl`
+    /// with 0.
     Interrupted = 130,
 }
 

@@ -218,7 +218,7 @@ impl Run {
         match finished.log {
             Ok(_) => Ok(Flown { end, exit, log: Some(path) }),
             Err(error) => {
-                say(format_args!("{error}; {} holds what was written before", path.display()));
+                say(format_args!("{error}; {} holds what was written until then", path.display()));
                 // A flight without its log did not go well.
                 let exit = if exit == Exit::Ok { Exit::Failure } else { exit };
                 Ok(Flown { end, exit, log: None })
@@ -242,7 +242,9 @@ pub(super) fn watch(
         key.into_iter().for_each(|stop| signals.ask(stop));
         if signals.wait(WATCH_PERIOD).or(key).is_some() {
             if !stopping {
-                tracing::warn!("stopping: in flight the vehicle lands; again to drop the stream");
+                tracing::warn!(
+                    "stopping: a vehicle in flight lands; stop again to drop the stream at once"
+                );
             }
             stopping = true;
             running.stop();
@@ -262,7 +264,7 @@ pub(super) fn tell_tlog(tlog: Option<io::Result<u64>>) {
     match tlog {
         None | Some(Ok(0)) => {}
         Some(Ok(dropped)) => say(format_args!(
-            "the telemetry log lacks {dropped} messages: its disk was slower than the link"
+            "the telemetry log lacks {dropped} messages: the disk was slower than the link"
         )),
         Some(Err(error)) => say(format_args!("the telemetry log ends early: {error}")),
     }
@@ -279,7 +281,7 @@ pub(super) fn tee(path: &Path) -> anyhow::Result<TeeThread> {
         .with_context(|| format!("cannot create the telemetry log {}", path.display()))
         .or_exit(Exit::Usage)?;
     if at != path {
-        say(format_args!("{} is there already: writing {}", path.display(), at.display()));
+        say(format_args!("{} already exists: writing {}", path.display(), at.display()));
     }
     TeeThread::start(BufWriter::new(file)).context("cannot start the telemetry log's thread")
 }

@@ -63,9 +63,9 @@ fn modified(path: &PathBuf) -> Option<SystemTime> {
 /// A file that is being written, or asks for too much, changes nothing.
 fn take(path: &Path, goal: &Goal, envelope: &FlightEnvelope, gravity: f64) {
     match Trajectory::load(path) {
-        Err(error) => tracing::warn!("the goal stays as it is: {error}"),
+        Err(error) => tracing::warn!("keeping the present goal: {error}"),
         Ok(trajectory) => match envelope.check(&trajectory, gravity) {
-            Err(error) => tracing::warn!("the goal stays as it is: {error}"),
+            Err(error) => tracing::warn!("keeping the present goal: {error}"),
             Ok(_) => {
                 tracing::info!("new goal: {}", trajectory.name());
                 goal.move_to(trajectory);

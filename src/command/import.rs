@@ -103,7 +103,7 @@ fn tell_losses(flight: &Flight) {
         say(format_args!("{file}: damaged: {loss}"));
     }
     if let (false, Some((start, end))) = (flight.losses.is_empty(), flight.span()) {
-        say(format_args!("{file}: what could be read goes from {start:.3} to {end:.3} s"));
+        say(format_args!("{file}: the readable part goes from {start:.3} to {end:.3} s"));
     }
 }
 

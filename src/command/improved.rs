@@ -49,7 +49,7 @@ impl Additions {
     /// Effects by themselves.
     pub fn of_effects(effects: &EffectSet) -> anyhow::Result<Self> {
         let Value::Object(effects) = serde_json::to_value(effects).context("the effects")? else {
-            return Err(anyhow!("the effects are no table"));
+            return Err(anyhow!("the effects are not a table"));
         };
         Ok(Self { effects, provenance: Map::new() })
     }
@@ -128,7 +128,8 @@ impl Additions {
                 Item::Table(table)
             });
             let inline = item.is_inline_table();
-            let table = item.as_table_like_mut().with_context(|| format!("{name} is no table"))?;
+            let table =
+                item.as_table_like_mut().with_context(|| format!("{name} is not a table"))?;
             for (key, value) in additions {
                 set(table, key, value, inline);
             }
@@ -250,7 +251,7 @@ impl<'de> Deserialize<'de> for Ordered {
                 let mut entries = Vec::new();
                 while let Some((key, value)) = map.next_entry::<String, Box<RawValue>>()? {
                     if entries.iter().any(|(name, _)| *name == key) {
-                        return Err(de::Error::custom(format!("{key} is there twice")));
+                        return Err(de::Error::custom(format!("{key} appears twice")));
                     }
                     entries.push((key, value));
                 }

@@ -154,7 +154,7 @@ fn value(debug: &str) -> String {
 
 fn text(rows: &[Row]) -> String {
     if rows.is_empty() {
-        return "nothing heard\n".to_owned();
+        return "nothing received\n".to_owned();
     }
     let mut text = format!(
         "{:>3} {:>4} {:>5} {:<28} {:>8} {:>6} {:>7}  value\n",

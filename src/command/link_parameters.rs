@@ -133,7 +133,9 @@ impl Reading {
         let autopilot = if profile.name == Profile::ARDUCOPTER.name {
             Autopilot::ArduCopter
         } else if profile.name == Profile::UNKNOWN.name {
-            let error = anyhow!("{vehicle}: only PX4 and ArduCopter say what their vehicle is");
+            let error = anyhow!(
+                "{vehicle}: only the parameters of PX4 and ArduCopter describe the vehicle"
+            );
             return Err(error).or_exit(Exit::Usage);
         } else {
             Autopilot::Px4
@@ -153,7 +155,7 @@ impl Reading {
         let waited = now.since(start);
         let endpoint = self.connection.endpoint();
         if waited > LIMIT {
-            let error = anyhow!("{endpoint}: {} parameters after {LIMIT:?}", self.found.len());
+            let error = anyhow!("{endpoint}: only {} parameters after {LIMIT:?}", self.found.len());
             return Err(error).or_exit(Exit::Link);
         }
         if is_identified || self.session.vehicle().is_some() {
@@ -161,13 +163,15 @@ impl Reading {
         }
         let bytes = self.session.stats().received.bytes;
         if waited > SEARCH {
-            let error = anyhow!("{endpoint}: no HEARTBEAT of an autopilot; {bytes} bytes came");
+            let error =
+                anyhow!("{endpoint}: no HEARTBEAT from an autopilot; {bytes} bytes received");
             return Err(error).or_exit(Exit::Link);
         }
         if waited > TELL && !self.is_told {
             self.is_told = true;
             say(format_args!(
-                "waiting for the HEARTBEAT of an autopilot on {endpoint}; {bytes} bytes came so far"
+                "waiting for the HEARTBEAT of an autopilot on {endpoint}; {bytes} bytes received \
+                 so far"
             ));
         }
         Ok(())
@@ -176,12 +180,12 @@ impl Reading {
     fn answer(self) -> anyhow::Result<Parameters> {
         if self.found.is_empty() {
             let error = anyhow!(
-                "{}: the vehicle answers no PARAM_REQUEST_READ",
+                "{}: the vehicle does not answer PARAM_REQUEST_READ",
                 self.connection.endpoint()
             );
             return Err(error).or_exit(Exit::Link);
         }
-        say(format_args!("{} of them are there", self.found.len()));
+        say(format_args!("received {} of them", self.found.len()));
         Ok(self.found)
     }
 }

@@ -115,7 +115,7 @@ impl Listener {
             endpoint,
             clock,
             config,
-            runtime: runtime.context("cannot start the runtime of the link")?,
+            runtime: runtime.context("cannot start the link's runtime")?,
             buffer: vec![0; RECEIVE_LEN],
             failure: None,
             _signing: None,

@@ -151,7 +151,7 @@ fn export(
     // Also where the export failed: the topic may have been in the damaged part.
     let (file, ending) = (file.display(), reader.ending());
     for damage in &ending.damages {
-        say(format_args!("{file}: damaged, its rows are left out: {damage}"));
+        say(format_args!("{file}: damaged, rows left out: {damage}"));
     }
     let more = ending.damaged.saturating_sub(ending.damages.len() as u64);
     if more > 0 {
@@ -159,7 +159,7 @@ fn export(
     }
     exported?;
     if !ending.finished {
-        say(format_args!("{file}: unfinished log, exported what is whole"));
+        say(format_args!("{file}: unfinished log, exported its complete part"));
     }
     Ok(Exit::Ok)
 }
@@ -188,7 +188,8 @@ fn print_info(file: &Path, info: &LogInfo) {
     }
     if let Some(t) = &info.tracking {
         println!(
-            "  tracking over {} ticks: RMSE north {:.3}, east {:.3}, down {:.3}, 3D {:.3} m; most {:.3} m",
+            "  tracking over {} ticks: RMSE north {:.3}, east {:.3}, down {:.3}, 3D {:.3} m; max \
+             {:.3} m",
             t.ticks, t.rmse_n_m, t.rmse_e_m, t.rmse_d_m, t.rmse_3d_m, t.max_3d_m
         );
     }

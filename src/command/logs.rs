@@ -102,7 +102,7 @@ pub(super) fn open_for(
         };
         let own = own.context("the vehicle file inside the log")?;
         if let Some(difference) = vehicle.difference(&own) {
-            anyhow::bail!("it is of another vehicle: {difference}");
+            anyhow::bail!("it is from another vehicle: {difference}");
         }
     }
     check_rotor_order(&flight, vehicle)?;

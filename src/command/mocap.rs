@@ -82,7 +82,7 @@ pub(super) fn run(args: &MocapArgs, preparation: Interruption) -> anyhow::Result
         (None, Some(Stop::Interrupt)) => Ok(Exit::Interrupted),
         (None, Some(Stop::Terminate)) => Ok(Exit::Ok),
         (None, None) if !summary.was_vehicle_heard() => {
-            Err(anyhow!("no vehicle was heard")).or_exit(Exit::Link)
+            Err(anyhow!("no vehicle was found")).or_exit(Exit::Link)
         }
         (None, None) if summary.sent() == 0 => bail!("no pose was sent to the vehicle"),
         (None, None) => Ok(Exit::Ok),
@@ -124,7 +124,7 @@ fn check(args: &MocapArgs, config: &Config) -> anyhow::Result<()> {
     );
     ensure!(
         system > 0 && system != config.settings.link.system,
-        "mocap.system: expected another than 0 and than link.system ({}), which flies",
+        "mocap.system: expected neither 0 nor link.system ({}), which flies",
         config.settings.link.system
     );
     let seconds = args.seconds.unwrap_or(1.0);
@@ -311,7 +311,7 @@ impl Line {
         }
         if session.clock().is_none() {
             return Some(
-                "waiting for the vehicle's clock: it answers no TIMESYNC and sends nothing with a stamp"
+                "waiting for the vehicle's clock: it answers no TIMESYNC and sends no timestamps"
                     .to_owned(),
             );
         }

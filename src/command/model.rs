@@ -57,7 +57,7 @@ pub(super) fn run(command: ModelCommand) -> anyhow::Result<Exit> {
 }
 
 fn either(file: Option<PathBuf>, flag: Option<PathBuf>) -> anyhow::Result<PathBuf> {
-    file.or(flag).ok_or_else(|| anyhow!("no model file is named")).or_exit(Exit::Usage)
+    file.or(flag).ok_or_else(|| anyhow!("no model file given")).or_exit(Exit::Usage)
 }
 
 /// Reads a model file, for this vehicle if one is named.
@@ -108,7 +108,7 @@ fn info(path: &Path, json: bool) -> anyhow::Result<Exit> {
         return Ok(Exit::Ok);
     }
     let summary: TrainingSummary = serde_json::from_value(file.training.clone())
-        .context("how the model was trained does not read")?;
+        .context("cannot read how the model was trained")?;
     print_text(&summary_in_words(&summary))?;
     Ok(Exit::Ok)
 }
@@ -364,9 +364,9 @@ fn best_in_words(best: Best, preferred: ModelKind) -> String {
     let reason = best.reason().unwrap_or_default();
     let preferred = preferred.name();
     match best {
-        Best::NotJudged => format!("not judged: {reason}; {preferred} is taken\n"),
+        Best::NotJudged => format!("not judged: {reason}; using {preferred}\n"),
         Best::NotFinite => format!("none can be used: {reason}\n"),
-        Best::NoBetterThanHolding => format!("none is good: {reason}; {preferred} is taken\n"),
+        Best::NoBetterThanHolding => format!("none is good: {reason}; using {preferred}\n"),
         Best::Better => format!("best on validation: {preferred}\n"),
     }
 }
@@ -411,6 +411,6 @@ mod tests {
         assert_eq!(words(Best::Better), "best on validation: hybrid\n");
         let poor = words(Best::NoBetterThanHolding);
         assert!(poor.starts_with("none is good: no model predicts better"), "{poor}");
-        assert!(poor.ends_with("; hybrid is taken\n"), "{poor}");
+        assert!(poor.ends_with("; using hybrid\n"), "{poor}");
     }
 }

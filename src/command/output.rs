@@ -21,8 +21,7 @@ pub(super) fn refuse_input<'a>(
         if is_same_file(input, out) || is_same_file(input, &partial_path(out)) {
             let (out, input) = (out.display(), input.display());
             let error = anyhow!(
-                "cannot write {out}: it would destroy {input}, which is to be read; choose another \
-                 output"
+                "cannot write {out}: it would overwrite the input {input}; choose another output"
             );
             return Err(error).or_exit(Exit::Usage);
         }

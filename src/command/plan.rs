@@ -117,8 +117,8 @@ pub(super) fn planner(
         .ok_or_else(|| {
             anyhow!(
                 "vehicle {}: a plan needs the on-board attitude loop, and the file has neither \
-                 attitude_cascade, which `downwash vehicle init --connect` reads from the autopilot, \
-                 nor attitude_pd; or fly the trajectory without a plan",
+                 attitude_cascade, which `downwash vehicle init --connect` reads from the \
+                 autopilot, nor attitude_pd; add one of them, or fly the trajectory without a plan",
                 vehicle.name
             )
         })
@@ -326,14 +326,16 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
         TrajectoryFile::Task(task) => {
             if let Some(model) = &args.model {
                 return Err(anyhow!(
-                    "{}: the fastest way is planned through the vehicle file's own physics; leave \
-                     --model {} away",
+                    "{}: a fastest plan uses the vehicle file's own physics; omit --model {}",
                     args.trajectory.display(),
                     model.display()
                 ))
                 .or_exit(Exit::Usage);
             }
-            say(format_args!("planning the fastest way through {} passages", task.passages.len()));
+            say(format_args!(
+                "planning the fastest trajectory through {} passages",
+                task.passages.len()
+            ));
             let stop = Stop {
                 search: &|records| watch.is_over(records) || watch.is_spent(SEARCH_SHARE),
                 closing: &|_| watch.is_spent(CLOSING_SHARE),
@@ -394,13 +396,13 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
     }
     if is_late && plan.status == Status::Stopped {
         say(format_args!(
-            "the search ended at its limit of {} s, and this is its best so far; --time-limit SECONDS \
-             or [plan] time_limit_s gives it more",
+            "the search ended at its limit of {} s, and this is its best plan so far; to give it \
+             more time, use --time-limit SECONDS or [plan] time_limit_s",
             config.settings.plan.time_limit_s
         ));
     }
     if let Some(reason) = &summary.not_flyable {
-        say(format_args!("this plan may not be flown: {reason}"));
+        say(format_args!("this plan cannot be flown: {reason}"));
     }
     Ok(match (interrupted.load(Ordering::Relaxed), &summary.not_flyable) {
         (true, _) => Exit::Interrupted,

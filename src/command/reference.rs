@@ -44,11 +44,11 @@ pub(super) fn run(args: &ReferenceArgs) -> anyhow::Result<Exit> {
 
 fn write(folder: &Path) -> anyhow::Result<()> {
     let put = |path: &Path, text: String| {
-        std::fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))
+        std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
     };
     let schemas = folder.join("schemas");
     std::fs::create_dir_all(&schemas)
-        .with_context(|| format!("folder {}: cannot be made", schemas.display()))?;
+        .with_context(|| format!("cannot create the folder {}", schemas.display()))?;
     for (page, file) in PAGES {
         put(&folder.join(file), text(page))?;
     }
@@ -74,10 +74,10 @@ fn text(page: PageChoice) -> String {
 
 fn effects() -> String {
     let mut page = String::from(
-        "What a vehicle may do that its file does not say. `--effect ID:PARAMETER=VALUE,...` switches an \
-         effect on; so does a table `[ID]` in the file of `--effects`.\n\
-         v_a is the velocity relative to the air in body axes (front, right, down), V_h its horizontal \
-         part, n_i a rotor's speed as a fraction of the greatest, nr = mean(n_i) / sqrt(hover_thrust), T \
+        "What a vehicle may do that its file does not describe. `--effect ID:PARAMETER=VALUE,...` \
+         switches an effect on; so does a table `[ID]` in the file of `--effects`.\nv_a is the \
+         velocity relative to the air in body axes (front, right, down), V_h its horizontal part, \
+         n_i a rotor's speed as a fraction of the greatest, nr = mean(n_i) / sqrt(hover_thrust), T \
          the rotors' thrusts together.\n",
     );
     for id in EffectId::ALL {
@@ -105,9 +105,9 @@ fn default_of(parameter: &Parameter) -> String {
         (Some(value), Neutral::Value(_)) => format!("{value} (no effect)"),
         (Some(value), _) => value.to_string(),
         (None, Neutral::Vehicle(_)) => {
-            "must be given; the vehicle file's value is no effect".to_owned()
+            "required; the vehicle file's value means no effect".to_owned()
         }
-        (None, _) => "must be given".to_owned(),
+        (None, _) => "required".to_owned(),
     }
 }
 
@@ -119,7 +119,7 @@ fn key_rows<'a>(keys: impl IntoIterator<Item = &'a Key>) -> String {
     let mut table = head(&["Key", "Type", "Default", "What it is"]);
     for key in keys {
         let default = match &key.default {
-            _ if key.is_required => "must be given".to_owned(),
+            _ if key.is_required => "required".to_owned(),
             None | Some(Value::Null) => "none".to_owned(),
             Some(value) => format!("`{value}`"),
         };
@@ -150,10 +150,10 @@ fn trajectories() -> String {
 fn vehicle() -> String {
     let schema = schema_for!(VehicleParams).to_value();
     let all = keys(&schema, &definitions(&schema));
-    let intro = "TOML or JSON. `downwash vehicle init` writes one, `downwash vehicle check` says whether its \
-                 numbers fit each other. `[]` stands for each of a list; the four rotors are in the order of \
-                 the motor outputs. `[modelled_effects.ID]` has the parameters of an [effect](effects.md) that \
-                 the simulator already has.\n\n";
+    let intro = "TOML or JSON. `downwash vehicle init` writes one, `downwash vehicle check` says \
+                 whether its numbers fit each other. `[]` means each item of a list; the four \
+                 rotors are in the order of the motor outputs. `[modelled_effects.ID]` has the \
+                 parameters of an [effect](effects.md) that the simulator already has.\n\n";
     intro.to_owned() + &key_rows(&all)
 }
 
@@ -169,19 +169,19 @@ fn settings() -> String {
         let found = defaults.iter().find(|(path, _)| *path == key.path);
         key.default = found.map(|(_, value)| value.clone()).or(key.default.take());
     }
-    let intro = "Layers, later over earlier: what is built in, `/etc/downwash/config.toml`, \
-                 `$XDG_CONFIG_HOME/downwash/config.toml`, `--config FILE`, variables such as \
-                 `DOWNWASH_CONTROL__RATE_HZ=250`, flags. `downwash config` prints each value and where it \
-                 comes from.\n\n";
+    let intro = "Layers, each overriding those before it: the built-in values, \
+                 `/etc/downwash/config.toml`, `$XDG_CONFIG_HOME/downwash/config.toml`, `--config \
+                 FILE`, variables such as `DOWNWASH_CONTROL__RATE_HZ=250`, flags. `downwash \
+                 config` prints each value and where it comes from.\n\n";
     intro.to_owned() + &key_rows(&all)
 }
 
 fn topics() -> String {
     let mut page = String::from(
-        "MCAP with protobuf; every file holds the descriptors of its messages. The world is north, east, \
-         down, the body front, right, down; units are in the names; what is not known is NaN. `log_time` is \
-         the host's time of arrival, `publish_time` the vehicle's time of the sample on the host's clock.\n\n\
-         For viewers there are topics of Foxglove's own messages:\n\n",
+        "MCAP with protobuf; every file holds the descriptors of its messages. The world is north, \
+         east, down, the body front, right, down; units are in the names; unknown values are NaN. \
+         `log_time` is the host's time of arrival, `publish_time` the vehicle's time of the sample \
+         on the host's clock.\n\nFor viewers there are topics of Foxglove's own messages:\n\n",
     );
     page += &head(&["Topic", "Message"]);
     for topic in Topic::ALL.into_iter().map(Topic::definition) {
@@ -221,9 +221,10 @@ fn json() -> String {
         table
     };
     let mut page = String::from(
-        "`downwash schema NAME` prints a JSON Schema; those of this version lie in [`schemas/`](schemas). \
-         Units are SI and in the names; a number that is not finite is `null`. Within a `schema_version` keys \
-         may be added, none goes or changes its meaning.\n",
+        "`downwash schema NAME` prints a JSON Schema; those of this version are in \
+         [`schemas/`](schemas). Units are SI and in the names; a number that is not finite is \
+         `null`. Within a `schema_version` keys may be added, and none is removed or changes its \
+         meaning.\n",
     );
     let mut parts = Parts::default();
     for output in &schema::OUTPUTS {

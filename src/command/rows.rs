@@ -16,7 +16,7 @@ use crate::cli::Shard;
 
 /// Says how a run that was interrupted goes on.
 pub fn interrupted(out: &Path) -> Exit {
-    say(format_args!("the same command goes on with the rows in {}", out.display()));
+    say(format_args!("run the same command again to continue with the rows in {}", out.display()));
     Exit::Interrupted
 }
 

@@ -145,7 +145,7 @@ pub(super) fn run(args: &SchemaArgs) -> anyhow::Result<Exit> {
         let found = OUTPUTS.iter().find(|output| output.name == name);
         let names = || OUTPUTS.iter().map(|output| output.name).collect::<Vec<_>>().join(", ");
         let output = found
-            .ok_or_else(|| anyhow!("there is no schema {name:?}; there are {}", names()))
+            .ok_or_else(|| anyhow!("schema {name:?} does not exist; expected one of {}", names()))
             .or_exit(Exit::Usage)?;
         print_text(&(serde_json::to_string_pretty(&output.schema())? + "\n"))?;
     } else if args.json {

@@ -56,8 +56,8 @@ impl Screen {
     pub fn start(title: String) -> anyhow::Result<Self> {
         if !(stderr().is_terminal() && stdin().is_terminal()) {
             return Err(anyhow!(
-                "--tui: expected a terminal on standard input and standard error; \
-                 leave --tui out where there is none"
+                "--tui: expected a terminal on standard input and standard error; omit --tui where \
+                 there is none"
             ))
             .or_exit(Exit::Usage);
         }

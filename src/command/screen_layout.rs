@@ -146,7 +146,7 @@ fn draw_gauge(frame: &mut Frame<'_>, area: Rect, ratio: f64, label: String, colo
 fn draw_progress(frame: &mut Frame<'_>, area: Rect, status: &Status) {
     let (ratio, label) = match status.progress {
         Some((time, length)) => (time / length, format!("trajectory {time:.1} of {length:.1} s")),
-        None => (0.0, "trajectory not begun".to_owned()),
+        None => (0.0, "trajectory not started".to_owned()),
     };
     draw_gauge(frame, area, ratio, label, Color::Blue);
 }

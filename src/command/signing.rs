@@ -68,8 +68,8 @@ fn setup(args: &SetupArgs) -> anyhow::Result<Exit> {
     let state = state
         .ok_or_else(|| {
             anyhow!(
-                "there is no key to give: set link.signing.key_file, or ${SIGNING_KEY_VARIABLE}; make \
-                 one with: downwash signing key FILE"
+                "there is no key for the vehicle: set link.signing.key_file, or \
+                 ${SIGNING_KEY_VARIABLE}; make one with: downwash signing key FILE"
             )
         })
         .or_exit(Exit::Usage)?;
@@ -108,9 +108,9 @@ fn setup(args: &SetupArgs) -> anyhow::Result<Exit> {
     wait(&mut listener, |listener, _| {
         listener.session.vehicle().is_some() && is_as_asked(listener)
     })
-    .context("it was sent the key, and did not do as asked")?;
+    .context("the vehicle was sent the change of its key, and did not comply")?;
     let text = match args.off {
-        true => format!("{id}: signs no more, and believes everybody\n"),
+        true => format!("{id}: no longer signs, and accepts every sender\n"),
         false => format!("{id}: signs with the key {fingerprint}\n"),
     };
     print_text(&text)?;

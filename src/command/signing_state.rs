@@ -73,7 +73,7 @@ impl SigningState {
         let key = match (key_file, variable) {
             (None, None) => return Ok(None),
             (Some(_), Some(_)) => bail!(
-                "there are two keys, in key_file and in ${SIGNING_KEY_VARIABLE}; take one of them away"
+                "there are two keys, in key_file and in ${SIGNING_KEY_VARIABLE}; remove one of them"
             ),
             (Some(path), None) => Key::load(path)?,
             (None, Some(text)) => {
@@ -88,8 +88,8 @@ impl SigningState {
         });
         let path = state_file.clone().or(beside).ok_or_else(|| {
             anyhow!(
-                "a key from ${SIGNING_KEY_VARIABLE} needs state_file, where the stamps are kept that \
-                 must not be used again"
+                "a key from ${SIGNING_KEY_VARIABLE} needs state_file, which keeps the stamps that \
+                 must not be reused"
             )
         })?;
         let before = read(&path, &key)?;
@@ -124,7 +124,7 @@ impl SigningState {
                     match write(&path, &key, &now) {
                         Ok(()) => (written, is_told) = (now, false),
                         Err(error) if !is_told => {
-                            tracing::warn!("{error:#}; the flight goes on");
+                            tracing::warn!("{error:#}; the flight continues");
                             is_told = true;
                         }
                         Err(_) => {}
@@ -172,20 +172,24 @@ fn read(path: &Path, key: &Key) -> anyhow::Result<Remembered> {
         }
     };
     if length > FILE_LEN_MAX {
-        bail!("{} is no state of signing: it has {length} bytes", path.display());
+        bail!(
+            "{} is not a signing state file: it has {length} bytes, expected at most \
+             {FILE_LEN_MAX}",
+            path.display()
+        );
     }
     let text =
         fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let file: StampsFile = serde_json::from_str(&text).with_context(|| {
         format!(
-            "{} is no state of signing; if it is lost, take it away, and what was heard in the last \
-             minute can be replayed once",
+            "{} is not a signing state file; if its content is lost, remove it: messages of the \
+             last minute can then be replayed once",
             path.display()
         )
     })?;
     if file.key != key.fingerprint() {
         bail!(
-            "{} is of the key {}, expected {}; give each key its own state_file",
+            "{} belongs to the key {}, expected {}; give each key its own state_file",
             path.display(),
             file.key,
             key.fingerprint()

@@ -14,7 +14,7 @@ pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Ex
     match end {
         Some(End::Done) => ("done".to_owned(), Exit::Ok),
         Some(End::Checked) => ("preflight checks passed".to_owned(), Exit::Ok),
-        Some(End::NoVehicle) => ("no vehicle was heard".to_owned(), Exit::Link),
+        Some(End::NoVehicle) => ("no vehicle was found".to_owned(), Exit::Link),
         Some(End::Refused(why)) => (format!("refused: {why}"), Exit::Refused),
         Some(End::Aborted(why)) => (format!("ended early: {why}"), Exit::Aborted),
         Some(End::LinkLost(why)) => (format!("link lost: {why}"), Exit::Link),
@@ -46,7 +46,7 @@ pub(super) fn with_recording(report: FlightReport, log: &Path) -> FlightReport {
 pub(super) fn flight_table(flight: &FlightSummary, end: &str) -> String {
     let mut table = format!("flight  {end}\n");
     if let Some(t) = &flight.tracking {
-        let heads = ["north", "east", "down", "3D", "most"].map(|head| format!("{head:>9}"));
+        let heads = ["north", "east", "down", "3D", "max"].map(|head| format!("{head:>9}"));
         let values = [t.rmse_n_m, t.rmse_e_m, t.rmse_d_m, t.rmse_3d_m, t.max_3d_m];
         let values = values.map(|value| format!("{value:9.3}"));
         table += &format!("{:18}{}\n", "", heads.concat());
@@ -54,7 +54,7 @@ pub(super) fn flight_table(flight: &FlightSummary, end: &str) -> String {
     }
     let control = &flight.control;
     table += &format!(
-        "control ticks {}, missed {}, setpoints {}, cut by a limit {}\n",
+        "control ticks {}, missed {}, setpoints {}, limited {}\n",
         control.ticks, control.missed_ticks, control.setpoints, control.limited_ticks
     );
     if let Some(often) = control.limited.often() {

@@ -34,7 +34,7 @@ pub(super) fn run(args: &TrainArgs, interruption: &Interruption) -> anyhow::Resu
         Learning::Done(trained) => *trained,
         Learning::Interrupted(checkpoint) => {
             say(format_args!(
-                "the same command with --resume goes on from {}",
+                "run the same command with --resume to continue from {}",
                 checkpoint.display()
             ));
             return Ok(Exit::Interrupted);
@@ -154,7 +154,7 @@ pub fn learn(
                 let Some(found) = best.take() else { return Err(error) };
                 bar.clear();
                 say(format_args!(
-                    "warning: with the window of {:.1} ms: {}; the earlier window's models are taken",
+                    "warning: with the window of {:.1} ms: {}; using the earlier window's models",
                     1e3 * windows.half_s,
                     in_words(&error)
                 ));
@@ -182,7 +182,7 @@ pub fn learn(
         Best::NoBetterThanHolding => {
             let reason = standing.best.reason().unwrap_or_default();
             say(format_args!(
-                "warning: {reason}; look at the logs with `downwash log audit`, or give more flights"
+                "warning: {reason}; check the logs with `downwash log audit`, or give more flights"
             ));
         }
         Best::NotJudged | Best::Better => {}

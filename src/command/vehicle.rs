@@ -144,7 +144,7 @@ fn check(file: &Path, log: Option<&Path>, json: bool) -> anyhow::Result<Exit> {
 
 /// What the log says of what the file predicts.
 fn against(log: &Path, vehicle: &VehicleParams) -> anyhow::Result<Vec<Held>> {
-    let _patience = Patience::with(format!("holding the file against {}", log.display()));
+    let _patience = Patience::with(format!("comparing the file with {}", log.display()));
     let flight = import::open(log, None).or_exit(Exit::Usage)?;
     vehicle_check::held(&flight, vehicle).or_exit(Exit::Usage)
 }
@@ -213,7 +213,7 @@ pub fn make(args: &InitArgs) -> anyhow::Result<Made> {
 fn refuse_old(out: &Path, read: Option<&Path>, force: bool) -> anyhow::Result<()> {
     output::refuse_input(out, read)?;
     if out.exists() && !force {
-        let error = anyhow!("{} is there already: give another name, or --force", out.display());
+        let error = anyhow!("{} already exists: give another name, or --force", out.display());
         return Err(error).or_exit(Exit::Usage);
     }
     Ok(())
@@ -245,7 +245,7 @@ fn init(args: &InitArgs) -> anyhow::Result<Exit> {
         say(format_args!("{}", told(remark)));
     }
     if let Some(out) = &args.out {
-        let whole = if missing.is_empty() { "" } else { ", which lacks what is missing" };
+        let whole = if missing.is_empty() { "" } else { ", without the missing numbers" };
         say(format_args!("wrote {}{whole}", out.display()));
     }
     Ok(Exit::Ok)
@@ -320,7 +320,7 @@ fn of_file(file: &Path) -> anyhow::Result<Parameters> {
         (Ok(flight), _) => flight,
         (Err(error), Some(why_none)) => {
             let error = in_words(&error.into());
-            return Err(anyhow!("{error}; nor is it a parameter file: {why_none}"))
+            return Err(anyhow!("{error}; it is not a parameter file either: {why_none}"))
                 .or_exit(Exit::Usage);
         }
         (Err(error), None) => return Err(error).or_exit(Exit::Usage),

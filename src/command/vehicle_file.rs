@@ -104,6 +104,6 @@ pub(super) fn refuse_grounded(file: &str, vehicle: &VehicleParams) -> anyhow::Re
 pub(super) fn warn(file: &Path, vehicle: &VehicleParams) {
     for remark in vehicle.remarks() {
         let file = file.display();
-        say(format_args!("vehicle file {file}: {}; it is taken as it is", told(&remark)));
+        say(format_args!("vehicle file {file}: {}; using it as it is", told(&remark)));
     }
 }

@@ -444,7 +444,7 @@ impl fmt::Display for ParameterChange {
             let cause = match (self.weak_rotor(), thrust < 0.0) {
                 (Some(_), true) => "",
                 (_, true) => " (a payload, or a pack that sags)",
-                (_, false) => " (a load less, or more thrust than believed)",
+                (_, false) => " (less load, or more thrust than expected)",
             };
             write!(f, "mass {mass:+.0} % or thrust {thrust:+.0} %{cause}")?;
             between = "; ";
@@ -465,7 +465,7 @@ impl fmt::Display for ParameterChange {
                 "{between}moment that turns by roll {roll:+.1}, pitch {pitch:+.1}, yaw {yaw:+.1} deg"
             )?;
             if let Some(rotor) = self.weak_rotor() {
-                write!(f, " (less thrust {rotor})")?;
+                write!(f, " (less thrust at the {rotor} rotor)")?;
             }
         }
         Ok(())
@@ -479,7 +479,7 @@ impl fmt::Display for AdaptationNotice {
             Self::SwitchedOff(distrust) => {
                 write!(
                     f,
-                    "adaptation is off for this flight: {distrust}; the feedback goes on without"
+                    "adaptation is off for this flight: {distrust}; feedback continues without it"
                 )
             }
         }

@@ -116,9 +116,9 @@ impl LineBudget {
 impl fmt::Display for LineBudget {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (baud, percent) = (self.baud, 100.0 * self.wanted_share);
-        write!(f, "the wanted telemetry takes {percent:.0} % of the serial line at {baud} baud")?;
+        write!(f, "the desired telemetry takes {percent:.0} % of the serial line at {baud} baud")?;
         for (k, wanted) in self.lowered.iter().enumerate() {
-            let before = if k == 0 { "; asking for " } else { ", " };
+            let before = if k == 0 { "; requesting " } else { ", " };
             write!(f, "{before}{} at ", message_name(wanted.id))?;
             write!(f, "{:.0} instead of {:.0} Hz", self.hz(wanted.id), wanted.hz)?;
         }

@@ -60,14 +60,14 @@ impl fmt::Display for IntervalEvent {
             Self::Short { id, asked_hz, found_hz } => {
                 write!(
                     f,
-                    "message {id} comes at {found_hz:.0} Hz, asked for {asked_hz:.0} Hz again"
+                    "message {id} arrives at {found_hz:.0} Hz, requested {asked_hz:.0} Hz again"
                 )
             }
             Self::Served { id, found_hz } => {
-                write!(f, "message {id} comes at {found_hz:.0} Hz, as asked")
+                write!(f, "message {id} arrives at {found_hz:.0} Hz, as requested")
             }
             Self::Refused { id, refused_hz, next_hz: Some(next) } => {
-                write!(f, "message {id} refused at {refused_hz:.0} Hz, asking for {next:.0} Hz")
+                write!(f, "message {id} refused at {refused_hz:.0} Hz, requesting {next:.0} Hz")
             }
             Self::Refused { id, refused_hz, next_hz: None } => {
                 write!(f, "message {id} refused at {refused_hz:.0} Hz and below, gave up")

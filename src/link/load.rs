@@ -44,7 +44,7 @@ impl fmt::Display for LinkLoad {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "about {:.0} bytes/s arrive", self.bytes_per_s)?;
         for (k, (id, bytes_per_s)) in self.unasked.iter().take(NAMED).enumerate() {
-            let before = if k == 0 { ", unasked among them " } else { ", " };
+            let before = if k == 0 { ", including unrequested " } else { ", " };
             write!(f, "{before}{} {bytes_per_s:.0}", message_name(*id))?;
         }
         Ok(())
@@ -65,7 +65,7 @@ mod tests {
         assert!((load.bytes_per_s - expected).abs() < 1e-9, "{}", load.bytes_per_s);
         assert_eq!(
             load.to_string(),
-            "about 1841 bytes/s arrive, unasked among them HIGHRES_IMU 740, VFR_HUD 640"
+            "about 1841 bytes/s arrive, including unrequested HIGHRES_IMU 740, VFR_HUD 640"
         );
         let signed = LinkLoad::of(&messages, true, |id| id == 31);
         assert!((signed.bytes_per_s - expected - 41.0 * 13.0).abs() < 1e-9);

@@ -54,7 +54,7 @@ impl LossLaw {
         match self {
             Self::Px4 => px4(read),
             Self::ArduCopter => arducopter(read, own_system),
-            Self::Unknown => LossReaction::Acts("what it does is not known".to_owned()),
+            Self::Unknown => LossReaction::Acts("the vehicle's reaction is unknown".to_owned()),
         }
     }
 }
@@ -110,7 +110,7 @@ fn arducopter(read: &Parameters, own_system: u8) -> LossReaction {
             };
         }
         1 => "returns",
-        2 => "goes on with its mission, or returns",
+        2 => "continues its mission, or returns",
         3 => "returns by SmartRTL, or by RTL",
         4 => "returns by SmartRTL, or lands",
         5 => "lands",
@@ -137,7 +137,7 @@ fn arducopter(read: &Parameters, own_system: u8) -> LossReaction {
     let spares_pilot = read.get("FS_OPTIONS").is_none_or(|options| *options as i64 & 16 != 0);
     let over_pilot = match spares_pilot {
         true => "",
-        false => ", also over the pilot's own modes, for FS_OPTIONS lacks bit 4 (16)",
+        false => ", even in the pilot's own modes, because FS_OPTIONS lacks bit 4 (16)",
     };
     LossReaction::Acts(format!(
         "{levels}{wait_s} s after this program's last HEARTBEAT ArduCopter {does}{over_pilot}"
@@ -182,7 +182,9 @@ mod tests {
         let LossReaction::Acts(text) = LossLaw::ArduCopter.reaction(&read(&known), 254) else {
             panic!()
         };
-        assert!(text.ends_with("also over the pilot's own modes, for FS_OPTIONS lacks bit 4 (16)"));
+        assert!(
+            text.ends_with("even in the pilot's own modes, because FS_OPTIONS lacks bit 4 (16)")
+        );
         assert!(matches!(reaction(1.0, ("MAV_GCS_SYSID", 250.0), 255.0), LossReaction::Acts(_)));
     }
 }

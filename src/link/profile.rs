@@ -338,7 +338,7 @@ impl Profile {
             ParameterRule {
                 name: "ATC_ANGLE_BOOST",
                 rule: Rule::Equals(0.0),
-                why: "the vehicle would add tilt compensation to a thrust that has it already",
+                why: "the vehicle would add tilt compensation to a thrust that already has it",
             },
         ],
         motor_outputs: MotorSource::ServoOutputRaw,

@@ -99,10 +99,10 @@ impl fmt::Display for Outcome {
             }
             Self::NotInForce => "accepted, but not in force",
             Self::NoAnswer => "no answer",
-            Self::Unsupported => "this autopilot has no such thing",
+            Self::Unsupported => "this autopilot does not support it",
             Self::NotIdentified => "the vehicle is not identified yet",
             Self::NotConnected => "no vehicle is connected",
-            Self::Superseded => "a newer request took its place",
+            Self::Superseded => "a newer request replaced it",
             Self::Withdrawn => "withdrawn",
         };
         f.write_str(words)

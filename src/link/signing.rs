@@ -97,18 +97,18 @@ impl fmt::Display for Disbelief {
         let Self { why, sender: (system, component), id } = self;
         write!(
             f,
-            "message {id} of system {system} component {component} is not believed: {why}; further \
-             ones are counted"
+            "message {id} from system {system} component {component} rejected: {why}; further ones \
+             are only counted"
         )?;
         match why {
             Refused::Unsigned | Refused::OldProtocol => f.write_str(
-                "; if it is the vehicle's, give it this link's key: downwash signing setup",
+                "; if the vehicle sent it, give it this link's key: downwash signing setup",
             ),
             Refused::Signature => {
-                f.write_str("; if it is the vehicle's, it has another key than link.signing")
+                f.write_str("; if the vehicle sent it, its key differs from that in link.signing")
             }
             Refused::Ahead => f.write_str(
-                "; check this computer's clock, and the vehicle's (link.signing.ahead_max_s)",
+                "; check the clocks of this computer and of the vehicle (link.signing.ahead_max_s)",
             ),
             Refused::Replayed | Refused::Old | Refused::Streams => Ok(()),
         }

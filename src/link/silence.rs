@@ -19,20 +19,20 @@ impl Silence {
         let endpoint = session.endpoint().unwrap_or("the link");
         if let Some(id) = session.vehicle() {
             let silent_s = session.last_heard().map_or(0.0, |at| now.since(at).as_secs_f64());
-            let line = format!("nothing heard of {id} for {silent_s:.0} s");
+            let line = format!("nothing received from {id} for {silent_s:.0} s");
             return Self { subject: "lost".to_owned(), line };
         }
         if received.bytes == 0 {
             let line = format!(
-                "nothing heard: 0 bytes received on {endpoint}; check that the vehicle is on and \
-                 sends to this port"
+                "0 bytes received on {endpoint}; check that the vehicle is on and sends to this \
+                 port"
             );
             return Self { subject: "bytes".to_owned(), line };
         }
         if received.frames == 0 {
             let line = format!(
                 "{} bytes received on {endpoint}, none of them MAVLink; check the baud rate, and \
-                 that the port is that of MAVLink",
+                 that this is a MAVLink port",
                 received.bytes
             );
             return Self { subject: "frames".to_owned(), line };
@@ -42,8 +42,8 @@ impl Silence {
             let whys = session.disbelieved().filter(|(_, count)| *count > 0);
             let whys: Vec<_> = whys.map(|(why, count)| format!("{count}: {why}")).collect();
             let line = format!(
-                "{} frames received on {endpoint}, {unbelieved} of them not believed ({}), and no \
-                 HEARTBEAT of an autopilot; check that the vehicle has the key of link.signing",
+                "{} frames received on {endpoint}, {unbelieved} of them rejected ({}), and no \
+                 HEARTBEAT from an autopilot; check that the vehicle has the key in link.signing",
                 received.frames,
                 whys.join("; ")
             );
@@ -53,7 +53,7 @@ impl Silence {
             session.wanted_system().map_or(String::new(), |id| format!(" with system id {id}"));
         let heard: Vec<_> = session.senders().iter().map(ToString::to_string).collect();
         let line = format!(
-            "{} frames received on {endpoint}, no HEARTBEAT of an autopilot{of}; heard {}",
+            "{} frames received on {endpoint}, no HEARTBEAT from an autopilot{of}; senders: {}",
             received.frames,
             heard.join(", ")
         );

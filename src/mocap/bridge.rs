@@ -59,7 +59,9 @@ impl fmt::Display for News {
             Self::Believed => f.write_str("the body is seen: its poses are forwarded"),
             Self::Fault(fault, None) => write!(f, "not forwarded: {fault}"),
             Self::Fault(fault, Some(why)) => write!(f, "not forwarded: {fault} ({why})"),
-            Self::ClockSet => f.write_str("the room's clock was set; it is taken anew"),
+            Self::ClockSet => {
+                f.write_str("the room's clock was set; its offset is estimated again")
+            }
         }
     }
 }
@@ -199,15 +201,15 @@ impl Bridge {
         let body = &self.body;
         let recent = |at: Option<HostTime>| at.filter(|at| now.since(*at) < Duration::from_secs(2));
         Some(if recent(self.heard).is_some() {
-            format!("waiting for {body:?} to be seen steadily where it can be")
+            format!("waiting for steady and plausible poses of {body:?}")
         } else if recent(self.anything).is_some() && !self.names.is_empty() {
             let names: Vec<_> = self.names.iter().map(|name| format!("{name:?}")).collect();
-            format!("waiting for {body:?}: the room tells of {} (--body)", names.join(", "))
+            format!("waiting for {body:?}: the room sends {} (--body)", names.join(", "))
         } else if recent(self.anything).is_some() {
-            "waiting for the room: what comes is not as its protocol says".to_owned()
+            "waiting for the room: its data violates its protocol".to_owned()
         } else {
-            "waiting for the room: nothing comes; check that it streams, to this address and port, and \
-             that no firewall is between"
+            "waiting for the room: nothing arrives; check that it streams to this address and \
+             port, and that no firewall blocks it"
                 .to_owned()
         })
     }

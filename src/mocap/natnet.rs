@@ -211,7 +211,9 @@ struct Reader<'a> {
 impl<'a> Reader<'a> {
     fn take(&mut self, length: usize) -> Result<&'a [u8], Malformed> {
         let (taken, left) = self.bytes.split_at_checked(length).ok_or_else(|| {
-            Malformed("a packet that ends early; is mocap.natnet_version Motive's?".to_owned())
+            Malformed(
+                "a packet that ends early; does mocap.natnet_version match Motive?".to_owned(),
+            )
         })?;
         self.bytes = left;
         Ok(taken)

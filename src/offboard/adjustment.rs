@@ -75,7 +75,7 @@ impl fmt::Display for Adjusted {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [north, east, down] = self.goal.to_array();
         let up = 0.0 - down;
-        write!(f, "goal {north:.2} m north, {east:.2} m east, {up:.2} m up of where it was, ")?;
+        write!(f, "goal {north:.2} m north, {east:.2} m east, {up:.2} m up from where it was, ")?;
         write!(f, "feedback x {:.2}", self.feedback_scale)
     }
 }
@@ -95,7 +95,7 @@ impl AdjustmentSettings {
         // NaN is within no range.
         let is_within = |value: f64, least: f64, most: f64| value >= least && value <= most;
         if !is_within(distance, 0.0, self.goal_max_m) {
-            return Some(format!("a goal is moved by at most {} m", self.goal_max_m));
+            return Some(format!("a goal moves by at most {} m", self.goal_max_m));
         }
         if !is_within(scale, 1.0 / most, most) {
             return Some(format!("feedback is scaled by {:.2} to {most:.2}", 1.0 / most));
@@ -103,7 +103,7 @@ impl AdjustmentSettings {
         if !is_within(reach.radius_m, 0.0, radius.max(now.radius_m))
             || !is_within(reach.highest_m, f64::MIN, height.max(now.highest_m))
         {
-            return Some("it leads too near to the geofence".to_owned());
+            return Some("it leads too close to the geofence".to_owned());
         }
         if !is_within(reach.lowest_m, self.height_min_m.min(now.lowest_m), f64::MAX) {
             return Some(format!("it leads below {} m", self.height_min_m));
@@ -124,7 +124,9 @@ impl OffboardController {
         let held = self.adjusted();
         let wanted = asked.of(&held);
         let objection = match self.supervisor.heeds_viewers(self.airborne()) {
-            false => Some("goal and feedback change in track, in hold and before a flight".into()),
+            false => {
+                Some("goal and feedback change only in track, in hold and before a flight".into())
+            }
             true => {
                 let here = self.telemetry.last_sample().map(|sample| sample.state.position);
                 let here = here.unwrap_or_default();

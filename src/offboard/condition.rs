@@ -36,8 +36,8 @@ impl OffboardController {
         if let Some(late) = self.telemetry.take_late(now) {
             let limit_s = self.settings.telemetry.late_after_s;
             let text = format!(
-                "{late}, and were not acted upon (offboard.telemetry.late_after_s is {limit_s}); \
-                 the link is congested, or this machine is busy"
+                "{late}; ignored (offboard.telemetry.late_after_s is {limit_s}); the link is \
+                 congested, or this machine is busy"
             );
             self.supervisor.tell(now, Severity::Warning, text);
         }

@@ -16,7 +16,7 @@ pub fn line(change: &Change) -> String {
             .map(|other| format!("{} {:.0} %", name(other.cause), 100.0 * other.probability))
             .collect();
         text += &format!(
-            "; {} has {:.0} %, else {}",
+            "; {} has {:.0} %, otherwise {}",
             name(change.cause),
             100.0 * change.probability,
             others.join(", ")
@@ -113,7 +113,7 @@ pub fn step_line(step: &Step) -> String {
         unit => format!("{:+.4} {unit}", estimate.value),
     };
     format!(
-        "between flights {} and {}: {what} goes from {} to {} beside the file (chance {:.1e})",
+        "between flights {} and {}: {what} goes from {} to {} relative to the file (chance {:.1e})",
         step.from,
         step.from + 1,
         number(&step.before),

@@ -33,10 +33,10 @@ pub(super) fn text(status: &Status, changes: u64, age_s: Option<f64>) -> String 
     let mut page = Page(String::new());
     page.family("build_info", "gauge", "Version of the program.");
     page.value("build_info", &format!("{{version=\"{}\"}}", env!("CARGO_PKG_VERSION")), 1);
-    page.gauge("status_age_seconds", "Since the control line told the rest.", age_s);
+    page.gauge("status_age_seconds", "Age of the other values.", age_s);
     let connected = f64::from(u8::from(status.link == "connected"));
-    page.gauge("link_connected", "Whether the vehicle is heard.", Some(connected));
-    page.family("flight_state", "gauge", "1 for the state in which the flight is.");
+    page.gauge("link_connected", "Whether messages arrive from the vehicle.", Some(connected));
+    page.family("flight_state", "gauge", "1 for the flight's present state, else 0.");
     for state in STATES {
         let name = serde_json::to_value(state).unwrap_or_default();
         let labels = format!("{{state=\"{}\"}}", name.as_str().unwrap_or_default());
@@ -56,27 +56,27 @@ pub(super) fn text(status: &Status, changes: u64, age_s: Option<f64>) -> String 
     }
     page.gauge("battery_ratio", "Remaining charge.", status.battery);
     page.gauge("link_round_trip_seconds", "Round trip of the link.", status.round_trip_s);
-    page.counter("setpoints_total", "Setpoints that were sent.", status.setpoints);
+    page.counter("setpoints_total", "Setpoints sent.", status.setpoints);
     let counts = &status.counts;
-    page.counter("link_frames_heard_total", "Frames of the vehicle.", counts.heard);
-    page.counter("link_frames_lost_total", "Frames of the vehicle that were lost.", counts.lost);
-    page.counter("link_frames_repeated_total", "Frames that came again or late.", counts.repeated);
+    page.counter("link_frames_heard_total", "Frames received from the vehicle.", counts.heard);
+    page.counter("link_frames_lost_total", "Frames from the vehicle that were lost.", counts.lost);
+    page.counter("link_frames_repeated_total", "Frames received twice or late.", counts.repeated);
     page.counter("link_frames_refused_total", "Frames that cannot be true.", counts.refused);
-    page.counter("link_frames_foreign_total", "Frames of other senders.", counts.foreign);
-    page.counter("link_frames_sent_total", "Frames that were sent.", counts.sent);
-    page.counter("link_frames_dropped_total", "Frames that did not leave.", counts.dropped);
-    page.counter("link_bytes_unframed_total", "Bytes that are no MAVLink.", counts.unframed_bytes);
-    page.family("link_frames_disbelieved_total", "counter", "Frames without a right signature.");
+    page.counter("link_frames_foreign_total", "Frames from other senders.", counts.foreign);
+    page.counter("link_frames_sent_total", "Frames sent.", counts.sent);
+    page.counter("link_frames_dropped_total", "Frames that could not be sent.", counts.dropped);
+    page.counter("link_bytes_unframed_total", "Bytes that are not MAVLink.", counts.unframed_bytes);
+    page.family("link_frames_disbelieved_total", "counter", "Frames without a valid signature.");
     for (why, count) in &counts.disbelieved {
         let labels = format!("{{why=\"{}\"}}", why.word());
         page.value("link_frames_disbelieved_total", &labels, count);
     }
     page.counter(
         "log_records_dropped_total",
-        "Records that the disk was too slow for.",
+        "Log records dropped because the disk was too slow.",
         status.log_dropped,
     );
-    page.counter("vehicle_changes_total", "Changes of the vehicle that were told.", changes);
-    page.counter("log_failures_total", "Logs that ended by an error.", status.log_failures);
+    page.counter("vehicle_changes_total", "Changes of the vehicle that were reported.", changes);
+    page.counter("log_failures_total", "Logs that ended with an error.", status.log_failures);
     page.0
 }

@@ -48,9 +48,9 @@ pub(super) fn assumption(
     (!is_known).then(|| {
         let [roll, pitch, yaw] = unmeasured_response_rad_s(profile);
         format!(
-            "the vehicle's attitude loop is not known: taken to respond at {roll:.1}, {pitch:.1} and \
-             {yaw:.1} rad/s about roll, pitch and yaw; control.attitude_response_rad_s sets what \
-             it does"
+            "the vehicle's attitude loop is unknown: assuming that it responds at {roll:.1}, \
+             {pitch:.1} and {yaw:.1} rad/s in roll, pitch and yaw; set \
+             control.attitude_response_rad_s to its response"
         )
     })
 }

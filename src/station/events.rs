@@ -35,7 +35,7 @@ impl Station {
             Event::VehicleReplaced(id) => {
                 self.found = Some(now);
                 (self.is_signing_told, self.is_answered) = (false, false);
-                self.tell(now, Severity::Warning, format!("another vehicle is heard: {id}"));
+                self.tell(now, Severity::Warning, format!("another vehicle is on the link: {id}"));
                 self.end_flight_of_another(now);
             }
             Event::Identified { profile, is_version_known } => {
@@ -73,9 +73,9 @@ impl Station {
         if self.session.is_signed() && !self.session.signs() && !self.is_signing_told {
             self.is_signing_told = true;
             let text = "the vehicle signs its messages (MAVLink 2 signing), and downwash has no \
-                        key: if it refuses what is not signed there are no rates, parameters, \
-                        modes or setpoints; give its key in link.signing.key_file, or turn signing \
-                        off on this link";
+                        key: if it rejects unsigned messages, no rate, parameter, mode or setpoint \
+                        reaches it; give its key in link.signing.key_file, or turn signing off on \
+                        this link";
             self.tell(now, Severity::Notice, text.to_owned());
             self.check_standing(now);
         }
@@ -94,7 +94,7 @@ impl Station {
             state.is_in_control() || matches!(state, FlightState::Land | FlightState::Disarm)
         });
         if is_flown {
-            return self.tell(now, Severity::Warning, format!("{why}; the flight goes on"));
+            return self.tell(now, Severity::Warning, format!("{why}; the flight continues"));
         }
         self.tell(now, Severity::Error, why.clone());
         self.check_standing(now);

@@ -28,7 +28,7 @@ impl Station {
     /// Designs the feedback for an identified vehicle.
     pub(super) fn identified(&mut self, now: HostTime, profile: Profile, is_version_known: bool) {
         let mask = profile.attitude_target.type_mask();
-        let silent = if is_version_known { "" } else { ", which does not tell its version" };
+        let silent = if is_version_known { "" } else { ", which does not report its version" };
         let text =
             format!("vehicle is {}{silent}: setpoints with type mask {mask:#04x}", profile.name);
         self.tell(now, Severity::Info, text.clone());
@@ -74,7 +74,7 @@ impl Station {
         match self.make_offboard(now, &profile) {
             Ok(Some(offboard)) => self.offboard = Some(offboard),
             Ok(None) => {
-                let why = format!("the modes of autopilot {:?} are not known", profile.name);
+                let why = format!("the modes of autopilot {:?} are unknown", profile.name);
                 self.refuse(now, why);
             }
             Err(error) => self.refuse(now, error.to_string()),
@@ -88,7 +88,8 @@ impl Station {
         let kind = VehicleKind::of_mav_type(mav_type)?;
         (kind != VehicleKind::Multirotor).then(|| {
             format!(
-                "the vehicle is {kind}, by MAV_TYPE {mav_type} of its HEARTBEAT: only multirotors are flown"
+                "the vehicle is {kind} (MAV_TYPE {mav_type} in its HEARTBEAT); downwash flies only \
+                 multirotors"
             )
         })
     }
@@ -179,7 +180,7 @@ impl Station {
             failed.push(PreflightCheck {
                 subject: "signing".to_owned(),
                 expected: "none on this link, or its key in link.signing".to_owned(),
-                found: "signed messages, and no answer to what is not signed".to_owned(),
+                found: "signed messages, and no answer to unsigned ones".to_owned(),
             });
         }
         let preflight = &self.settings.offboard.preflight;
@@ -197,9 +198,9 @@ impl Station {
         }
         offboard.set_standing_checks(failed);
         let text = match &reaction {
-            LossReaction::Acts(text) => format!("should this program vanish: {text}"),
+            LossReaction::Acts(text) => format!("if this program vanishes: {text}"),
             LossReaction::Nothing { why, .. } => {
-                format!("should this program vanish, nothing acts: {why}")
+                format!("if this program vanishes, the vehicle does not react: {why}")
             }
             LossReaction::Unread(_) => return,
         };
@@ -230,8 +231,8 @@ fn line_check(budget: &LineBudget, needed_hz: f64) -> Option<PreflightCheck> {
             state_bytes_per_s(needed_hz)
         ),
         found: format!(
-            "{baud} baud, which carry {carried:.0} bytes/s, {share:.0} % of them for telemetry: room \
-             for {state_hz:.0} Hz"
+            "{baud} baud, which carries {carried:.0} bytes/s, {share:.0} % of them for telemetry: \
+             room for {state_hz:.0} Hz"
         ),
     })
 }
@@ -242,14 +243,14 @@ fn loss_check(law: LossLaw, reaction: &LossReaction) -> Option<PreflightCheck> {
     let (cure, found) = match reaction {
         LossReaction::Nothing { why, cure } => (cure.clone(), why.clone()),
         LossReaction::Unread(name) if law == LossLaw::ArduCopter => {
-            (format!("the parameter {name} tells it"), "no answer".to_owned())
+            (format!("the parameter {name} sets it"), "no answer".to_owned())
         }
         LossReaction::Acts(_) | LossReaction::Unread(_) => return None,
     };
     Some(PreflightCheck {
         subject: "reaction of the vehicle when this program vanishes".to_owned(),
         expected: format!(
-            "one; {cure}, or fly without by offboard.preflight.needs_loss_reaction = false"
+            "one; {cure}, or set offboard.preflight.needs_loss_reaction = false to fly without one"
         ),
         found,
     })

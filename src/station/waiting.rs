@@ -174,16 +174,15 @@ impl Station {
         let offboard = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
         let offboard = offboard.map(|mode| mode.custom_mode);
         match (status.mode, status.intended_mode) {
-            (None, _) => "the vehicle's mode; no HEARTBEAT of its autopilot came yet".to_owned(),
+            (None, _) => "the vehicle's mode; no HEARTBEAT from its autopilot yet".to_owned(),
             (mode, _) if mode == offboard => {
                 "the vehicle is in OFFBOARD (ArduCopter: GUIDED); switch it to another mode"
                     .to_owned()
             }
             (_, intended) if intended == offboard => {
-                "the vehicle goes to OFFBOARD as soon as it can; switch it to another mode"
-                    .to_owned()
+                "the vehicle intends to enter OFFBOARD; switch it to another mode".to_owned()
             }
-            (_, None) => "CURRENT_MODE, which tells the mode that the vehicle intends".to_owned(),
+            (_, None) => "CURRENT_MODE, which reports the vehicle's intended mode".to_owned(),
             _ => "the mode has just changed".to_owned(),
         }
     }
@@ -195,13 +194,13 @@ impl Station {
         let lost = stats.lost as f64 / (stats.lost + stats.heard).max(1) as f64;
         let mut text = format!("; {load}");
         if lost > self.settings.offboard.preflight.link_loss_max {
-            text += &format!("; {:.0} % of the frames are lost on the way", 100.0 * lost);
+            text += &format!("; the link loses {:.0} % of the frames", 100.0 * lost);
         }
         if let Some(budget) = self.session.budget() {
             text += &format!("; the line carries {:.0} bytes/s", budget.bytes_per_s());
         }
         if let Some(profile) = self.profile.as_ref().filter(|_| !load.unasked.is_empty()) {
-            text += "; what comes unasked is lowered at the vehicle by ";
+            text += "; lower unrequested messages on the vehicle with ";
             text += profile.stream_parameters;
         }
         text
@@ -216,13 +215,13 @@ impl Station {
         let cure = if is_refused {
             ""
         } else if position == 0.0 && odometry == 0.0 {
-            "; no position comes: the vehicle's estimate needs GPS or motion capture"
+            "; no position arrives: the vehicle's estimate needs GPS or motion capture"
         } else if attitude == 0.0 && odometry == 0.0 {
-            "; no attitude comes"
+            "; no attitude arrives"
         } else if telemetry.tick_rate_hz() < needed {
             "; the link is too slow for them, or control.rate_hz too high for it"
         } else {
-            "; they do not come steadily"
+            "; they do not arrive steadily"
         };
         let is_slow = telemetry.tick_rate_hz() < needed && !is_refused;
         let load = if is_slow { self.load() } else { String::new() };
@@ -235,9 +234,9 @@ impl Station {
         let subject = format!("rates{cure}");
         let status = telemetry.status();
         let unknown = match (status.armed, status.landed) {
-            (None, _) => Some(("armed", "HEARTBEAT, which tells whether the motors are armed")),
+            (None, _) => Some(("armed", "HEARTBEAT, which reports whether the motors are armed")),
             (Some(true), LandedState::Undefined) => {
-                Some(("landed", "EXTENDED_SYS_STATE, which tells whether the vehicle is landed"))
+                Some(("landed", "EXTENDED_SYS_STATE, which reports whether the vehicle has landed"))
             }
             _ => None,
         };
@@ -245,7 +244,7 @@ impl Station {
             .map(|(subject, line)| Reason { subject: subject.to_owned(), line: line.to_owned() });
         let refused = self.session.refusals().iter().map(|refused| {
             let name = message_name(refused.id);
-            let line = format!("{} {name} not believed: {}", refused.count, refused.refusal);
+            let line = format!("{} {name} rejected: {}", refused.count, refused.refusal);
             Reason { subject: format!("refused {name}"), line }
         });
         let stale_s = self.settings.offboard.safety.stale_after_s;
@@ -272,9 +271,9 @@ fn is_of_the_state(subject: &str) -> bool {
 
 fn cure(subject: &str) -> &'static str {
     match subject {
-        "telemetry rate" => "; lower control.rate_hz, or use a quicker link",
+        "telemetry rate" => "; lower control.rate_hz, or use a faster link",
         "battery" => "; charge it, or lower offboard.preflight.battery_min",
-        "signing" => "; turn it off, or connect by USB, where unsigned messages are taken",
+        "signing" => "; turn it off, or connect by USB, where unsigned messages are accepted",
         "link" => "; bring the antennas closer, or raise offboard.preflight.link_loss_max",
         "trajectory start" => "; carry the vehicle there, or move the trajectory",
         subject if subject.starts_with("parameter ") => "; set it with your ground station",

@@ -26,7 +26,7 @@ impl Action {
     pub(super) fn in_words(self) -> &'static str {
         match self {
             Self::SetModeOffboard => "OFFBOARD",
-            Self::SetModeHold => "the mode that holds",
+            Self::SetModeHold => "the hold mode",
             Self::SetModeLand => "to land",
             Self::Arm => "to arm",
             Self::Disarm => "to disarm",

@@ -178,16 +178,16 @@ pub fn preflight(
         EngagePolicy::Command => check(
             standing.take_over || (!is_armed && standing.airborne == Some(false)),
             "vehicle",
-            "disarmed and on the ground, for this flight arms it and takes off; taking over a \
-             vehicle that others fly has to be asked for (--take-over)"
+            "disarmed and on the ground, because this flight arms it and takes off; to take over a \
+             vehicle that others fly, give --take-over"
                 .to_owned(),
             whereabouts(is_armed, standing.airborne),
         ),
         EngagePolicy::PilotSwitch => check(
             standing.take_over || standing.ground_seen || standing.airborne != Some(true),
             "ground",
-            "seen below the vehicle since this program runs, because heights count from it; land \
-             once, or set offboard.supervisor.take_over"
+            "the vehicle on it at least once since this program started, because heights count \
+             from there; land once, or set offboard.supervisor.take_over"
                 .to_owned(),
             whereabouts(is_armed, standing.airborne),
         ),
@@ -200,7 +200,7 @@ fn whereabouts(is_armed: bool, airborne: Option<bool>) -> String {
     let place = match airborne {
         Some(true) => "in the air",
         Some(false) => "on the ground",
-        None => "in the air or on the ground, which the vehicle does not tell",
+        None => "in the air or on the ground (the vehicle does not report which)",
     };
     format!("{armed}, {place}")
 }

@@ -266,7 +266,7 @@ impl SafetySettings {
             Fault::StaleTelemetry => format!("no state for {:.2} s", c.sample_age_s),
             Fault::TelemetryJump => "the state estimate jumped".to_owned(),
             Fault::SlowLink => format!(
-                "answers take {:.2} s, limit {:.2} s: setpoints reach the vehicle too late",
+                "round trip {:.2} s, limit {:.2} s: setpoints reach the vehicle too late",
                 c.round_trip_s.unwrap_or(f64::NAN),
                 self.round_trip_max_s
             ),
@@ -280,17 +280,19 @@ impl SafetySettings {
                 self.tilt_max_rad.to_degrees()
             ),
             Fault::Geofence => format!(
-                "outside the fence: {:.1} m away of {:.1} m, {:.1} m high of {:.1} m",
+                "outside the geofence: {:.1} m away, limit {:.1} m; {:.1} m high, limit {:.1} m",
                 c.radius_m, self.fence_radius_m, c.height_m, self.fence_height_m
             ),
             Fault::Battery if c.battery_critical => {
-                "the vehicle calls its battery critical".to_owned()
+                "the vehicle reports a critical battery".to_owned()
             }
             Fault::Failsafe => {
-                format!("the vehicle declares a failsafe: {}", c.failsafe.unwrap_or_default())
+                format!("the vehicle reports a failsafe: {}", c.failsafe.unwrap_or_default())
             }
             Fault::PositionLost => {
-                "the vehicle calls its position estimate unhealthy: GPS or the motion-capture room may be lost".to_owned()
+                "the vehicle reports an unhealthy position estimate: it may have lost GPS or \
+                 motion capture"
+                    .to_owned()
             }
             Fault::Battery => format!(
                 "battery at {:.0} %, limit {:.0} %",

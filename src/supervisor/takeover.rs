@@ -53,9 +53,8 @@ impl ModeTaken {
         if self.by.is_some() {
             return None;
         }
-        let mode = status
-            .mode
-            .map_or_else(|| "a mode that is not known".to_owned(), |mode| modes.name(mode));
+        let mode =
+            status.mode.map_or_else(|| "an unknown mode".to_owned(), |mode| modes.name(mode));
         if let Some(text) = status.failsafe_since(self.at - TEXT_AHEAD) {
             let warned = status.warning.as_ref().filter(|(at, _)| *at >= self.at - TEXT_AHEAD);
             let text = warned.map_or(text, |(_, warning)| warning);

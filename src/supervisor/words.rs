@@ -10,7 +10,7 @@ impl Supervisor {
             Trigger::ModeChanged => return self.control_ends(seen.status),
             Trigger::OffboardFound if self.state == FlightState::Standby => {
                 return format!(
-                    "{} returned to OFFBOARD when it disarmed, which is no switch of the pilot's; \
+                    "{} returned to OFFBOARD when it disarmed, which is not the pilot's switch; \
                      switch to another mode first",
                     self.modes.autopilot
                 );
@@ -21,22 +21,22 @@ impl Supervisor {
             }
             Trigger::TimedOut => return self.timed_out(seen),
             Trigger::LinkLost => "the link is silent",
-            Trigger::VehicleHeard => "the vehicle is heard",
+            Trigger::VehicleHeard => "the vehicle is on the link",
             Trigger::EngageAsked => "ready for the pilot's next switch",
             Trigger::Disarmed if self.state.is_flying() => "the motors were stopped in flight",
             Trigger::Disarmed => "disarmed",
             Trigger::Released
                 if self.modes.reports_intended && seen.status.intended_mode.is_none() =>
             {
-                "free to stream, by the mode in HEARTBEAT alone: the vehicle sends no CURRENT_MODE \
-                 (PX4 before 1.15, or MAVLink 1), so a mode that it only intends is not known"
+                "free to stream, judged by the mode in HEARTBEAT alone: the vehicle sends no \
+                 CURRENT_MODE (PX4 before 1.15, or MAVLink 1), so its intended mode is unknown"
             }
             Trigger::Released => "free to stream",
             Trigger::TelemetryLost => "telemetry is not fresh",
             Trigger::TelemetryReady => "telemetry is fresh",
             Trigger::PreflightPassed => "preflight checks passed",
             Trigger::OffboardRead => "the mode is OFFBOARD",
-            Trigger::StreamEstablished => "asking for OFFBOARD",
+            Trigger::StreamEstablished => "requesting OFFBOARD",
             Trigger::ArmedInAir => "in the air",
             Trigger::Armed => "armed",
             Trigger::HoldDone => "landing",
@@ -47,20 +47,20 @@ impl Supervisor {
             | Trigger::TrajectoryDone
             | Trigger::HoldNow
             | Trigger::LandNow
-            | Trigger::StopNow => "as asked",
+            | Trigger::StopNow => "as requested",
         };
         text.to_owned()
     }
 
     fn mode_name(&self, status: &VehicleStatus) -> String {
-        status.mode.map_or_else(|| "not known".to_owned(), |mode| self.modes.name(mode))
+        status.mode.map_or_else(|| "unknown".to_owned(), |mode| self.modes.name(mode))
     }
 
     /// Why control, or an offer of it, ends, naming the mode.
     pub(super) fn control_ends(&self, status: &VehicleStatus) -> String {
         let mode = self.mode_name(status);
         match self.state {
-            FlightState::Standby => format!("OFFBOARD was left again: the mode is {mode}"),
+            FlightState::Standby => format!("the vehicle left OFFBOARD again: the mode is {mode}"),
             _ => format!("control ends: the mode is {mode}"),
         }
     }
@@ -68,8 +68,8 @@ impl Supervisor {
     /// What did not happen in time.
     fn timed_out(&self, seen: &Observation) -> String {
         let what = match self.state {
-            FlightState::AwaitRelease => "the vehicle is in OFFBOARD, or its mode is not known; \
-                 switch it to another mode first"
+            FlightState::AwaitRelease => "the vehicle is in OFFBOARD, or its mode is unknown; \
+                                          switch it to another mode first"
                 .to_owned(),
             FlightState::AwaitTelemetry | FlightState::Preflight => {
                 let late = seen.condition.late;
@@ -83,14 +83,14 @@ impl Supervisor {
                 let failed: Vec<_> = seen.preflight.iter().map(ToString::to_string).collect();
                 format!("{lacks}preflight: {}", failed.join("; "))
             }
-            FlightState::Engage => "the mode did not become OFFBOARD".to_owned(),
+            FlightState::Engage => "the vehicle did not enter OFFBOARD".to_owned(),
             FlightState::Arm if self.policy == EngagePolicy::PilotSwitch => format!(
                 "the pilot did not arm within {:.0} s of switching to OFFBOARD",
                 self.settings.pilot_arm_timeout_s
             ),
             FlightState::Arm => "arming had no effect".to_owned(),
             FlightState::TakeOff => "the take-off did not reach its height".to_owned(),
-            FlightState::Approach => "the trajectory's start was not reached".to_owned(),
+            FlightState::Approach => "the vehicle did not reach the trajectory's start".to_owned(),
             FlightState::Land => {
                 format!("the vehicle did not report that it landed{}", still_armed(seen.status))
             }

@@ -7,7 +7,7 @@ pub enum TelemetryFault {
     #[error("telemetry with a value that is not finite")]
     NotFinite,
     /// The stamp is not later than the one before.
-    #[error("telemetry out of order or twice")]
+    #[error("telemetry out of order or duplicated")]
     OutOfOrder,
     /// The message waited on its way.
     #[error("telemetry {seconds:.3} s late")]
@@ -24,7 +24,7 @@ pub enum TelemetryFault {
         metres_per_s: f64,
     },
     /// The position departs from its velocity, step by step.
-    #[error("position estimate slid by {metres:.2} m beside its velocity")]
+    #[error("position estimate drifted by {metres:.2} m against its velocity")]
     PositionSlide {
         /// Recent distance beyond what the velocity explains.
         metres: f64,
@@ -36,7 +36,7 @@ pub enum TelemetryFault {
         radians: f64,
     },
     /// The vehicle repeats one state in flight.
-    #[error("the state has been told unchanged for {seconds:.2} s")]
+    #[error("the vehicle has repeated the same state for {seconds:.2} s")]
     Frozen {
         /// Time without a change.
         seconds: f64,

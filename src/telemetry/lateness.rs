@@ -20,7 +20,7 @@ pub struct LateMessages {
 impl fmt::Display for LateMessages {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let messages = if self.count == 1 { "message" } else { "messages" };
-        write!(f, "{} {messages} of the state came late by up to {:.2} s", self.count, self.worst_s)
+        write!(f, "{} state {messages} arrived up to {:.2} s late", self.count, self.worst_s)
     }
 }
 

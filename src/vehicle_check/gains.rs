@@ -39,14 +39,14 @@ pub(super) fn held(flight: &Flight, vehicle: &VehicleParams) -> Option<Held> {
     let differs = share > TOLERANCE;
     let what = if differs {
         format!(
-            "gains: attitude_cascade.{name} is {}, the log's parameters make it {}: `vehicle init` of this log \
-             writes the loop anew",
+            "gains: attitude_cascade.{name} is {}, the log's parameters give {}: run `vehicle \
+             init` on this log to write the loop again",
             brief(own),
             brief(stated)
         )
     } else {
         format!(
-            "gains: attitude_cascade is what the log's parameters state, expected to {} %",
+            "gains: attitude_cascade matches the log's parameters to within {} %",
             100.0 * TOLERANCE
         )
     };

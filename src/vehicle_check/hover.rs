@@ -40,16 +40,19 @@ pub(super) fn held(flight: &Flight, spans: &[Range<f64>], vehicle: &VehicleParam
     let spread = ratios.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / (count - 1.0);
     let half = 2.0 * (spread / count).sqrt();
     let differs = (mean - 1.0).abs() - half > TOLERANCE;
-    let advice =
-        if differs { ": mass, thrust_max_N or the thrust curve is not this vehicle's" } else { "" };
+    let advice = if differs {
+        ": mass, thrust_max_N or the thrust curve does not match this vehicle"
+    } else {
+        ""
+    };
     let found = mean * weight / full;
     Held {
         verdict: if differs { Verdict::Differs } else { Verdict::Fits },
         found: Some(found),
         half_width: Some(half * weight / full),
         what: format!(
-            "hover: by the outputs the rotors carry {} N ({} to {}), expected {} N for {} kg: {} of full \
-             thrust, expected {}{advice}",
+            "hover: by the outputs the rotors' vertical thrust is {} N ({} to {}), expected {} N \
+             for {} kg: {} of full thrust, expected {}{advice}",
             brief(mean * weight),
             brief((mean - half) * weight),
             brief((mean + half) * weight),

@@ -47,10 +47,10 @@ pub(super) fn held(
     let is_logged = flight.motor_unit == MotorUnit::VehicleFile;
     let range = match (is_logged, own, stated) {
         (true, Some([zero, one]), _) => {
-            format!("{} to {} by motor_output", brief(zero), brief(one))
+            format!("{} to {} (motor_output)", brief(zero), brief(one))
         }
         (true, None, Some([zero, one])) => {
-            format!("{} to {} by the autopilot's parameters", brief(zero), brief(one))
+            format!("{} to {} (the autopilot's parameters)", brief(zero), brief(one))
         }
         _ => "0 to 1".to_owned(),
     };
@@ -65,8 +65,8 @@ pub(super) fn held(
             brief(one)
         )),
         None if share_at_end > AT_AN_END => Some(format!(
-            "; {} % of them are at an end of it, expected at most {} %: the range, mass or thrust_max_N is not \
-             this vehicle's",
+            "; {} % of them are at an end of it, expected at most {} %: the range, mass or \
+             thrust_max_N does not match this vehicle",
             brief(100.0 * share_at_end),
             100.0 * AT_AN_END
         )),

@@ -183,7 +183,9 @@ fn of_axis(
         what: String::new(),
     };
     let Some(predicted) = answer.followed_s() else {
-        let what = format!("{name}: by {field} and inertia a setpoint is never followed");
+        let what = format!(
+            "{name}: with the file's {field} and inertia the vehicle never follows a setpoint"
+        );
         return Held { verdict: Verdict::Differs, what, ..held };
     };
     let held = Held { expected: predicted + delay, ..held };
@@ -192,7 +194,7 @@ fn of_axis(
     let moves = moves(tracks);
     if moves.is_none_or(|moves| moves < MOVES_MIN[axis]) {
         return not_shown(format!(
-            "the setpoints move by {} deg, at least {} deg are needed",
+            "the setpoints move by {} deg, expected at least {} deg",
             brief(moves.unwrap_or(0.0).to_degrees()),
             brief(MOVES_MIN[axis].to_degrees())
         ));
@@ -206,7 +208,7 @@ fn of_axis(
         .collect();
     let count = costs.first().map_or(0, |costs| costs.left.len());
     if count < BLOCKS_MIN {
-        return not_shown(format!("{BLOCKS_MIN} blocks of 4 s are needed, the log has {count}"));
+        return not_shown(format!("expected at least {BLOCKS_MIN} blocks of 4 s, found {count}"));
     }
     let (best, left) = least(&costs, None);
     let power: f64 = costs.first().map_or(0.0, |costs| costs.power.iter().sum());
@@ -215,8 +217,8 @@ fn of_axis(
         return Held {
             verdict: Verdict::NotShown,
             what: format!(
-                "{name}: not shown: no loop of the file's kind explains how the vehicle follows its setpoints \
-                 ({} % of it, at least {} % are needed)",
+                "{name}: not shown: no loop of the file's kind explains how the vehicle follows \
+                 its setpoints ({} % of it, expected at least {} %)",
                 brief(100.0 * explained.max(0.0)),
                 100.0 * EXPLAINED_MIN
             ),
@@ -236,7 +238,7 @@ fn of_axis(
     let differs = high < quickest || low > slowest;
     let strength = if axis == 2 { "drag torque" } else { "thrust" };
     let advice = if differs {
-        format!(": {field}, inertia or the rotors' {strength} are not this vehicle's")
+        format!(": {field}, inertia or the rotors' {strength} do not match this vehicle")
     } else {
         String::new()
     };
@@ -245,8 +247,8 @@ fn of_axis(
         found: Some(found),
         half_width: Some(0.5 * (high - low)),
         what: format!(
-            "{name}: the vehicle turns by 63 % of a setpoint's step within {} s ({} to {}), expected {} s by \
-             {field} and inertia{advice}",
+            "{name}: the vehicle turns by 63 % of a setpoint's step within {} s ({} to {}), \
+             expected {} s from {field} and inertia{advice}",
             brief(found),
             brief(low),
             brief(high),

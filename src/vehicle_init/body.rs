@@ -151,7 +151,9 @@ impl Read<'_> {
                 rotors.map(|rotor| [side(rotor.front, pitch), side(rotor.right, roll), 0.0]);
             Some(Given::stated(places, "SIH_L_PITCH and SIH_L_ROLL, signs of CA_ROTORn_PX and _PY"))
         } else if self.autopilot == Some(Autopilot::Px4) && ARMS.contains(&mean) {
-            let from = format!("{from}, as m: as good as who set them measured; --arm scales them");
+            let from = format!(
+                "{from}, as m: as accurate as whoever set them measured; --arm scales them"
+            );
             Some(Given::stated(scaled(1.0, 1.0), from).within(0.1))
         } else {
             None
@@ -203,7 +205,7 @@ impl Read<'_> {
         Some(Given::estimate(
             INERTIA_SHARES.map(|share| share * square),
             Tolerance::Share(INERTIA_SPREAD),
-            "not measured: 0.25, 0.25 and 0.45 of mass times arm squared, as quadrotors mostly have",
+            "not measured: 0.25, 0.25 and 0.45 of mass times arm squared, typical of quadrotors",
         ))
     }
 
@@ -229,7 +231,7 @@ impl Read<'_> {
         if let Some(ratio) = stated.filter(|ratio| (ratio - PX4_TORQUE_RATIO).abs() > 1e-6) {
             return Some(Given::stated(ratio, "CA_ROTOR0_KM").within(0.2));
         }
-        let from = "not measured: 0.07 of the propeller's diameter, as small ones mostly have";
+        let from = "not measured: 0.07 of the propeller's diameter, typical of small ones";
         let ratio = TORQUE_RATIO * 2.0 * radius?.value;
         Some(Given::estimate(ratio, Tolerance::Share(TORQUE_SPREAD), from))
     }
@@ -255,10 +257,10 @@ impl Read<'_> {
             return None;
         }
         let thrust = weight / (4.0 * hover);
-        let from = format!("the weight hovers at {} of full thrust ({from})", tidy(hover));
+        let from = format!("the vehicle hovers at {} of full thrust ({from})", tidy(hover));
         // The autopilot's default says nothing about this vehicle.
         if usual.is_some_and(|usual| (usual - hover).abs() < 1e-6) {
-            let from = format!("{from}: the autopilot's default, which this vehicle need not have");
+            let from = format!("{from}: the autopilot's default, which may not be this vehicle's");
             return Some(Given::estimate(thrust, Tolerance::Share(0.3), from));
         }
         Some(Given::stated(thrust, from).within(0.1))
@@ -288,7 +290,7 @@ impl Read<'_> {
         let cells = 4;
         Given {
             is_estimate: true,
-            ..pack(cells, full(cells), "not known: taken to be 4 cells".to_owned())
+            ..pack(cells, full(cells), "unknown: assumed to be 4 cells".to_owned())
         }
     }
 
@@ -298,7 +300,7 @@ impl Read<'_> {
             Autopilot::ArduCopter => "MOT_THST_EXPO",
         };
         let share = self.parameters.number(name)?;
-        let given = Given::stated(share, format!("{name}: what the autopilot makes up for"));
+        let given = Given::stated(share, format!("{name}: the autopilot's compensation"));
         (share > 0.0 && share <= 1.0).then(|| given.within(0.2))
     }
 }

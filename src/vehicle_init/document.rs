@@ -92,12 +92,12 @@ impl Draft {
         page.line("");
         let Some(cascade) = &self.cascade else {
             let why = match (self.autopilot, self.cascade_lacks.as_slice()) {
-                (None, _) => "without an autopilot's parameters it is not known".to_owned(),
+                (None, _) => "it is unknown without an autopilot's parameters".to_owned(),
                 (Some(_), lacks) => format!("it needs {}", lacks.join(", ")),
             };
             page.comment(&format!(
-                "The on-board loop (attitude_cascade) is left out: {why}. Feedback then takes a slow \
-                 one, and `plan` and `fly --replan` refuse the file."
+                "The on-board loop (attitude_cascade) is left out: {why}. Feedback then assumes a \
+                 slow one, and `plan` and `fly --replan` refuse the file."
             ));
             return;
         };

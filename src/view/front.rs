@@ -94,7 +94,7 @@ async fn answer(mut stream: TcpStream, inner: SocketAddr, gate: Gate) -> io::Res
             respond(&mut stream, "200 OK", "text/html", PAGE).await
         }
         Some(_) => {
-            let text = "there is the page, at /, and Foxglove's WebSocket, at the same address\n";
+            let text = "not found; the page is at /, Foxglove's WebSocket at the same address\n";
             respond(&mut stream, "404 Not Found", "text/plain", text).await
         }
         None => respond(&mut stream, "400 Bad Request", "text/plain", "no HTTP\n").await,

@@ -120,7 +120,7 @@ impl Backlog {
             self.data -= lost.bytes.len();
         }
         if self.other > OTHER_MAX {
-            return Err(io::Error::other("the viewer takes nothing"));
+            return Err(io::Error::other("the viewer does not read"));
         }
         Ok(())
     }

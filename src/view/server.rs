@@ -152,9 +152,8 @@ impl Server {
         };
         let thread =
             thread::Builder::new().name("view".into()).spawn(move || runtime.block_on(serve))?;
-        let (address, handle) = start
-            .recv()
-            .map_err(|_| io::Error::other("its thread ended before it had begun"))??;
+        let (address, handle) =
+            start.recv().map_err(|_| io::Error::other("its thread ended before it started"))??;
         let (changes, stop) = (Mutex::new(changes), Some(stop));
         Ok(Self { context, handle, shared, address, changes, stop, thread: Some(thread) })
     }

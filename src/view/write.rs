@@ -61,7 +61,7 @@ impl Writer {
     pub fn offer(&self, asked: &[Parameter]) {
         // A viewer bypassed the front, and may be the sender.
         if self.all.load(Ordering::Acquire) > self.led.load(Ordering::Acquire) {
-            tracing::warn!("a viewer's change is dropped: a viewer came another way");
+            tracing::warn!("a viewer's change is dropped: a viewer bypassed the access check");
             return;
         }
         if let Some(change) = change(asked)

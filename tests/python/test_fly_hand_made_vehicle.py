@@ -185,7 +185,7 @@ def test_what_lay_unread_during_a_short_stall_is_not_answered(flight, stall_s):
     vehicle.on_step = step
     code, _, err = finish(daemon)
     assert code == 0, err
-    assert "this process stood still for" in err, err
+    assert "this process stalled for" in err, err
     _, _, before, after = times
     assert after == before, f"{after - before} answers to what lay unread"
     assert len(vehicle.setpoints) > after + 20, "and the flight goes on"

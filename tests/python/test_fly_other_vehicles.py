@@ -191,7 +191,7 @@ def says_within(daemon, words, seconds):
 def test_what_is_no_multirotor_is_named_and_not_flown(flight, mav_type, autopilot, kind):
     (vehicle,), daemon = flight({"mav_type": mav_type, "autopilot": autopilot})
     assert daemon.finish(20)[0] == 4, daemon.err
-    assert f"the vehicle is {kind}, by MAV_TYPE {mav_type} of its HEARTBEAT" in daemon.err, daemon.err
+    assert f"the vehicle is {kind} (MAV_TYPE {mav_type} in its HEARTBEAT)" in daemon.err, daemon.err
     assert not vehicle.setpoints and not vehicle.armed
 
 

@@ -87,7 +87,7 @@ def test_plans_that_may_not_be_flown_are_refused_with_the_reason(plan, tmp_path)
     refused(lambda bad: bad.update(schema_version=99), 2, "99")
     refused(lambda bad: bad["inputs"].pop(), 2, "states")
     refused(lambda bad: bad.update(inputs=[]), 2, "periods")
-    refused(lambda bad: bad["body"].update(mass_kg=0.05), 4, "another vehicle of this name")
+    refused(lambda bad: bad["body"].update(mass_kg=0.05), 4, "another vehicle with this name")
     refused(lambda bad: bad["states"][3].__setitem__(2, 5.0), 4, "jumps by")
     refused(lambda bad: [state.__setitem__(2, state[2] + 5.0) for state in bad["states"]], 4, "lowest height")
 

@@ -96,7 +96,7 @@ def test_garbage_of_a_station_harms_nobody(beside):
 
 @pytest.mark.parametrize(
     "allow, words",
-    [(["HEARTBEET"], "no message is called"), (["SET_ATTITUDE_TARGET"], "is this program's to send")],
+    [(["HEARTBEET"], "no message is called"), (["SET_ATTITUDE_TARGET"], "only this program may send")],
 )
 def test_a_list_with_what_is_none_is_refused(beside, allow, words):
     daemon, _, _ = beside(allow)

@@ -88,7 +88,7 @@ def test_a_room_that_lies_in_flight_ends_it(program, vehicle, tmp_path, fault, w
     one.says(words, timeout=60)
     code, out = flight.finish(60)
     assert code == 5, flight.err
-    flight.says("calls its position estimate unhealthy")
+    flight.says("reports an unhealthy position estimate")
     said = summary(one)
     assert sum("not forwarded" in line for line in one.lines) == 1, one.err
     key = {"freeze": "frozen", "swap": "swapped"}[fault]
@@ -138,13 +138,13 @@ def test_each_wait_is_said(program, vehicle, tmp_path):
     quad = vehicle("--mocap", f"127.0.0.1:{free_port()}")
     nobody = program("mocap", "--room", f"stream:127.0.0.1:{port}", "--body", "quad", "--connect", f"udpin:127.0.0.1:{free_port()}")
     began = time.monotonic()
-    nobody.says("waiting for the vehicle: nothing heard", timeout=5)
+    nobody.says("waiting for the vehicle: 0 bytes received", timeout=5)
     assert time.monotonic() - began < 3.5
     nobody.signal(signal.SIGINT)
     assert nobody.finish(5)[0] == 130
 
     one = bridge(program, quad, f"stream:127.0.0.1:{port}")
-    one.says("waiting for the room: nothing comes", timeout=5)
+    one.says("waiting for the room: nothing arrives", timeout=5)
     stop = threading.Event()
     thread = threading.Thread(target=sender, args=(port, stop))
     thread.start()
@@ -153,11 +153,11 @@ def test_each_wait_is_said(program, vehicle, tmp_path):
         out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         for bad in [b"\xff\xfe", b'{"body":"quad"}', struct.pack("<HH", 7, 900), b'{"body":"quad","t":NaN}']:
             out.sendto(bad, ("127.0.0.1", port))
-        one.says("not as its protocol says", timeout=5)
+        one.says("its data violates its protocol", timeout=5)
     finally:
         stop.set()
         thread.join()
-    one.says("nothing is heard of the body", timeout=5)
+    one.says("no pose of the body arrives any more", timeout=5)
     said = summary(one)
     assert said["poses"]["faults"]["malformed"] == 4 and said["poses"]["losses"] == 1, said
 

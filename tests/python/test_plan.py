@@ -159,7 +159,7 @@ def test_an_absurd_trajectory_ends_with_a_reason(tmp_path):
     wild.write_text(SHORT.replace("amplitude_m = 0.4", "amplitude_m = 5.0").replace("\nperiod_s = 3.0", "\nperiod_s = 0.6"))
     out = tmp_path / "plan.json"
     done = run("plan", wild, "-o", out, "--json", code=6)
-    assert json.loads(done.stdout)["not_flyable"] and "may not be flown" in done.stderr
+    assert json.loads(done.stdout)["not_flyable"] and "cannot be flown" in done.stderr
 
 
 def test_the_example_configuration_plans(trajectory, tmp_path):

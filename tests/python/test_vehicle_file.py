@@ -177,5 +177,5 @@ def test_a_file_is_held_against_a_flight(tmp_path):
     (tmp_path / "heavy.toml").write_text(text)
     done = downwash(tmp_path, "vehicle", "check", "heavy.toml", "--log", str(flight))
     assert done.returncode == 10
-    assert "differs: hover: by the outputs the rotors carry 0.294 N" in done.stdout
+    assert "differs: hover: by the outputs the rotors' vertical thrust is 0.294 N" in done.stdout
     assert "expected 0.441 N for 0.0450 kg" in done.stdout

@@ -134,7 +134,7 @@ def test_the_goal_is_moved_from_the_page(writable, browser, tmp_path):
         document.querySelector('#change button').click(); })"""
     # Too far is refused, and said so; nothing moves.
     browser.value(f"{fill}([9, 0, 0, 1])")
-    browser.until("document.getElementById('events').textContent.includes('a goal is moved by at most 3 m')")
+    browser.until("document.getElementById('events').textContent.includes('a goal moves by at most 3 m')")
     browser.value(f"{fill}([1, -0.5, 0.4, 1.2])")
     browser.until(f"{held} === '(now 1.00),(now -0.50),(now 0.40),(now 1.20)'")
     browser.until("document.getElementById('events').textContent.includes('feedback x 1.20')")

@@ -52,7 +52,7 @@ enum Reason {
     NoScheme,
     #[error("unknown scheme '{0}'; use udpin, udpout, tcp, tcpin or serial")]
     UnknownScheme(String),
-    #[error("'udp' does not say who speaks first; write udpin:{0} to listen or udpout:{0} to send")]
+    #[error("'udp' does not say who sends first; write udpin:{0} to listen or udpout:{0} to send")]
     AmbiguousUdp(String),
     #[error("the port is missing; write {0}:HOST:PORT")]
     NoPort(&'static str),
@@ -62,7 +62,7 @@ enum Reason {
     NoHost(&'static str),
     #[error("write an IPv6 address in brackets, such as [::1]:14540")]
     Ipv6,
-    #[error("'{0}' is not a host; it holds a character that no host name has")]
+    #[error("'{0}' is not a host; it contains a character that no host name has")]
     BadHost(String),
     #[error("the baud rate is missing; write serial:{0}:BAUD, such as serial:{0}:921600")]
     NoBaud(String),

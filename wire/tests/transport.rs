@@ -241,7 +241,7 @@ async fn a_full_stream_drops_whole_frames_and_cuts_none() {
         }
     })
     .await;
-    assert!(received == expected, "what was taken arrives whole and in order");
+    assert!(received == expected, "what was accepted arrives complete and in order");
 }
 
 #[tokio::test]

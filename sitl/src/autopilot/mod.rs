@@ -79,8 +79,8 @@ pub enum VehicleRefused {
     /// The vehicle file has no attitude loop.
     #[error(
         "vehicle {vehicle}: the file has neither attitude_pd nor attitude_cascade, so its \
-         autopilot's attitude loop is not known; add it to simulate the vehicle, such as this, which \
-         answers at 10 rad/s in roll and pitch and at 5 rad/s in yaw:\n\n{}",
+         autopilot's attitude loop is unknown; add one to simulate the vehicle, such as this, \
+         which responds at 10 rad/s in roll and pitch and at 5 rad/s in yaw:\n\n{}",
         example_loop(inertia)
     )]
     NoAttitudeLoop {

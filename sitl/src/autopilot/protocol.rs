@@ -1,6 +1,6 @@
 //! The autopilot on the wire: its replies and its unsolicited messages.
 
-#![allow(deprecated, reason = "clients still send and ask for superseded messages")]
+#![allow(deprecated, reason = "clients still send and request superseded messages")]
 
 mod command;
 mod parameter;

@@ -1,6 +1,6 @@
 //! The vehicle's state as MAVLink messages.
 
-#![allow(deprecated, reason = "clients still send and ask for superseded messages")]
+#![allow(deprecated, reason = "clients still send and request superseded messages")]
 
 mod geodetic;
 mod motors;

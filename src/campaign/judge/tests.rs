@@ -102,7 +102,7 @@ fn on_sockets_an_answer_may_be_on_its_way_and_each_state_has_one() {
     let mut court = in_flight(ON_ITS_WAY_S);
     court.state(1010);
     court.setpoint(1075);
-    assert_eq!(court.rules(), [Rule::Fresh], "65 ms are no way");
+    assert_eq!(court.rules(), [Rule::Fresh], "65 ms are not a transit time");
 }
 
 #[test]
@@ -129,7 +129,7 @@ fn what_crosses_the_pilots_word_is_no_answer_over_it_and_what_follows_is() {
     court.mode(1005, POSITION);
     court.state(1010);
     court.setpoint(1012);
-    assert_eq!(court.rules(), [], "it was on its way");
+    assert_eq!(court.rules(), [], "it was in transit");
     court.state(1070);
     court.setpoint(1071);
     assert_eq!(court.rules(), [Rule::AgainstThePilot]);
@@ -137,7 +137,7 @@ fn what_crosses_the_pilots_word_is_no_answer_over_it_and_what_follows_is() {
     court.mode(1010, POSITION);
     court.state(1010);
     court.setpoint(1010);
-    assert_eq!(court.rules(), [Rule::AgainstThePilot], "in lockstep it was read before");
+    assert_eq!(court.rules(), [Rule::AgainstThePilot], "in lockstep it was already read");
 }
 
 #[test]

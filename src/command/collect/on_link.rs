@@ -63,7 +63,7 @@ pub(super) fn fly_vehicle(
         let log = log.ok_or_else(|| anyhow!("{}: its log was not written", flight.name))?;
         rows.push((*index, FlightRow::flown(flight, &end, exit, Some(&log))));
         if exit != Exit::Ok {
-            say(format_args!("flight {}: {end}; run the command again to go on", flight.name));
+            say(format_args!("flight {}: {end}; run the command again to continue", flight.name));
             break;
         }
     }

@@ -70,7 +70,9 @@ impl Simulator<'_> {
                 if signals.wait(WATCH_PERIOD).is_some()
                     && !self.stopping.swap(true, Ordering::AcqRel)
                 {
-                    say(format_args!("stopping: the simulated flights in the air end first"));
+                    say(format_args!(
+                        "stopping: waiting for the simulated flights in the air to end"
+                    ));
                 }
             }
             for worker in workers {

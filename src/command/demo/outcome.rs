@@ -134,7 +134,9 @@ impl Demo<'_> {
         );
         let mut notes = vec![(
             "flights",
-            "the bundled vehicle in lockstep, with the whole protocol; every row has the same limits and rates, and unless it names its control law the same feedback".to_owned(),
+            "the bundled vehicle in lockstep, with the whole protocol; every row has the same \
+             limits and rates and, unless it names its control law, the same feedback"
+                .to_owned(),
         )];
         if let Some(learned) = learned {
             notes.push((
@@ -170,7 +172,7 @@ impl Demo<'_> {
 /// What stdout shows.
 fn text(summary: &DemoSummary) -> String {
     let mut text = if summary.contenders.len() > 1 {
-        let heads = ["flights", "north", "east", "down", "3D", "most", "yaw/deg", "gain", "fb/%"];
+        let heads = ["flights", "north", "east", "down", "3D", "max", "yaw/deg", "gain", "fb/%"];
         let heads = heads.map(|head| format!("{head:>9}")).concat();
         let mut table = format!("flights {}\n{:22}{heads}\n", summary.end, "position RMSE / m");
         let reference = summary.contenders.first().map_or(f64::NAN, |c| c.mean.rmse_3d_m);
@@ -193,7 +195,8 @@ fn text(summary: &DemoSummary) -> String {
         summary::flight_table(&summary.flight, &summary.end)
     };
     text += &format!(
-        "simulated {:.1} s in {:.2} s: {:.0} times real time; {:.0} s in all\nreport  {}\nlog     {}\n",
+        "simulated {:.1} s in {:.2} s: {:.0} times real time; {:.0} s in total\nreport  \
+         {}\nlog     {}\n",
         summary.simulated_s,
         summary.wall_s,
         summary.real_time_factor,

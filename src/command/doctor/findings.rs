@@ -85,9 +85,9 @@ impl Findings {
         let mav_type = listener.session.vehicle().map(|vehicle| vehicle.vehicle_type);
         let kind = mav_type.and_then(VehicleKind::of_mav_type);
         if let Some(kind) = kind.filter(|kind| *kind != VehicleKind::Multirotor) {
-            self.refuses("vehicle", format!("it is {kind}; only multirotors are flown"));
+            self.refuses("vehicle", format!("it is {kind}; downwash flies only multirotors"));
         } else if report.autopilot == Some(Profile::UNKNOWN.name) {
-            self.refuses("autopilot", "its modes are not known; PX4 and ArduCopter are flown");
+            self.refuses("autopilot", "its modes are unknown; downwash flies PX4 and ArduCopter");
         }
         if !report.others.is_empty() && listener.session.wanted_system().is_none() {
             self.refuses("vehicles", "several autopilots are on the link; choose with --system");
@@ -99,19 +99,19 @@ impl Findings {
         {
             self.refuses(
                 "signing",
-                "it signs its messages and answers none that is not signed; give its key in \
+                "it signs its messages and does not answer unsigned ones; give its key in \
                  link.signing.key_file, or turn signing off on this link",
             );
         } else if observed.version.is_none() {
-            self.warns("version", "it does not answer with AUTOPILOT_VERSION");
+            self.warns("version", "it sends no AUTOPILOT_VERSION");
         }
         let reports_intended =
             listener.session.profile().is_some_and(|profile| profile.reports_intended_mode);
         if reports_intended && report.intended_mode.is_none() {
             self.warns(
                 "mode",
-                "CURRENT_MODE does not come (PX4 before 1.15, MAVLink 1, or nobody asked for it): \
-                 it is flown by the mode in HEARTBEAT",
+                "no CURRENT_MODE arrives (PX4 before 1.15, MAVLink 1, or nobody requested it): a \
+                 flight relies on the mode in HEARTBEAT",
             );
         }
     }
@@ -127,7 +127,7 @@ impl Findings {
                     &subject,
                     format!("is {value}: {}; set it to {}", rule.why, rule.rule),
                 ),
-                None => self.refuses(&subject, "it does not answer when asked for it"),
+                None => self.refuses(&subject, "the vehicle does not answer the request for it"),
             }
         }
         if let Some(rule) = profile.loss_timeout {
@@ -153,7 +153,7 @@ impl Findings {
         if let LossReaction::Nothing { why, cure } =
             profile.loss.reaction(&report.parameters.clone().into(), settings.link.system)
         {
-            let text = format!("should downwash vanish, nothing acts: {why}; {cure}");
+            let text = format!("if downwash vanishes, the vehicle does not react: {why}; {cure}");
             match settings.offboard.preflight.needs_loss_reaction {
                 true => self.refuses("loss", text),
                 false => self.warns("loss", text),
@@ -167,17 +167,19 @@ impl Findings {
         let comes = report.odometry_hz.max(report.attitude_hz.min(report.position_hz));
         if comes < needed {
             let text = format!(
-                "needs {needed:.0} Hz of ODOMETRY, or of attitude and position; {comes:.0} Hz come"
+                "needs {needed:.0} Hz of ODOMETRY, or of attitude and position; {comes:.0} Hz \
+                 arrive"
             );
             match (is_asking, comes > 0.0) {
                 (true, _) => self.refuses("state", text),
-                (false, _) => self
-                    .warns("state", format!("{text}; a flight asks for more, which --rates tries")),
+                (false, _) => {
+                    self.warns("state", format!("{text}; a flight requests more: try with --rates"))
+                }
             }
         }
         for refused in listener.session.refusals() {
             let name = message_name(refused.id);
-            let text = format!("{} not believed: {}", refused.count, refused.refusal);
+            let text = format!("{} rejected: {}", refused.count, refused.refusal);
             match comes < needed {
                 true => self.refuses(&name, text),
                 false => self.warns(&name, text),
@@ -194,7 +196,7 @@ impl Findings {
                     observed.texts.iter().filter(|text| text.contains("rm")).cloned().collect();
                 let why =
                     if why.is_empty() { String::new() } else { format!(": {}", why.join("; ")) };
-                self.refuses("arming", format!("the vehicle's own check before arming fails{why}"));
+                self.refuses("arming", format!("the vehicle's prearm check fails{why}"));
             } else {
                 self.warns("health", format!("{name} is not healthy"));
             }
@@ -206,11 +208,14 @@ impl Findings {
         if let Some(offboard) = offboard.map(|mode| mode.custom_mode)
             && (report.mode == Some(offboard) || report.intended_mode == Some(offboard))
         {
-            self.warns("mode", "it is in OFFBOARD, or intends to; switch it to another mode");
+            self.warns(
+                "mode",
+                "it is in OFFBOARD, or intends to enter it; switch it to another mode",
+            );
         }
         let least = listener.config.settings.offboard.preflight.battery_min;
         if let Some(left) = report.battery_share.filter(|left| *left < least) {
-            let text = format!("{:.0} %, at least {:.0} % are needed", 100.0 * left, 100.0 * least);
+            let text = format!("{:.0} %, expected at least {:.0} %", 100.0 * left, 100.0 * least);
             self.refuses("battery", text);
         }
     }
@@ -219,28 +224,36 @@ impl Findings {
         let most = listener.config.settings.offboard.preflight.link_loss_max;
         if report.lost_share > most {
             let (lost, most) = (100.0 * report.lost_share, 100.0 * most);
-            self.refuses("link", format!("loses {lost:.0} % of the frames, at most {most:.0} %"));
+            self.refuses(
+                "link",
+                format!("loses {lost:.0} % of the frames, expected at most {most:.0} %"),
+            );
         }
         if report.clock != Some("TIMESYNC") {
             self.warns(
                 "clock",
-                "it does not answer TIMESYNC: a queue that grows slowly cannot be told from a clock \
-                 that is slow",
+                "it does not answer TIMESYNC: a slowly growing queue cannot be distinguished from \
+                 a slow clock",
             );
         }
         if let Some(skew) = report.clock_skew.filter(|skew| skew.abs() > SKEW_TOLD) {
             let rate = 1.0 + skew;
-            self.warns("clock", format!("it runs at {rate:.3} of real time: a simulator, or busy"));
+            self.warns(
+                "clock",
+                format!(
+                    "it runs at {rate:.3} times real time: a simulator, or an overloaded vehicle"
+                ),
+            );
         }
         if report.round_trip_p50_s.is_some_and(|time| time > ROUND_TRIP_TOLD_S) {
-            self.warns("round trip", "it is long for feedback; use a quicker link");
+            self.warns("round trip", "it is long for feedback; use a faster link");
         }
         if let Some(timer) = report.serial_latency_timer_ms.filter(|ms| *ms > LATENCY_TIMER_TOLD_MS)
         {
             self.warns(
                 "serial",
                 format!(
-                    "the adapter holds bytes back for up to {timer} ms; write 1 to its \
+                    "the adapter holds back bytes for up to {timer} ms; write 1 to its \
                      latency_timer in /sys/bus/usb-serial/devices"
                 ),
             );

@@ -286,21 +286,20 @@ impl fmt::Display for Report {
             writeln!(f, "beside     {sender}")?;
         }
         let Some(vehicle) = &self.vehicle else { return Ok(()) };
-        let version = self.version.as_deref().unwrap_or("not told");
+        let version = self.version.as_deref().unwrap_or("unknown");
         let signed = if self.is_signed { ", signed" } else { "" };
         let mavlink = self.mavlink.unwrap_or_default();
         writeln!(f, "vehicle    {vehicle}, version {version}, MAVLink {mavlink}{signed}")?;
         for other in &self.others {
             writeln!(f, "another    {other}")?;
         }
-        let word =
-            |mode: Option<u32>| mode.map_or("not known".to_owned(), |m| format!("{m:#010x}"));
+        let word = |mode: Option<u32>| mode.map_or("unknown".to_owned(), |m| format!("{m:#010x}"));
         let armed = match self.armed {
             Some(true) => "armed",
             Some(false) => "disarmed",
-            None => "not known whether armed",
+            None => "armed state unknown",
         };
-        let landed = self.landed.as_deref().unwrap_or("not known whether landed");
+        let landed = self.landed.as_deref().unwrap_or("landed state unknown");
         writeln!(
             f,
             "mode       {}, intended {}; {armed}, {landed}",
@@ -321,7 +320,7 @@ impl fmt::Display for Report {
             writeln!(f, "battery    {volts}{share}")?;
         }
         if let (Some(source), Some(skew)) = (self.clock, self.clock_skew) {
-            write!(f, "clock      by {source}, runs at {:.4} of real time", 1.0 + skew)?;
+            write!(f, "clock      {source}, runs at {:.4} times real time", 1.0 + skew)?;
             if let Some(error) = self.clock_error_s {
                 write!(f, ", offset known to {:.1} ms", 1e3 * error)?;
             }
@@ -335,14 +334,14 @@ impl fmt::Display for Report {
             }
         }
         if let Some(reaction) = &self.loss_reaction {
-            writeln!(f, "loss       should downwash vanish: {reaction}")?;
+            writeln!(f, "loss       if downwash vanishes: {reaction}")?;
         }
         for (name, value) in &self.parameters {
             // PARAM_VALUE carries f32.
             writeln!(f, "parameter  {name} {}", *value as f32)?;
         }
         for MessageRow { id, name, rate_hz, count } in &self.messages {
-            writeln!(f, "message    {name} ({id}) {rate_hz:.1} Hz, {count} in all")?;
+            writeln!(f, "message    {name} ({id}) {rate_hz:.1} Hz, {count} in total")?;
         }
         for text in &self.texts {
             writeln!(f, "text       {text}")?;

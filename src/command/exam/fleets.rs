@@ -245,10 +245,10 @@ fn text(summary: &FleetsSummary<'_>) -> String {
     for (what, rate) in [
         ("shared effects named, and nothing else", summary.shared),
         ("shared effects named", summary.shared_named),
-        ("90 % intervals of shared numbers that hold", summary.intervals),
-        ("fleets without one, one invented", summary.invented),
-        ("damaged vehicles, own effect named", summary.own),
-        ("intact vehicles, an effect invented", summary.own_invented),
+        ("90 % intervals that hold the shared number", summary.intervals),
+        ("fleets without one where one was invented", summary.invented),
+        ("damaged vehicles whose own effect was named", summary.own),
+        ("intact vehicles with an invented effect", summary.own_invented),
     ] {
         let [low, high] = rate.interval.map(|end| 100.0 * end);
         text +=

@@ -180,8 +180,8 @@ fn text(summary: &LawsSummary<'_>) -> String {
     for (what, rate) in [
         ("close 80 % of the closable gap on another mission", summary.closed),
         ("named", summary.named),
-        ("right variables, of those named", summary.variables),
-        ("invented in nulls", summary.invented),
+        ("named laws with the right variables", summary.variables),
+        ("laws invented in nulls", summary.invented),
     ] {
         let [low, high] = rate.interval.map(|end| 100.0 * end);
         text +=

@@ -275,7 +275,7 @@ fn text(summary: &OnsetsSummary<'_>) -> String {
         for (of, rate) in [
             ("detectable changes found within 0.5 s", &side.found),
             ("of these, the right cause first", &side.named),
-            ("of these, 90 % interval holds the time", &side.held),
+            ("of these, 90 % interval contains the time", &side.held),
         ] {
             let [low, high] = rate.interval.map(|end| 100.0 * end);
             text += &format!(
@@ -285,10 +285,10 @@ fn text(summary: &OnsetsSummary<'_>) -> String {
         }
         let [rate, low, high] = side.false_per_hour;
         text += &format!(
-            "{what:10} {:42} {} in {:.1} h: {rate:.3} an hour (95 %: {low:.3} to {high:.3})\n",
+            "{what:10} {:42} {} in {:.1} h: {rate:.3} per hour (95 %: {low:.3} to {high:.3})\n",
             "false onsets", side.false_onsets, side.hours
         );
     }
-    text += &format!("the monitor takes {:.2} % of a core\n", 100.0 * summary.monitor_share);
+    text += &format!("the monitor uses {:.2} % of a core\n", 100.0 * summary.monitor_share);
     text
 }

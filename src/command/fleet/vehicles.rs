@@ -36,7 +36,8 @@ pub(super) fn vehicles(source: &Path) -> anyhow::Result<Vec<Given>> {
     let found = if source.is_dir() { in_folder(source)? } else { in_manifest(source)? };
     if found.len() < 2 {
         bail!(
-            "{}: expected two vehicles or more, found {}; of one vehicle, give its logs without --fleet",
+            "{}: expected at least two vehicles, found {}; for one vehicle, give its logs without \
+             --fleet",
             source.display(),
             found.len()
         );
@@ -73,7 +74,7 @@ fn in_manifest(path: &Path) -> anyhow::Result<Vec<Given>> {
             if log.is_dir() { logs.extend(files(&log)?) } else { logs.push(log) }
         }
         if logs.is_empty() {
-            bail!("{}: {name}: expected a log or more, found none", path.display());
+            bail!("{}: {name}: expected at least one log, found none", path.display());
         }
         found.push(Given { name, logs });
     }

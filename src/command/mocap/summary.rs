@@ -79,8 +79,8 @@ impl fmt::Display for MocapSummary {
         let Tally { heard, good, losses, resets, age_mean_s, .. } = self.poses;
         write!(
             f,
-            "{:.0} s: {} poses sent of {heard} heard, {good} of them good; lost {losses} times, begun anew \
-             {resets} times; mean age {:.1} ms",
+            "{:.0} s: {} poses sent of {heard} received, {good} of them good; lost {losses} times, \
+             restarted {resets} times; mean age {:.1} ms",
             self.seconds,
             self.sent,
             1e3 * age_mean_s

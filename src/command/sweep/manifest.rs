@@ -119,7 +119,7 @@ impl Manifest {
             drawn.check().with_context(|| format!("draw.{path:?}"))?;
         }
         if written.draw.is_empty() && written.samples != 1 {
-            bail!("samples: expected 1, as nothing is drawn, found {}", written.samples);
+            bail!("samples: expected 1, because nothing is drawn, found {}", written.samples);
         }
         let seeds = written.seeds.each();
         let cases = match written.of {
@@ -190,7 +190,7 @@ impl Manifest {
             match path.split_once('.') {
                 Some(("set", setting)) => {
                     let set = inputs.entry("set").or_insert_with(|| Value::Table(Table::new()));
-                    let set = set.as_table_mut().context("set is no table")?;
+                    let set = set.as_table_mut().context("set is not a table")?;
                     set.insert(setting.to_owned(), value.clone());
                 }
                 _ => insert(&mut inputs, path, value)?,
@@ -236,7 +236,7 @@ impl Written {
         let mut lengths = self.list.values().map(Vec::len);
         let Some(first) = lengths.next() else { return Ok(1) };
         if lengths.any(|length| length != first) {
-            bail!("list: expected as many values of each input");
+            bail!("list: expected the same number of values for each input");
         }
         Ok(first)
     }
@@ -268,7 +268,7 @@ fn insert(table: &mut Table, path: &str, value: &Value) -> anyhow::Result<()> {
         return Ok(());
     };
     let inner = table.entry(head).or_insert_with(|| Value::Table(Table::new()));
-    insert(inner.as_table_mut().with_context(|| format!("{head} is no table"))?, rest, value)
+    insert(inner.as_table_mut().with_context(|| format!("{head} is not a table"))?, rest, value)
 }
 
 /// Leaves of a table of tables by their dotted paths.
@@ -342,7 +342,9 @@ mod tests {
         let refused = |text: &str| format!("{:#}", parse(text).expect_err("refused"));
         assert!(refused("[grid]\nspeed = [1]\n").contains("\"speed\": expected vehicle"));
         assert!(refused("[grid]\nvehicle = ['a']\n[list]\nvehicle = ['b']").contains("two ways"));
-        assert!(refused("[list]\nvehicle = ['b']\n'set.a' = [1, 2]").contains("as many"));
+        assert!(
+            refused("[list]\nvehicle = ['b']\n'set.a' = [1, 2]").contains("same number of values")
+        );
         assert!(refused("samples = 3").contains("nothing is drawn"));
         assert!(refused("seeds = 0").contains("found 0"));
         assert!(refused("seeds = 100000000").contains("10000000 points"));

@@ -23,12 +23,12 @@ pub enum Distrust {
 impl fmt::Display for Distrust {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::NotFinite => "a number was none",
-            Self::Frozen => "the state did not change any more",
-            Self::Jumping => "the state jumped again and again",
-            Self::Saturated => "setpoints met their limits for too long",
+            Self::NotFinite => "a value was not finite",
+            Self::Frozen => "the state stopped changing",
+            Self::Jumping => "the state jumped repeatedly",
+            Self::Saturated => "setpoints were at their limits for too long",
             Self::Bound => "a parameter stayed at its bound",
-            Self::Diverging => "what was learned explained nothing",
+            Self::Diverging => "the learned values explained nothing",
         })
     }
 }

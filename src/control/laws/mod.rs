@@ -395,7 +395,7 @@ pub enum DesignError {
     },
     /// The law has no such gain.
     #[error(
-        "controller design: control.gains.{name} is no gain of the law {law}, which has: {known}"
+        "controller design: control.gains.{name} is not a gain of the law {law}, which has: {known}"
     )]
     UnknownGain {
         /// The law.

@@ -212,13 +212,13 @@ fn a_room_that_starts_anew_is_taken_anew() {
 fn what_is_waited_for_is_said() {
     let mut room = Room::new();
     let said = |room: &Room, t| room.bridge.waits_for(at(t)).unwrap_or_default();
-    assert!(said(&room, 1.0).contains("nothing comes"));
+    assert!(said(&room, 1.0).contains("nothing arrives"));
     let mut other = room.sample(1.0);
     other.body = "cart".to_owned();
     room.give(1.0, &other);
     assert!(said(&room, 1.1).contains("\"cart\" (--body)"), "{}", said(&room, 1.1));
     room.run(1.2, 1.5);
-    assert!(said(&room, 1.5).contains("steadily"));
+    assert!(said(&room, 1.5).contains("steady"));
     room.run(1.5, 3.0);
     assert_eq!(room.bridge.waits_for(at(3.0)), None);
     assert_eq!(room.bridge.tally().others, 1);

@@ -50,7 +50,9 @@ pub enum KeyError {
         found: String,
     },
     /// All bytes are zero, the value that disables signing on a vehicle.
-    #[error("{place} holds only zeros, which is no key; make one with: downwash signing key FILE")]
+    #[error(
+        "{place} holds only zeros, which is not a key; make one with: downwash signing key FILE"
+    )]
     Zero {
         /// The file or variable.
         place: String,

@@ -49,7 +49,7 @@ fn what_is_signed_is_believed_once_and_its_stamps_advance() {
         let bytes = said(&mut sender);
         let frame = frame(&bytes);
         assert!(frame.is_signed() && frame.message().is_ok());
-        let stamp = verifier.check(&frame).expect("it is of the key");
+        let stamp = verifier.check(&frame).expect("it belongs to the key");
         assert!(stamp > last);
         last = stamp;
         assert_eq!(verifier.check(&frame), Err(Refused::Replayed));

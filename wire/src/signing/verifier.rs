@@ -48,10 +48,10 @@ pub enum Refused {
     #[error("no signature")]
     Unsigned,
     /// The signature belongs to a different key or to different bytes.
-    #[error("wrong signature: another key, or changed on the way")]
+    #[error("wrong signature: another key, or altered in transit")]
     Signature,
     /// The stream already had this stamp, or one that is too much later.
-    #[error("stamp heard before, or too old for its stream: a replay or a copy")]
+    #[error("stamp already used, or too old for its stream: a replay or a copy")]
     Replayed,
     /// The stream is new and its stamp is more than a minute behind.
     #[error("a new stream whose stamp is more than a minute old")]
