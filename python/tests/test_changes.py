@@ -101,5 +101,6 @@ def test_what_was_interrupted_ends_soon(logs: list[Path]) -> None:
         return told
 
     # All stages up to the last; and broken off in the longest of them.
-    whole, short = spent(at("flown again")), spent(at("twins without an effect"))
+    whole = spent(at("flying again in simulation"))
+    short = spent(at("simulating twins without an effect"))
     assert short < 0.5 * whole, (short, whole)
