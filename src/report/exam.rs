@@ -128,7 +128,7 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
     } else {
         let count = failures.len();
         let miss = if count == 1 { "figure misses" } else { "figures miss" };
-        page.verdict(Mood::Warning, &format!("{count} {miss} what is asked."), &failures);
+        page.verdict(Mood::Warning, &format!("{count} {miss} the target."), &failures);
     }
     page.section(
         "Rates",
@@ -137,7 +137,8 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
     );
     page.section(
         "Reliability",
-        "How often an effect that is given a probability is there: on the line, probabilities are what they say.",
+        "How often an effect is present, by its stated probability: on the line, probabilities are \
+         calibrated.",
         &reliability(summary),
     );
     if !summary.families.is_empty() {
@@ -165,10 +166,11 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
     page.section("Cases", "", &cases(rows));
     let [flying, diagnosing] = provenance.wall_s.map(|s| format!("{s:.0} s"));
     let check =
-        "sha256sum key.json: the same digits stood in commitment.txt before the first diagnosis";
+        "sha256sum key.json: commitment.txt held the same digits before the first diagnosis";
     page.section(
-        "How it was held",
-        "Each case was diagnosed by a process of its own, in a folder that held only that case's vehicle file and logs.",
+        "How the exam was run",
+        "A separate process diagnosed each case, in a folder with only that case's vehicle file \
+         and logs.",
         &definitions([
             ("key", provenance.commitment),
             ("to check", check),
@@ -182,8 +184,8 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
 /// That the cases are too few.
 fn too_few(summary: &Summary) -> String {
     format!(
-        "{} cases are too few to tell whether the diagnosis meets its targets: of so few, \
-         one alone decides.",
+        "{} cases are too few to tell whether the diagnosis meets its targets: with so few, a \
+         single case decides.",
         summary.count
     )
 }
