@@ -67,7 +67,7 @@ def test_the_fastest_way_is_planned_and_flown() -> None:
     assert np.isfinite(plan.states).all()
     (row,) = dw.fly(trajectory=plan)
     assert row["end"] == "done" and row["true_position_rmse_m"] < 0.2
-    with pytest.raises(dw.DownwashError, match="says where to fly and not when"):
+    with pytest.raises(dw.DownwashError, match="states where to fly, not when"):
         dw.fly(trajectory="race")
 
 
