@@ -37,7 +37,7 @@ def test_an_effect_that_sets_in_is_dated(tmp_path: Path) -> None:
     ("onsets", "said"),
     [
         ([(-1.0, {"mass": {"mass_kg": 1.0}})], "onsets: @-1"),
-        ([(1.0, {"gusts": {"sigma_m_s": 1.0}})], "gusts cannot set in"),
+        ([(1.0, {"gusts": {"sigma_m_s": 1.0}})], "gusts cannot start"),
         ([(1.0, {"win": {}})], "onsets"),
     ],
 )
