@@ -102,7 +102,7 @@ fn what_is_wrong_with_a_log_is_said_and_the_rest_is_learned_from() {
         ("empty.mcap", "an empty file"),
         ("empty.tlog", "an empty file"),
         ("garbage.mcap", "garbage.mcap"),
-        ("garbage.tlog", "no flight log"),
+        ("garbage.tlog", "not a flight log"),
         ("twin.mcap", "the same file as"),
         ("table.csv", "--mapping"),
         ("missing.mcap", "missing.mcap"),
