@@ -75,7 +75,7 @@ pub fn html(answer: &Answer, vehicle: &str, seen: &[SeenFlight<'_>]) -> String {
             &reflight::html(flown, words::explanation(answer.finding.verdict)),
         );
     }
-    page.section("What these logs cannot tell", "", &untold(answer));
+    page.section("What these logs cannot show", "", &untold(answer));
     if let Some(next) = &answer.next_flight {
         page.section("Next flight", &words::next_flight(next), &next_flight::html(next));
     }

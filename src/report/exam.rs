@@ -217,7 +217,7 @@ fn world(row: &Row) -> String {
     let file = match row.file {
         FileKind::Exact => "exact",
         FileKind::Claimed => "off",
-        FileKind::Unclaimed => "off unsaid",
+        FileKind::Unclaimed => "off unclaimed",
     };
     format!("{on_board}, {file}")
 }

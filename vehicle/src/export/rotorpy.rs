@@ -35,7 +35,7 @@ pub(super) fn text(model: &mut Model<'_>) -> String {
         model.lose("a drag independent of the rotors' speed: exact only at hover speed");
     }
     if flapping.is_some_and(|flapping| flapping.tilt_rad_s_m != 0.0) {
-        model.lose("the tilt of the thrust by blade_flapping, whose moment is there");
+        model.lose("the tilt of the thrust by blade_flapping: only its moment is expressed");
     }
     if lift.is_some() {
         model.lose("a translational lift in proportion to the thrust: exact only at hover thrust");
