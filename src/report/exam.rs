@@ -132,7 +132,9 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
     }
     page.section(
         "Rates",
-        "As counted, with Wilson's 95 % interval. An effect is of practical size at three tolerances of the vehicle file, and three times noise when every number of the file has moved by as many; of an exact file, at twice noise.",
+        "As counted, with Wilson's 95 % interval. An effect is of practical size at three \
+         tolerances of the vehicle file, and three times noise when every number of the file has \
+         moved by that much; with an exact file, at twice noise.",
         &measures(summary),
     );
     page.section(
@@ -156,7 +158,8 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
         );
         page.section(
             "By effect",
-            "Singles; errors and intervals where detectable. In the last columns how many were named first, by strength from the heading's on to the next.",
+            "Singles; errors and intervals where detectable. The last columns give how many were \
+             named first, by strength from the heading's up to the next.",
             &effects(summary),
         );
     }
@@ -366,7 +369,7 @@ fn reliability(summary: &Summary) -> String {
         .collect();
     let x = Axis::exact(Some((0.0, 1.0)));
     let line = [[0.0, 0.0], [1.0, 1.0]];
-    figure("share that is true", "probability given, mean", x, &points, line)
+    figure("share that is true", "stated probability, mean", x, &points, line)
 }
 
 fn detection(summary: &Summary) -> String {
