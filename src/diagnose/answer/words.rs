@@ -394,7 +394,10 @@ mod tests {
             vec![FileNumber { name, value: 1.12, expected: 1.0, tolerances: 1.6 }];
         let text = finding(&answer);
         assert!(text.contains("from 8.00 to 1.20 times"), "{text}");
-        assert!(text.contains("inertia scale[0] 1.120 instead of 1.000 (+1.6 tolerances)"), "{text}");
+        assert!(
+            text.contains("inertia scale[0] 1.120 instead of 1.000 (+1.6 tolerances)"),
+            "{text}"
+        );
         // A gap that those numbers leave open is not reported as closed.
         answer.gap.as_mut().unwrap().nuisances_only = Some(7.0);
         assert!(finding(&answer).contains("to 8.00 times"));
