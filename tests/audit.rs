@@ -315,7 +315,7 @@ fn outputs_that_never_move_in_flight_are_found() {
     for held in [0.0, 0.5] {
         let mut flight = FLIGHT.clone();
         flight.outputs = flight.outputs.map(|_| [held; 4]);
-        assert_fault(&flight, "still_outputs", "stand still");
+        assert_fault(&flight, "still_outputs", "all four stay");
     }
     // Armed in the middle, and no motor's.
     let mut flight = FLIGHT.clone();
@@ -325,7 +325,7 @@ fn outputs_that_never_move_in_flight_are_found() {
         outputs.push(*time, if at < middle { [0.0; 4] } else { [0.1; 4] });
     }
     flight.outputs = outputs;
-    assert_fault(&flight, "still_outputs", "stand still");
+    assert_fault(&flight, "still_outputs", "all four stay");
     // On the ground nothing need move.
     let mut flight = FLIGHT.clone();
     flight.outputs = flight.outputs.map(|_| [0.5; 4]);
@@ -381,7 +381,7 @@ fn values_that_stand_still_jump_or_cannot_be_are_found() {
         frozen.push(time, value);
     }
     flight.position = frozen;
-    assert_fault(&flight, "frozen", "stands still");
+    assert_fault(&flight, "frozen", "freezes");
 
     let mut flight = FLIGHT.clone();
     let mut jumped = Stream::default();
@@ -477,7 +477,7 @@ fn the_command_prints_json_and_fails_only_where_asked() {
     };
     let plain = run(&[]);
     assert_eq!(plain.status.code(), Some(0));
-    assert!(String::from_utf8_lossy(&plain.stdout).contains("output 2 stands still"));
+    assert!(String::from_utf8_lossy(&plain.stdout).contains("output 2 stays constant"));
     let json = run(&["--json"]);
     let summary: Value = serde_json::from_slice(&json.stdout).expect("one object");
     assert_eq!(summary["schema"], "downwash.log.audit");

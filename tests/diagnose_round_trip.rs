@@ -162,7 +162,7 @@ fn bad_logs_are_refused_and_nothing_is_written() {
     assert_eq!(output.status.code(), Some(2));
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(
-        errors.contains("empty.tlog is no flight log") && errors.contains("found an empty file"),
+        errors.contains("empty.tlog is not a flight log") && errors.contains("found an empty file"),
         "{errors}"
     );
     assert!(errors.contains("foreign.tlog"), "{errors}");

@@ -102,11 +102,11 @@ fn what_is_wrong_with_a_log_is_said_and_the_rest_is_learned_from() {
         ("empty.mcap", "an empty file"),
         ("empty.tlog", "an empty file"),
         ("garbage.mcap", "garbage.mcap"),
-        ("garbage.tlog", "no flight log"),
+        ("garbage.tlog", "not a flight log"),
         ("twin.mcap", "the same file as"),
         ("table.csv", "--mapping"),
         ("missing.mcap", "missing.mcap"),
-        ("short.tlog", "are usable; at least"),
+        ("short.tlog", "is usable; at least"),
         ("turned.mcap", "attitude"),
     ] {
         assert!(refusal(&summary, name).contains(words), "{name}: {}", refusal(&summary, name));
@@ -211,7 +211,7 @@ fn a_log_whose_thrust_does_not_fit_is_of_another_vehicle() {
         .expect("the command runs");
     let told = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{told}");
-    assert!(told.contains("of another vehicle") && told.contains("0.3"), "{told}");
+    assert!(told.contains("from another vehicle") && told.contains("0.3"), "{told}");
     assert!(!folder.join("model.safetensors").exists());
 }
 
@@ -243,7 +243,7 @@ fn too_little_flight_is_no_model() {
     let (output, model) = learn::train("little-model", &[log], &[]);
     let told = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{told}");
-    assert!(told.contains("rows to train on") || told.contains("are usable"), "{told}");
+    assert!(told.contains("rows to train on") || told.contains("is usable"), "{told}");
     assert!(!model.exists());
 }
 

@@ -331,7 +331,7 @@ fn of_two_boots_the_longest_flight_is_taken_or_the_one_asked_for() {
     };
     assert_eq!(span(&flight), (2.0, 22.0));
     let note = |words: &str| flight.facts.notes.iter().any(|note| note.contains(words));
-    assert!(note("boot 2 of 3 (--boot 2)") && note("flown, taken"), "{:?}", flight.facts.notes);
+    assert!(note("boot 2 of 3 (--boot 2)") && note("flown, used"), "{:?}", flight.facts.notes);
     let chosen = |boot| open_chosen(&path, Choice { mapping: None, boot: Some(boot) });
     assert_eq!(span(&chosen(1).expect("a boot")), (1.0, 41.0));
     assert_eq!(span(&chosen(3).expect("a boot")), (3.0, 8.0));

@@ -37,7 +37,7 @@ pub enum ReadError {
     },
     /// The file is too short for a record.
     #[error(
-        "the log {} holds nothing: {bytes} bytes; it was cut short before its first record",
+        "the log {} is empty: {bytes} bytes; it was cut short before its first record",
         path.display()
     )]
     Empty {
@@ -327,12 +327,12 @@ impl<R: Read> LogReader<R> {
         let Ok(Record::Chunk { header, data }) = chunk else { return Ok(()) };
         if header.compression.is_empty() {
             let fills = lengths::records_fill(&data);
-            return fills.then_some(()).ok_or("its records do not fill it");
+            return fills.then_some(()).ok_or("its records do not match its length");
         }
         let unpacked = self.unpacked.saturating_add(header.uncompressed_size);
         let most = RECORD_LEN_MAX + self.offset.saturating_mul(PACKED_MAX);
         if header.uncompressed_size > RECORD_LEN_MAX || unpacked > most {
-            return Err("too much is packed in it");
+            return Err("it unpacks to too much data");
         }
         self.unpacked = unpacked;
         Ok(())

@@ -128,7 +128,7 @@ impl LogSink {
 
 fn report(error: &LogError, failures: &AtomicU64) {
     failures.fetch_add(1, Ordering::Relaxed);
-    tracing::error!("{error}; flying goes on without a log");
+    tracing::error!("{error}; the flight continues without a log");
 }
 
 impl Target {

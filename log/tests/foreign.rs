@@ -62,7 +62,7 @@ fn files_of_other_kinds_are_named() {
         ("noise.tlog", &noise, "data of another kind"),
     ] {
         let error = refusal(name, bytes);
-        assert!(error.contains(said) && error.contains("is no flight log: expected"), "{error}");
+        assert!(error.contains(said) && error.contains("is not a flight log: expected"), "{error}");
     }
 }
 
@@ -99,7 +99,7 @@ fn mcap_files_of_other_programs_say_which_topics_they_have() {
         let error = open(&path, None).expect_err("nothing");
         assert!(matches!(error, ImportError::Nothing { .. }));
         let error = error.to_string();
-        let said = format!("no topic that is known: it has /drone/odom ({schema} in {encoding})");
+        let said = format!("no known topic: it has /drone/odom ({schema} in {encoding})");
         assert!(error.contains(&said) && error.contains("other.mcap"), "{error}");
     }
 }
@@ -108,6 +108,6 @@ fn mcap_files_of_other_programs_say_which_topics_they_have() {
 fn an_mcap_file_that_was_only_begun_is_of_nothing() {
     for bytes in [&b"\x89MCAP0\r\n"[..], b"\x89MC"] {
         let error = refusal("begun.mcap", bytes);
-        assert!(error.contains("nothing of this mcap file can be used"), "{error}");
+        assert!(error.contains("nothing in this mcap file can be used"), "{error}");
     }
 }

@@ -82,7 +82,7 @@ fn rows_that_cannot_be_used_are_left_out_and_counted() {
     let left_out = |words: &str| {
         flight.left_out.iter().filter(|(what, _)| what.contains(words)).map(|(_, n)| n).sum::<u64>()
     };
-    assert_eq!(left_out("no finite number"), 3);
+    assert_eq!(left_out("not a finite number"), 3);
     assert_eq!(left_out("more or fewer cells"), 2);
     assert_eq!(left_out("time of the row before"), 1);
     assert_eq!(left_out("earlier time"), 1);

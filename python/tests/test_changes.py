@@ -37,7 +37,7 @@ def test_an_effect_that_sets_in_is_dated(tmp_path: Path) -> None:
     ("onsets", "said"),
     [
         ([(-1.0, {"mass": {"mass_kg": 1.0}})], "onsets: @-1"),
-        ([(1.0, {"gusts": {"sigma_m_s": 1.0}})], "gusts cannot set in"),
+        ([(1.0, {"gusts": {"sigma_m_s": 1.0}})], "gusts cannot start"),
         ([(1.0, {"win": {}})], "onsets"),
     ],
 )
@@ -67,7 +67,7 @@ def test_the_fastest_way_is_planned_and_flown() -> None:
     assert np.isfinite(plan.states).all()
     (row,) = dw.fly(trajectory=plan)
     assert row["end"] == "done" and row["true_position_rmse_m"] < 0.2
-    with pytest.raises(dw.DownwashError, match="says where to fly and not when"):
+    with pytest.raises(dw.DownwashError, match="states where to fly, not when"):
         dw.fly(trajectory="race")
 
 
@@ -101,5 +101,6 @@ def test_what_was_interrupted_ends_soon(logs: list[Path]) -> None:
         return told
 
     # All stages up to the last; and broken off in the longest of them.
-    whole, short = spent(at("flown again")), spent(at("twins without an effect"))
+    whole = spent(at("flying again in simulation"))
+    short = spent(at("simulating twins without an effect"))
     assert short < 0.5 * whole, (short, whole)

@@ -97,7 +97,7 @@ def test_a_diagnosis_finds_the_drag_and_its_vehicle_flies(logs: list[Path], tmp_
     assert found.verdict == "effect" and found.effects[0]["id"] == "rotor_drag"
     assert abs(found.effects[0]["parameters"]["d_xy"] - 0.02) < 0.004
     assert found.gap is not None and found.gap["after"] < found.gap["before"]
-    assert "how far" in stages
+    assert "measuring the gap" in stages
     assert found._repr_html_().startswith("<iframe") and "rotor_drag" in found.html
     assert "rotor_drag" in str(found)
     assert found.vehicle.to_dict()["modelled_effects"].keys() == {"rotor_drag"}

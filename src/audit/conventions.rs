@@ -109,7 +109,7 @@ fn pairs(audit: &Audit) -> [Pair; 5] {
                 scale: 0.03,
                 bias: 0.05,
                 unit: "m/s",
-                advice: "position and velocity are of different estimates",
+                advice: "position and velocity come from different estimates",
             }),
             fault: Limits { delay_s: 0.15, rotation_rad: 0.3, scale: 0.3 },
         },
@@ -194,16 +194,16 @@ impl Pair {
             what,
             advice,
         };
-        let frames = "check the frames that the log was said to have";
+        let frames = "check the frames stated for the log";
         let contrary: Vec<&str> = agreement.contrary().collect();
         if !contrary.is_empty() {
             let what = if contrary.len() % 2 == 1 {
                 format!(
-                    "its axes are of another handedness than those of {other}: {} runs contrary",
+                    "its axes and those of {other} differ in handedness: {} is reversed",
                     contrary.join(", ")
                 )
             } else {
-                format!("runs contrary to {other} in {}", contrary.join(" and "))
+                format!("is reversed against {other} in {}", contrary.join(" and "))
             };
             findings.push(finding("axes", -1.0, 1.0, "", what, frames));
             return true;
@@ -216,7 +216,7 @@ impl Pair {
                 common.value,
                 unit_of(common.value)
             );
-            let advice = "check the units that the log was said to have";
+            let advice = "check the units stated for the log";
             findings.push(finding("unit", common.value, 1.0, "", what, advice));
             return true;
         }
@@ -225,7 +225,7 @@ impl Pair {
             let [x, y, z] = agreement.coarse_rad.map(|r| r.map_or(0.0, |r| r.value));
             let angle = (x * x + y * y + z * z).sqrt();
             let what = format!(
-                "is turned against {other} by ({:.0}, {:.0}, {:.0}) degrees",
+                "is rotated against {other} by ({:.0}, {:.0}, {:.0}) degrees",
                 x.to_degrees(),
                 y.to_degrees(),
                 z.to_degrees()
@@ -242,8 +242,8 @@ impl Pair {
         if let Some((_, worst)) = scaled.first() {
             let each = scaled.iter().map(|(axis, s)| format!("{:.2} in {axis}", s.value));
             let each = each.collect::<Vec<_>>().join(", ");
-            let what = format!("changes at other scales than {other} says: {each}");
-            let advice = "no filter and no calibration is off by so much: check units and columns";
+            let what = format!("changes at a different scale from {other}: {each}");
+            let advice = "too much for a filter or a calibration error: check units and columns";
             findings.push(finding("scale", worst.value, 1.0, "", what, advice));
             return true;
         }
@@ -253,10 +253,10 @@ impl Pair {
             let (ms, width) = (1e3 * value, 1e3 * half_width);
             let drift = agreement.drift.map_or(0.0, |drift| 100.0 * drift.value);
             let what = format!(
-                "{ms:+.0} +- {width:.0} ms late against {other} in the middle of the log, and drifting \
+                "{ms:+.0} +- {width:.0} ms late against {other} in the middle of the log, drifting \
                  by {drift:+.2} %"
             );
-            let advice = "no filter is as late: put both on one clock";
+            let advice = "no filter is this late: put both on one clock";
             findings.push(finding("delay", delay.value, 0.0, "s", what, advice));
             return true;
         }
@@ -290,7 +290,7 @@ impl Pair {
                 0.0,
                 "s",
                 what,
-                "shift the stream by as much before any fit",
+                "shift the stream by this much before any fit",
             );
         }
         let span = agreement.span_s;
@@ -301,7 +301,7 @@ impl Pair {
                 1e3 * drift.value * span,
                 1e3 * drift.half_width * span
             );
-            let advice = "the two are on clocks of different rates, or one was resampled";
+            let advice = "the two clocks run at different rates, or one stream was resampled";
             tell("clock_drift", drift.value, 0.0, "", what, advice);
         }
         let shown = |of: [Option<Estimate>; 3]| {
@@ -310,11 +310,11 @@ impl Pair {
         for (axis, estimate) in shown(agreement.rotation_rad) {
             if is_told(&estimate, matters.rotation_rad) {
                 let what = format!(
-                    "turned by {:.2} +- {:.2} degrees about {axis} against {other}",
+                    "rotated by {:.2} +- {:.2} degrees about {axis} against {other}",
                     estimate.value.to_degrees(),
                     estimate.half_width.to_degrees()
                 );
-                let advice = "a trim of the attitude or a mounting: no force of the vehicle";
+                let advice = "an attitude trim or a mounting angle, not a force on the vehicle";
                 tell("rotation", estimate.value, 0.0, "rad", what, advice);
             }
         }
@@ -325,7 +325,7 @@ impl Pair {
                     "changes {:.3} +- {:.3} times as fast in {axis} as {other} says",
                     scale.value, scale.half_width
                 );
-                let advice = "a scale or a filter of one of the two, and no physics";
+                let advice = "a scale or a filter of one of the two, not physics";
                 tell("scale", scale.value, 1.0, "", what, advice);
             }
         }
@@ -390,7 +390,9 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
         // A log this short may not show it.
         (None, None) if is_short => return,
         (None, follows) => match follows.unwrap_or(0.0) {
-            follows if follows < FOLLOWS => ("does not turn as the gyro says".to_owned(), follows),
+            follows if follows < FOLLOWS => {
+                ("does not turn as the gyro reports".to_owned(), follows)
+            }
             _ => return,
         },
     };
@@ -402,7 +404,8 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
         expected: 1.0,
         unit: "",
         what,
-        advice: "check order, direction and frames of the attitude, and that both are of one vehicle",
+        advice: "check order, direction and frames of the attitude, and that both are from one \
+                 vehicle",
     });
 }
 
@@ -432,7 +435,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
             expected: 1.0,
             unit: "",
             what: what.to_owned(),
-            advice: "check the frames that the log was said to have",
+            advice: "check the frames stated for the log",
         });
     };
     let with = |change: &dyn Fn(&mut Flight)| {
@@ -446,11 +449,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
             other.body_rate = by_attitude(flight, &flight.body_rate, body);
         });
         if let Some(found) = follows_better(turning_follows(flight), turning_follows(&other)) {
-            tell(
-                "body_rate",
-                found,
-                "goes with the attitude in axes of the world, not of the body",
-            );
+            tell("body_rate", found, "matches the attitude in world axes, not in body axes");
         }
     }
     if is_open(position) {
@@ -460,7 +459,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
         });
         let follows = |flight: &Flight| Some(moving_follows(flight)?.0);
         if let Some(found) = follows_better(follows(flight), follows(&other)) {
-            tell("velocity", found, "goes with the position in axes of the body, not of the world");
+            tell("velocity", found, "matches the position in body axes, not in world axes");
         }
     }
     if is_open(velocity) {
@@ -469,7 +468,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
             other.specific_force = by_attitude(flight, &flight.specific_force, body);
         });
         if let Some(found) = follows_better(gaining_follows(flight), gaining_follows(&other)) {
-            let what = "goes with the velocity in axes of the world, not of the body";
+            let what = "matches the velocity in world axes, not in body axes";
             tell("specific_force", found, what);
         }
     }
@@ -493,11 +492,11 @@ fn check_moving(flight: &Flight, audit: &mut Audit) {
         expected: 1.0,
         unit: "",
         what: format!(
-            "does not move as the velocity says: it changes by {seen:.2} m/s, the velocity by \
+            "does not follow the velocity: it changes by {seen:.2} m/s, the velocity by \
              {expected:.2} m/s, and they share {:.0} %",
             100.0 * follows
         ),
-        advice: "check that both are of one vehicle, one flight and one clock",
+        advice: "check that both are from one vehicle, one flight and one clock",
     });
 }
 
@@ -544,7 +543,7 @@ fn check_voltage(flight: &Flight, audit: &mut Audit) {
         found: highest,
         expected: 2.0_f64.max(highest.min(120.0)),
         unit: "V",
-        what: format!("at most {highest:.2} V, as no pack of a quadrotor has"),
-        advice: "check the unit, millivolts perhaps",
+        what: format!("at most {highest:.2} V, which no quadrotor's pack has"),
+        advice: "check the unit: it may be millivolts",
     });
 }

@@ -45,12 +45,12 @@ pub(super) fn check(flights: &[Flight], audits: &mut [Audit]) {
                 let what = format!("the same file as {name}");
                 finding(Severity::Fault, 1.0, what, "leave one of them out")
             } else if shared > SHARED_MAX {
-                let what = format!("{:.0} % of its samples are those of {name}", 100.0 * shared);
+                let what = format!("{:.0} % of its samples are also in {name}", 100.0 * shared);
                 finding(Severity::Fault, shared, what, "leave one of them out")
             } else if is_same_flight(first, second) {
                 let what = format!("another recording of the flight in {name}");
                 let advice =
-                    "use one of them: they are not independent, nor a hold-out of each other";
+                    "use only one: they are not independent, so neither can be a hold-out set";
                 finding(Severity::Fault, 1.0, what, advice)
             } else {
                 continue;

@@ -44,7 +44,9 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             found: rate,
             expected: FAST_HZ,
             unit: "Hz",
-            what: format!("new outputs come at {rate:.1} Hz only: lag, delay and inertia do not show"),
+            what: format!(
+                "outputs update at only {rate:.1} Hz: too slow to show lag, delay and inertia"
+            ),
             advice: "log outputs at 50 Hz or more, by telemetry (SERVO_OUTPUT_RAW, ACTUATOR_OUTPUT_STATUS) or on board",
         });
     }
@@ -82,11 +84,11 @@ fn check_movement(flight: &Flight, audit: &mut Audit) -> bool {
         expected: CHANGES,
         unit: "",
         what: format!(
-            "all four stand still at {a:.3}, {b:.3}, {c:.3}, {d:.3} for {moving_s:.1} s in which the \
-             vehicle moves"
+            "all four stay at {a:.3}, {b:.3}, {c:.3}, {d:.3} for {moving_s:.1} s while the vehicle \
+             moves"
         ),
-        advice: "they drive no motors of this vehicle: log the outputs of the device that drives them, and \
-                 its functions",
+        advice: "they do not drive this vehicle's motors: log the outputs of the device that does, \
+                 and its functions",
     });
     true
 }
@@ -135,10 +137,11 @@ fn check_range(flight: &Flight, audit: &mut Audit) {
         expected: if worst > high { high } else { low },
         unit,
         what: format!(
-            "{:.1} % of the samples have a motor outside of {low:.2} to {high:.2} {unit}, at worst {worst:.2}",
+            "{:.1} % of the samples have a motor outside {low:.2} to {high:.2} {unit}, at worst \
+             {worst:.2}",
             100.0 * share
         ),
-        advice: "the unit or the range is not what was said, or rows are damaged",
+        advice: "the stated unit or range is wrong, or rows are damaged",
     });
 }
 
@@ -168,8 +171,9 @@ fn check_channels(flight: &Flight, audit: &mut Audit) {
                 found: spread,
                 expected: widest,
                 unit: "",
-                what: format!("output {} stands still while the others move", motor + 1),
-                advice: "the channel drives no motor, or was not logged: check the order of the outputs",
+                what: format!("output {} stays constant while the others change", motor + 1),
+                advice: "the channel does not drive a motor, or was not logged: check the order of \
+                         the outputs",
             });
         }
     }
@@ -188,7 +192,8 @@ fn check_channels(flight: &Flight, audit: &mut Audit) {
             expected: SATURATED,
             unit: "",
             what: format!("a motor is at its limit in {:.0} % of the samples", 100.0 * share),
-            advice: "what was asked for is not what was logged there; fly gentler to learn the plant",
+            advice: "there the logged output is not the command; fly more gently to identify the \
+                     plant",
         });
     }
 }

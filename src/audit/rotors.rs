@@ -146,7 +146,7 @@ impl RotorEffects {
             expected: 0.0,
             unit: "",
             what: format!("do not turn the vehicle as {whose} would: {named}"),
-            advice: "check the order of the outputs and the sense of rotation",
+            advice: "check the order of the outputs and the direction of rotation",
         })
     }
 }

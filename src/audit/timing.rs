@@ -134,7 +134,7 @@ fn check_gaps(name: &'static str, times: &[f64], timing: &StreamTiming, audit: &
             period,
             100.0 * lost
         ),
-        advice: "windows over long gaps are left out; look for what held the logger or the link up",
+        advice: "windows over long gaps are excluded; look for what stalled the logger or the link",
     });
 }
 
@@ -155,7 +155,7 @@ fn check_jitter(timing: &StreamTiming, audit: &mut Audit) {
             1e3 * jitter,
             1e3 * period
         ),
-        advice: "stamps are used as they are, never a nominal rate",
+        advice: "timestamps are used as logged, never a nominal rate",
     });
 }
 
@@ -173,7 +173,8 @@ fn check_clocks(flight: &Flight, audit: &mut Audit) {
             100.0 * skew.abs(),
             if skew > 0.0 { "faster" } else { "slower" }
         ),
-        advice: "all times are the vehicle's; what only the ground stamped was mapped piece by piece",
+        advice: "all times are the vehicle's; times that only the ground stamped are mapped \
+                 piecewise",
     });
 }
 
@@ -209,7 +210,8 @@ fn check_left_out(flight: &Flight, audit: &mut Audit) {
             expected: 0.0,
             unit: "",
             what: format!("{count} x {reason}"),
-            advice: "left out by the importer; copy the log anew if the file was damaged on the way",
+            advice: "the importer left them out; copy the log again if the file was damaged in \
+                     transit",
         });
     }
 }

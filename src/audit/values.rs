@@ -107,10 +107,10 @@ fn repeated<T>(
             expected: 0.0,
             unit: "s",
             what: format!(
-                "stands still {} times, {stopped:.2} s in all, while the vehicle moves",
+                "freezes {} times, {stopped:.2} s in all, while the vehicle moves",
                 frozen.len()
             ),
-            advice: "leave these times out; look for an estimator or a sensor that stopped",
+            advice: "exclude these times; look for an estimator or a sensor that stopped",
         });
     } else if share > REPEATED_NOTE {
         let rate = stream.rate() * (1.0 - share);
@@ -125,7 +125,7 @@ fn repeated<T>(
                 "{:.0} % of the samples repeat the one before: the source runs at about {rate:.0} Hz",
                 100.0 * share
             ),
-            advice: "do not count on the logged rate",
+            advice: "do not rely on the logged rate",
         });
     }
 }
@@ -195,7 +195,7 @@ fn report(
             most + allowed,
             steps[0].0
         ),
-        advice: "an estimate was reset or a row is damaged: no window may reach over it",
+        advice: "an estimate was reset or a row is damaged: no window may span it",
     });
 }
 
@@ -231,6 +231,6 @@ fn impossible<T>(
             "{} values that no sensor measures, up to {largest:.3e} {unit}",
             beyond.len()
         ),
-        advice: "rows are damaged, or the unit is not what was said",
+        advice: "rows are damaged, or the stated unit is wrong",
     });
 }

@@ -16,7 +16,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             expected: 1.0,
             unit: "",
             what: format!("the log is of {}: {}", stated.kind, stated.by),
-            advice: "only quadrotors are understood: nothing is concluded from this log",
+            advice: "only quadrotors are supported: this log supports no conclusion",
         });
     }
     if let Some(motors) = flight.facts.motors.filter(|motors| *motors != MOTORS) {
@@ -28,7 +28,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             expected: f64::from(MOTORS),
             unit: "",
             what: format!("the autopilot drives {motors} motors"),
-            advice: "only quadrotors are understood: the log is of another kind of vehicle",
+            advice: "only quadrotors are supported: the log is from another kind of vehicle",
         });
     }
 }

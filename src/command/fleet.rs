@@ -271,7 +271,7 @@ impl Work<'_> {
     fn scale(&self, usable: &[usize]) -> anyhow::Result<Option<f64>> {
         let step = usable.len().div_ceil(SAMPLE).max(1);
         let sample: Vec<usize> = usable.iter().copied().step_by(step).collect();
-        let done = self.stage(SCALES, "how good the vehicle file is", &sample, |vehicle| {
+        let done = self.stage(SCALES, "assessing the vehicle file", &sample, |vehicle| {
             let case = self.case(self.vehicle, &self.read[vehicle].flights, &[]);
             Ok(Done::Scales(scales(&case)?))
         })?;

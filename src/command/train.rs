@@ -314,7 +314,7 @@ fn unsealed(bytes: &[u8]) -> anyhow::Result<&[u8]> {
     let end = bytes.iter().position(|byte| *byte == b'\n').context("it has no seal")?;
     let (stated, content) = (&bytes[..end], &bytes[end + 1..]);
     if stated != sha256(content).as_bytes() {
-        return Err(anyhow!("its content is not what was written"));
+        return Err(anyhow!("its content does not match its checksum"));
     }
     Ok(content)
 }

@@ -287,10 +287,8 @@ impl Answer {
             .filter(|log| log.is_faulty())
             .map(|log| format!("{}: {}", log.name, log.faults.join("; ")))
             .collect();
-        let sentence = format!(
-            "The data are at fault, and nothing was concluded from them: {}.",
-            reasons.join(". ")
-        );
+        let sentence =
+            format!("The data are faulty and support no conclusion: {}.", reasons.join(". "));
         Self {
             verdict: Verdict::Unknown,
             effects: Vec::new(),

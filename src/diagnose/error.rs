@@ -16,6 +16,6 @@ pub enum DiagnoseError {
     #[error("interrupted")]
     Stopped,
     /// No flight has data to fit.
-    #[error("the flights hold nothing that a model could be compared with")]
+    #[error("the flights contain no data to compare a model with")]
     Nothing,
 }

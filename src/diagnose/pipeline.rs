@@ -64,7 +64,7 @@ pub fn diagnose(
     let (leg, onboard) = (*leg, premises.onboard());
     let at_scale = |scale: f64| premises.catalogue(case, scale);
     let parts = Parts::of(case);
-    stages.begin("how good the vehicle file is")?;
+    stages.begin("assessing the vehicle file")?;
     let first = at_scale(1.0);
     first.candidate(&first.references())?;
     let look = |flights, unused: &[usize]| Observed::without(flights, evaluator, &first, unused);
@@ -97,12 +97,12 @@ pub fn diagnose(
         axes: turning.map(|axis| axis.is_usable),
     };
     let found = inquiry.explanations(&stages)?;
-    stages.begin("how far")?;
+    stages.begin("measuring the gap")?;
     let evidence = inquiry.evidence(&found, (turning, scale, scales))?;
     let decision = decide(&evidence);
     let discovered = match settings.discover {
         true => {
-            stages.begin("which law")?;
+            stages.begin("searching for a law")?;
             inquiry.discover(&found, &evidence, &decision)?
         }
         false => None,
@@ -154,18 +154,18 @@ impl Inquiry<'_> {
             catalogue: self.catalogue,
             chance: Vec::new(),
         };
-        stages.begin("what the vehicle file's numbers explain")?;
+        stages.begin("fitting the vehicle file's numbers")?;
         let (file, about) = search.file().ok_or(DiagnoseError::Nothing)?;
         let counts = self.fitted.counts();
         let noise = report_noise(self.fitted.flights, &file.fit.power, counts);
         let mut twins = None;
         if self.settings.twins > 0 {
-            stages.begin("twins without an effect")?;
+            stages.begin("simulating twins without an effect")?;
             let found = self.chance(&search, &file, &about, &noise)?;
             search.chance.clone_from(&found.chance);
             twins = Some(found);
         }
-        stages.begin("which effect")?;
+        stages.begin("searching for effects")?;
         let sets = search.explanations(&file, &about);
         let mut found = Explanations { file, sets, noise, twins };
         // The response to an effect is not noise: take the smaller residual of the file alone and
@@ -248,7 +248,7 @@ impl Inquiry<'_> {
         decision: Decision,
         stages: &Stages<'_>,
     ) -> Result<Diagnosis, DiagnoseError> {
-        stages.begin("the numbers of what was found")?;
+        stages.begin("refining the numbers found")?;
         let chosen = match decision.explanation {
             0 => found.file.clone(),
             rank => found.sets[rank - 1].clone(),
@@ -261,7 +261,7 @@ impl Inquiry<'_> {
             evidence: &evidence,
             decision: &decision,
         };
-        stages.begin("flown again")?;
+        stages.begin("flying again in simulation")?;
         let (answer, effects) = assembly.answer()?;
         let open = open_questions(self.catalogue, &found.sets, &answer);
         Ok(Diagnosis {

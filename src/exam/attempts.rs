@@ -18,7 +18,7 @@ pub enum CaseError {
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
     /// The vehicle was lost in every attempt.
-    #[error("no flyable case after {ATTEMPTS} draws; the last: {0}")]
+    #[error("no flyable case after {ATTEMPTS} draws; the last failed with: {0}")]
     Unflyable(FlightError),
 }
 

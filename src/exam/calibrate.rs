@@ -188,7 +188,7 @@ impl Display for Calibrated {
             }
             let held = &summary.covered;
             writeln!(f, "intervals_that_hold = [{}, {}]", held.count, held.of)?;
-            writeln!(f, "# Stated, true, of so many.\nreliability = [")?;
+            writeln!(f, "# Stated probability, number true, number of cases.\nreliability = [")?;
             for bin in &summary.reliability {
                 let is_true = &bin.is_true;
                 writeln!(f, "    [{:.3}, {}, {}],", bin.mean, is_true.count, is_true.of)?;

@@ -53,7 +53,7 @@ pub enum GroundError {
     #[error(transparent)]
     Design(#[from] crate::control::DesignError),
     /// The file has no on-board loop.
-    #[error("vehicle {0}: the file has no on-board loop, which the flights of an exam need")]
+    #[error("vehicle {0}: the file has no on-board loop, which exam flights need")]
     NoLoop(String),
 }
 

@@ -291,7 +291,7 @@ impl Summary {
                 at_least(0.8),
             ),
             measure(
-                "confidently wrong, such singles",
+                "confidently wrong, practical singles",
                 singles().map(|r| r.confidently_wrong.is_some()).collect(),
                 at_most(0.02),
             ),
@@ -320,7 +320,7 @@ impl Summary {
                 at_least(0.8),
             ),
             measure(
-                "pairs, exactly these",
+                "pairs, exactly both",
                 of(Kind::Pair).filter(detectable).map(|r| r.exact).collect(),
                 None,
             ),
@@ -330,7 +330,7 @@ impl Summary {
                 at_most(0.01),
             ),
             measure(
-                "nulls that name only what is off the file",
+                "nulls that name only errors of the file",
                 of(Kind::Null).map(|r| r.grade == Grade::Acceptable).collect(),
                 None,
             ),

@@ -157,7 +157,7 @@ impl Onboard {
         }
         let count = flight.outputs.len() as u64;
         flight.outputs = Stream::default();
-        flight.left_out.push(("motor outputs in a unit that nothing states".to_owned(), count));
+        flight.left_out.push(("motor outputs in an unknown unit".to_owned(), count));
         Ok(())
     }
 

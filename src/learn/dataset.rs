@@ -105,7 +105,7 @@ pub struct Row {
 pub enum Implausible {
     /// Its commands do not carry the vehicle's weight.
     #[error(
-        "its commands lift {found:.2} of the vehicle's weight on average, not about 1: it is of \
+        "its commands lift {found:.2} of the vehicle's weight on average, not about 1: it is from \
          another vehicle, or the motors' unit is wrong"
     )]
     OtherVehicle {
@@ -114,8 +114,8 @@ pub enum Implausible {
     },
     /// The rotors' commands are unknown at all usable times.
     #[error(
-        "at none of its usable times it says what the rotors were told, by {}: log setpoints \
-         with thrust or motor outputs at 10 Hz or more",
+        "it has no rotor commands from {} at any usable time: log setpoints with thrust or motor \
+         outputs at 10 Hz or more",
         by.name()
     )]
     NoInput {

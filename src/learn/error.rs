@@ -15,8 +15,8 @@ pub enum TrainError {
     },
     /// No rows to select or evaluate on.
     #[error(
-        "the {part} part has no rows: each part of a flight must be longer than {border_s} s, which \
-         are left out at its borders; give more or longer flights"
+        "the {part} part has no rows: each part of a flight must be longer than the {border_s} s \
+         excluded at its borders; give more or longer flights"
     )]
     EmptyPart {
         /// `validation` or `test`.
@@ -47,9 +47,9 @@ pub enum TrainError {
         reason: String,
     },
     /// No regularisation to try.
-    #[error("no regularisation is given to try")]
+    #[error("no regularisation value is given")]
     NoRegularization,
     /// The checkpoint belongs to another training.
-    #[error("the checkpoint is of other data or settings; train without --resume")]
+    #[error("the checkpoint belongs to other data or settings; train without --resume")]
     Checkpoint,
 }

@@ -196,11 +196,11 @@ impl Best {
     /// Why no model is usable, if none is.
     pub fn reason(self) -> Option<&'static str> {
         match self {
-            Self::NotJudged => Some("no second of the validation part goes on without a gap"),
+            Self::NotJudged => Some("the validation part has no second without a gap"),
             Self::NotFinite => Some("no model predicts finite states on the validation flights"),
-            Self::NoBetterThanHolding => Some(
-                "no model predicts better on the validation flights than that all stays as it is",
-            ),
+            Self::NoBetterThanHolding => {
+                Some("no model predicts the validation flights better than holding the state does")
+            }
             Self::Better => None,
         }
     }

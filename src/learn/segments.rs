@@ -65,8 +65,8 @@ pub enum Unusable {
     Missing(&'static str),
     /// A stream is too slow.
     #[error(
-        "its {stream} comes every {period_s:.3} s, and at least every {PERIOD_MAX_S} s is needed; \
-         log it faster, or mend the unit of its times"
+        "its {stream} arrives every {period_s:.3} s, expected every {PERIOD_MAX_S} s or faster; \
+         log it faster, or correct the unit of its times"
     )]
     Slow {
         /// The stream.
@@ -79,9 +79,9 @@ pub enum Unusable {
     Unit(#[from] UnitUnknown),
     /// Too little is left.
     #[error(
-        "only {usable_s:.1} s of {total_s:.1} s are usable; at least {needed_s} s are needed{}",
+        "only {usable_s:.1} s of {total_s:.1} s is usable; at least {needed_s} s is needed{}",
         most.as_ref().map_or(String::new(), |most| {
-            format!(" (left out the most: {}, {:.1} s)", most.reason, most.seconds)
+            format!(" (most excluded: {}, {:.1} s)", most.reason, most.seconds)
         })
     )]
     TooShort {

@@ -144,7 +144,7 @@ pub enum TrainingError {
         found: f64,
     },
     /// The checkpoint belongs to another training.
-    #[error("the checkpoint is of another training: {0}; train from the start")]
+    #[error("the checkpoint belongs to another training: {0}; train from the start")]
     Checkpoint(&'static str),
 }
 

@@ -123,7 +123,7 @@ pub enum ModelFileError {
         source: std::io::Error,
     },
     /// Not a model file, or a damaged one.
-    #[error("model file {}: {reason}; train it again or fetch it anew", path.display())]
+    #[error("model file {}: {reason}; train it again or copy it again", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -132,8 +132,8 @@ pub enum ModelFileError {
     },
     /// Written by another version.
     #[error(
-        "model file {}: expected version {VERSION} of the form, found {found}; train it again with \
-         this version",
+        "model file {}: expected format version {VERSION}, found {found}; train it again with this \
+         version",
         path.display()
     )]
     Version {
@@ -144,8 +144,8 @@ pub enum ModelFileError {
     },
     /// For another vehicle.
     #[error(
-        "model file {}: it was trained for the vehicle {trained:?}, this is another: {difference}. \
-         Train a model for it",
+        "model file {}: it was trained for the vehicle {trained:?}, which differs from this one: \
+         {difference}. Train a model for this vehicle",
         path.display()
     )]
     Vehicle {
@@ -314,18 +314,21 @@ impl ModelFile {
             version: u32,
         }
         let stamp: Stamp = serde_json::from_str(text)
-            .map_err(|error| damaged(format!("its metadata is not what was written ({error})")))?;
+            .map_err(|error| damaged(format!("its metadata is corrupt ({error})")))?;
         if stamp.format != FORMAT {
-            return Err(damaged(format!("expected the form {FORMAT:?}, found {:?}", stamp.format)));
+            return Err(damaged(format!(
+                "expected the format {FORMAT:?}, found {:?}",
+                stamp.format
+            )));
         }
         if stamp.version != VERSION {
             let found = stamp.version;
             return Err(ModelFileError::Version { path: path.to_owned(), found });
         }
         let mut header: Header = serde_json::from_str(text)
-            .map_err(|error| damaged(format!("its metadata is not what was written ({error})")))?;
+            .map_err(|error| damaged(format!("its metadata is corrupt ({error})")))?;
         let tensors = SafeTensors::deserialize(bytes)
-            .map_err(|error| damaged(format!("its tensors do not read ({error})")))?;
+            .map_err(|error| damaged(format!("its tensors cannot be read ({error})")))?;
         let mut named = tensors.tensors();
         named.sort_by(|a, b| a.0.cmp(&b.0));
         let stated = std::mem::take(&mut header.sha256);
@@ -333,7 +336,7 @@ impl ModelFile {
             .seal(named.iter().map(|(name, view)| (name.as_str(), view.data())))
             .map_err(|error| damaged(error.to_string()))?;
         if found != stated {
-            return Err(damaged("its content is not what was written".to_owned()));
+            return Err(damaged("its content does not match its checksum".to_owned()));
         }
         let model = |prefix: &str, features: Features| {
             let network = |head: Head| read_network(&tensors, prefix, head, features);
@@ -417,7 +420,10 @@ fn read_network(
             view.data().as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
         let sound = values.len() == length && values.iter().all(|v| v.is_finite());
         sound.then_some(values).ok_or_else(|| {
-            format!("tensor {}: expected {length} finite numbers, found others", name(part))
+            format!(
+                "tensor {}: expected {length} finite numbers, found others that are not",
+                name(part)
+            )
         })
     };
     let singles = |part: &str, shape: &[usize]| {

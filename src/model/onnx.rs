@@ -30,7 +30,7 @@ pub enum Networks {
 pub fn encode(file: &ModelFile, networks: Networks) -> Vec<u8> {
     let (model, meaning) = match networks {
         Networks::Net => (&file.net, "accelerations"),
-        Networks::Hybrid => (&file.residual, "what is to be added to the physics' accelerations"),
+        Networks::Hybrid => (&file.residual, "correction to add to the physics' accelerations"),
     };
     let metadata = [
         ("format", "downwash.model".to_owned()),

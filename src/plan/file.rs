@@ -57,8 +57,8 @@ pub enum TrajectoryError {
     },
     /// The file gives places without times.
     #[error(
-        "trajectory {path}: the family time-optimal says where to fly and not when; plan it first, \
-         `downwash plan {path} -o plan.json`, and fly plan.json"
+        "trajectory {path}: the family time-optimal states where to fly, not when; plan it first \
+         with `downwash plan {path} -o plan.json`, and fly plan.json"
     )]
     Unplanned {
         /// The file.

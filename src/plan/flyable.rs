@@ -25,8 +25,8 @@ pub enum NotFlyable {
     Failed,
     /// It violates the dynamics or a bound.
     #[error(
-        "the plan misses its dynamics by {defect:.1e} (at most {DEFECT_MAX:.0e}) and its bounds by \
-         {overrun:.1e} (at most {OVERRUN_MAX:.0e}); change the trajectory, or [plan] in the \
+        "the plan violates its dynamics by {defect:.1e} (at most {DEFECT_MAX:.0e}) and its bounds \
+         by {overrun:.1e} (at most {OVERRUN_MAX:.0e}); change the trajectory, or [plan] in the \
          configuration"
     )]
     Violated {
@@ -37,8 +37,8 @@ pub enum NotFlyable {
     },
     /// It enters forbidden space.
     #[error(
-        "the plan leads {trespass_m:.4} m into a region to keep out of, or out of the box to stay in \
-         (at most {TRESPASS_MAX_M} m): change the trajectory, or [plan] in the configuration"
+        "the plan goes {trespass_m:.4} m into a keep_out region, or out of box_m (at most \
+         {TRESPASS_MAX_M} m): change the trajectory, or [plan] in the configuration"
     )]
     Trespass {
         /// Largest depth, m.
@@ -46,9 +46,9 @@ pub enum NotFlyable {
     },
     /// Its states are not consistent with each other.
     #[error(
-        "the plan's position or attitude jumps by {jump:.1e} m or rad at {at_s:.2} s, where its \
-         velocity or body rate does not lead (at most {DEFECT_MAX:.0e}): the file was changed; plan \
-         it again"
+        "the plan's position or attitude jumps by {jump:.1e} m or rad at {at_s:.2} s, which its \
+         velocity or body rate does not explain (at most {DEFECT_MAX:.0e}): the file was changed; \
+         plan it again"
     )]
     Torn {
         /// The first jump found, m or rad.

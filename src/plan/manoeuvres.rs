@@ -37,32 +37,35 @@ pub fn library(room: &Room, envelope: &FlightEnvelope) -> Vec<Manoeuvre> {
         ),
         (
             "four-headings",
-            "moves alike at four headings: what is fixed to the body turns with it, and steady motion is told from its change",
+            "moves alike at four headings: what is fixed to the body turns with it, and steady \
+             motion separates from its change",
             four_headings(room),
         ),
         (
             "height-staircase",
-            "hovers at one height after the other, up and down: what depends on height is told from what depends on time",
+            "hovers at one height after another, up and down: what depends on height separates \
+             from what depends on time",
             height_staircase(room),
         ),
         (
             "low-hover",
-            "hovers close to the floor and further up: what the floor does fades with height",
+            "hovers close to the floor and further up: the floor's effect fades with height",
             low_hover(room),
         ),
         (
             "vertical-chirp",
-            "climbs and sinks ever faster: thrust is seen over its range and beyond its lag",
+            "climbs and sinks ever faster: it shows thrust over its range and beyond its lag",
             vertical_chirp(room),
         ),
         (
             "throttle-punches",
-            "climbs and stops hard: thrust is seen well above and below hover",
+            "climbs and stops hard: it shows thrust well above and below hover",
             throttle_punches(room),
         ),
         (
             "long-hover",
-            "drains the pack between hard climbs: the same throttle is seen at a full and at a used pack",
+            "drains the pack between hard climbs: it shows the same throttle with a full and with \
+             a used pack",
             long_hover(room),
         ),
         (
@@ -72,7 +75,8 @@ pub fn library(room: &Room, envelope: &FlightEnvelope) -> Vec<Manoeuvre> {
         ),
         (
             "speed-sweep",
-            "flies along both axes and both ways at growing speed: the speed's power is seen, and which way it acts",
+            "flies along both axes, both ways, at growing speed: it shows the power of the speed, \
+             and which way it acts",
             speed_sweep(room),
         ),
         (
@@ -82,17 +86,17 @@ pub fn library(room: &Room, envelope: &FlightEnvelope) -> Vec<Manoeuvre> {
         ),
         (
             "turning-circle",
-            "circles at speed while turning: air, body and world axes are all told apart",
+            "circles at speed while turning: air, body and world axes all separate",
             fast_circle(room, 0.5),
         ),
         (
             "stops",
-            "jumps sideways and stops: how quickly it answers is told from what it answers to",
+            "jumps sideways and stops: how quickly it responds separates from what it responds to",
             stops(room),
         ),
         (
             "tilt-chirp",
-            "tilts ever faster: delay, lag, gain and inertia turn the phase in different ways",
+            "tilts ever faster: delay, lag, gain and inertia shift the phase in different ways",
             tilt_chirp(room, 0.0),
         ),
         (
@@ -102,7 +106,7 @@ pub fn library(room: &Room, envelope: &FlightEnvelope) -> Vec<Manoeuvre> {
         ),
         (
             "tilt-while-yawing",
-            "tilts fast while it turns: what spins answers across the axis",
+            "tilts fast while it turns: spinning parts respond across the axis",
             tilt_chirp(room, 0.8),
         ),
         ("everything", "moves along and about all axes at once", everything(room)),

@@ -566,7 +566,7 @@ impl PlanSettings {
         }
         if let Some([lower, upper]) = self.box_m {
             for (lower, upper) in lower.into_iter().zip(upper) {
-                within("box_m", upper - lower, 0.0, f64::MAX, "a greatest not below the least")?;
+                within("box_m", upper - lower, 0.0, f64::MAX, "upper not below lower")?;
             }
         }
         for region in &self.keep_out {

@@ -57,9 +57,7 @@ pub enum ProgrammeError {
         most: f64,
     },
     /// Settings that leave no room to fly in.
-    #[error(
-        "[collect] with [envelope] and the vehicle leaves {quantity} of {found:.3}: {expected}"
-    )]
+    #[error("[collect], [envelope] and the vehicle leave {quantity} of {found:.3}: {expected}")]
     NoRoom {
         /// The quantity with too little room.
         quantity: &'static str,

@@ -77,9 +77,9 @@ impl Status {
     pub fn in_words(self) -> &'static str {
         match self {
             Self::Converged => "converged",
-            Self::Stalled => "as good as this search finds",
-            Self::SubproblemLimit => "the best of the subproblems allowed",
-            Self::Stopped => "the best before it was stopped",
+            Self::Stalled => "no further improvement found",
+            Self::SubproblemLimit => "best within the allowed subproblems",
+            Self::Stopped => "best before the search was stopped",
             Self::Failed => "failed",
         }
     }

@@ -25,17 +25,17 @@ macro_rules! shipped {
 
 /// All embedded trajectory files.
 pub const SHIPPED_TRAJECTORIES: [ShippedTrajectory; 11] = shipped! {
-    "hover": "holds a place",
-    "figure-8": "an eight in the plane",
+    "hover": "holds a position",
+    "figure-8": "a figure eight in the horizontal plane",
     "sinusoid-xy": "sines along north and east",
     "sinusoid-xz": "sines along north and up",
     "sinusoid-yz": "sines along east and up",
     "sinusoid-yaw": "a circle while turning, as in the paper",
     "yaw-rotation": "turns on the spot",
-    "steps": "jumps between places",
-    "waypoints": "from place to place, at rest in each",
-    "random-waypoints": "the same, by chance from a seed",
-    "race": "gates and waypoints as fast as it goes, to be planned first",
+    "steps": "jumps between positions",
+    "waypoints": "from waypoint to waypoint, at rest at each",
+    "random-waypoints": "the same, with random waypoints from a seed",
+    "race": "gates and waypoints in the shortest time; plan it first",
 };
 
 /// The shipped trajectory that `path` names: by its bare name, if no such file exists.

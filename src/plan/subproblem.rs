@@ -84,7 +84,7 @@ pub enum SubproblemError {
     #[error("the solver stopped with {0}")]
     Solver(String),
     /// The solver does not support this form.
-    #[error("this solver takes the dynamics as equations only")]
+    #[error("this solver supports the dynamics as equations only")]
     Form,
 }
 

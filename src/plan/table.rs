@@ -42,10 +42,10 @@ impl Table {
         let mut order = Vec::new();
         for name in header.split(',').map(str::trim) {
             let column = COLUMNS.iter().position(|known| *known == name).ok_or_else(|| {
-                format!("unknown column {name:?}: expected some of {}", COLUMNS.join(", "))
+                format!("unknown column {name:?}: expected one of {}", COLUMNS.join(", "))
             })?;
             if order.contains(&column) {
-                return Err(format!("column {name} is there twice: expected it once"));
+                return Err(format!("column {name} appears twice: expected it once"));
             }
             order.push(column);
         }
@@ -57,7 +57,8 @@ impl Table {
         if let Some(odd) = (5..8).find(|column| has(*column) != with_velocity) {
             let [there, missing] = if with_velocity { [5, odd] } else { [odd, 5] };
             return Err(format!(
-                "column {} is there, and {} is missing: expected all three of the velocity, or none",
+                "column {} is present, but {} is missing: expected all three of the velocity, or \
+                 none",
                 COLUMNS[there], COLUMNS[missing]
             ));
         }
@@ -87,7 +88,7 @@ impl Table {
             let [t, n, e, d, yaw, vn, ve, vd] = cells;
             if rows.last().is_some_and(|last| t <= last.t) {
                 return Err(format!(
-                    "line {}: t_s: expected more than before, found {t}",
+                    "line {}: t_s: expected a later time than on the line before, found {t}",
                     index + 1
                 ));
             }
@@ -237,9 +238,9 @@ mod tests {
     #[test]
     fn columns_twice_and_parts_of_a_velocity_are_refused_by_name() {
         let error = |text| Table::parse(text).expect_err("refused");
-        assert!(error("t_s,n_m,e_m,d_m,n_m\n").contains("n_m is there twice"));
+        assert!(error("t_s,n_m,e_m,d_m,n_m\n").contains("n_m appears twice"));
         let missing = error("t_s,n_m,e_m,d_m,v_n_mps,v_d_mps\n");
-        assert!(missing.contains("v_n_mps is there, and v_e_mps is missing"), "{missing}");
+        assert!(missing.contains("v_n_mps is present, but v_e_mps is missing"), "{missing}");
         assert!(error("t_s,n_m,e_m,d_m,v_d_mps\n").contains("v_n_mps is missing"));
     }
 

@@ -40,7 +40,9 @@ pub fn html(answer: &Answer, vehicle: &str, seen: &[SeenFlight<'_>]) -> String {
     page.section("Where", &answer.map.sentence, &place(answer));
     page.section(
         "Which",
-        "Evidence that each hypothesis adds to the file's numbers (delay, lag, thrust, trims, biases within their tolerances), on the flights of the fit; and how much likelier it makes the flights held out. An effect must also make better open-loop predictions.",
+        "Evidence that each hypothesis adds to the file's numbers (delay, lag, thrust, trims, \
+         biases within their tolerances), on the fitted flights, and how much more likely it makes \
+         the held-out flights. An effect must also improve open-loop predictions.",
         &which(answer),
     );
     if !seen.is_empty() {
@@ -56,7 +58,10 @@ pub fn html(answer: &Answer, vehicle: &str, seen: &[SeenFlight<'_>]) -> String {
     if let Some(gap) = &answer.gap {
         page.section(
             "How far",
-            "Open-loop predictions of the flights held out, from every quarter of a second: root mean square errors with the vehicle file as shipped, with the effects, and what noise alone leaves. The learner is a network on what the vehicle file as shipped leaves of the fitted flights.",
+            "Open-loop predictions of the held-out flights, started every quarter of a second: \
+             root mean square errors with the vehicle file as shipped, with the effects, and from \
+             noise alone. The learner is a network trained on the residual of the fitted flights \
+             with the vehicle file as shipped.",
             &how_far(answer, gap),
         );
     }
@@ -70,7 +75,7 @@ pub fn html(answer: &Answer, vehicle: &str, seen: &[SeenFlight<'_>]) -> String {
             &reflight::html(flown, words::explanation(answer.finding.verdict)),
         );
     }
-    page.section("What these logs cannot tell", "", &untold(answer));
+    page.section("What these logs cannot show", "", &untold(answer));
     if let Some(next) = &answer.next_flight {
         page.section("Next flight", &words::next_flight(next), &next_flight::html(next));
     }
@@ -227,11 +232,8 @@ fn how_far(answer: &Answer, gap: &Gap) -> String {
         rows.insert(rows.len() - 1, ("with a learner".to_owned(), learner, floor_mark));
     }
     let mut html = String::new();
-    let _ = write!(
-        html,
-        "<h3>{}, in units of what the sensors' noise leaves</h3>",
-        metric_in_words(gap.metric)
-    );
+    let _ =
+        write!(html, "<h3>{}, in multiples of the noise floor</h3>", metric_in_words(gap.metric));
     html += &bars(&rows);
     let mut table = Table::new(&[
         ("quantity", false),
@@ -255,10 +257,12 @@ fn how_far(answer: &Answer, gap: &Gap) -> String {
 fn metric_in_words(metric: &str) -> &'static str {
     match metric {
         "guided" => {
-            "Mean of position and velocity at 0.5 and 1 s, the body turning as reported, and of \
-             attitude and body rate at 0.1 s"
+            "Mean of position and velocity at 0.5 and 1 s, with the body turning as reported, and \
+             of attitude and body rate at 0.1 s"
         }
-        "forces" => "Mean of position and velocity at 0.5 and 1 s, the body turning as reported",
+        "forces" => {
+            "Mean of position and velocity at 0.5 and 1 s, with the body turning as reported"
+        }
         _ => "Mean of position, velocity and attitude at 0.5 and 1 s",
     }
 }
@@ -269,12 +273,14 @@ fn untold(answer: &Answer) -> String {
         table.row(Mood::Plain, &[effect.id.to_string(), effect.reason.clone()]);
     }
     for id in &answer.ambiguous_with {
-        table.row(Mood::Warning, &[id.to_string(), "cannot be told from what is named".into()]);
+        table.row(
+            Mood::Warning,
+            &[id.to_string(), "cannot be distinguished from the named effects".into()],
+        );
     }
     let mut html = String::new();
     if answer.not_testable.is_empty() && answer.ambiguous_with.is_empty() {
-        html +=
-            "<p>Every effect of the catalogue that was looked for can be seen in these logs.</p>";
+        html += "<p>These logs can show every effect in the catalogue that was searched for.</p>";
     } else {
         html += &table.into_html();
     }
@@ -284,8 +290,8 @@ fn untold(answer: &Answer) -> String {
     if let Some([before, after]) = &answer.unmodelled_force {
         let _ = write!(
             html,
-            "<p>Force per mass that velocity and accelerometer agree on and nothing explains, 0.1 to 4.5 Hz: \
-             {} m/s\u{b2} before, {} m/s\u{b2} after.</p>",
+            "<p>Unexplained force per mass on which velocity and accelerometer agree, 0.1 to 4.5 \
+             Hz: {} m/s\u{b2} before, {} m/s\u{b2} after.</p>",
             significant(before.rms()),
             significant(after.rms())
         );
@@ -297,7 +303,7 @@ fn provenance(answer: &Answer) -> String {
     let mut table = Table::new(&[
         ("flight", false),
         ("part", false),
-        ("looked at (s)", true),
+        ("used (s)", true),
         ("gap as shipped", true),
         ("log holds", false),
     ]);
@@ -329,14 +335,15 @@ fn provenance(answer: &Answer) -> String {
         );
     }
     let mut html = table.into_html();
-    html += "<p>Each equation of motion and measurement is compared with the reports over cells of 10 ms and \
-             weighed by frequency with the noise that is left, whose spectrum is not assumed. Every set of effects is \
-             fitted with the vehicle file's numbers free within their tolerances.</p>";
+    html += "<p>Each equation of motion and measurement is compared with the reports over cells of \
+             10 ms and weighted over frequency by the residual noise, whose spectrum is not \
+             assumed. Every set of effects is fitted with the vehicle file's numbers free within \
+             their tolerances.</p>";
     if let Some(twins) = &answer.twins {
         let _ = write!(
             html,
-            "<p>{} twins of the flights without any effect reached up to {:.0} % of the evidence that is asked of an \
-             effect.</p>",
+            "<p>{} twins of the flights without any effect reached up to {:.0} % of the evidence \
+             required of an effect.</p>",
             twins.count,
             100.0 * twins.largest.last().copied().unwrap_or(0.0)
         );

@@ -128,16 +128,19 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
     } else {
         let count = failures.len();
         let miss = if count == 1 { "figure misses" } else { "figures miss" };
-        page.verdict(Mood::Warning, &format!("{count} {miss} what is asked."), &failures);
+        page.verdict(Mood::Warning, &format!("{count} {miss} the target."), &failures);
     }
     page.section(
         "Rates",
-        "As counted, with Wilson's 95 % interval. An effect is of practical size at three tolerances of the vehicle file, and three times noise when every number of the file has moved by as many; of an exact file, at twice noise.",
+        "As counted, with Wilson's 95 % interval. An effect is of practical size at three \
+         tolerances of the vehicle file, and three times noise when every number of the file has \
+         moved by that much; with an exact file, at twice noise.",
         &measures(summary),
     );
     page.section(
         "Reliability",
-        "How often an effect that is given a probability is there: on the line, probabilities are what they say.",
+        "How often an effect is present, by its stated probability: on the line, probabilities are \
+         calibrated.",
         &reliability(summary),
     );
     if !summary.families.is_empty() {
@@ -155,7 +158,8 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
         );
         page.section(
             "By effect",
-            "Singles; errors and intervals where detectable. In the last columns how many were named first, by strength from the heading's on to the next.",
+            "Singles; errors and intervals where detectable. The last columns give how many were \
+             named first, by strength from the heading's up to the next.",
             &effects(summary),
         );
     }
@@ -165,10 +169,11 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
     page.section("Cases", "", &cases(rows));
     let [flying, diagnosing] = provenance.wall_s.map(|s| format!("{s:.0} s"));
     let check =
-        "sha256sum key.json: the same digits stood in commitment.txt before the first diagnosis";
+        "sha256sum key.json: commitment.txt held the same digits before the first diagnosis";
     page.section(
-        "How it was held",
-        "Each case was diagnosed by a process of its own, in a folder that held only that case's vehicle file and logs.",
+        "How the exam was run",
+        "A separate process diagnosed each case, in a folder with only that case's vehicle file \
+         and logs.",
         &definitions([
             ("key", provenance.commitment),
             ("to check", check),
@@ -182,8 +187,8 @@ pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> Str
 /// Says that the cases are too few to decide the rates.
 fn too_few(summary: &Summary) -> String {
     format!(
-        "{} cases are too few to tell whether the diagnosis meets its targets: of so few, \
-         one alone decides.",
+        "{} cases are too few to tell whether the diagnosis meets its targets: with so few, a \
+         single case decides.",
         summary.count
     )
 }
@@ -215,7 +220,7 @@ fn world(row: &Row) -> String {
     let file = match row.file {
         FileKind::Exact => "exact",
         FileKind::Claimed => "off",
-        FileKind::Unclaimed => "off unsaid",
+        FileKind::Unclaimed => "off unclaimed",
     };
     format!("{on_board}, {file}")
 }
@@ -364,7 +369,7 @@ fn reliability(summary: &Summary) -> String {
         .collect();
     let x = Axis::exact(Some((0.0, 1.0)));
     let line = [[0.0, 0.0], [1.0, 1.0]];
-    figure("share that is true", "probability given, mean", x, &points, line)
+    figure("share that is true", "stated probability, mean", x, &points, line)
 }
 
 fn detection(summary: &Summary) -> String {

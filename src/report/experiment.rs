@@ -48,13 +48,14 @@ pub fn html(experiment: &Experiment<'_>) -> String {
     verdict(experiment, &mut page);
     page.section(
         "Comparison",
-        "Position error against the desired trajectory, whatever the reference was: the mean over the flights. Feedback's share is that of the input beyond hover.",
+        "Mean position error over the flights, against the desired trajectory whatever the \
+         reference was. Feedback's share is its share of the input beyond hover.",
         &comparison(experiment),
     );
     if let Some(summary) = experiment.training {
         page.section(
             "Observed and predicted accelerations",
-            "A test flight of the training, which no model was fitted on.",
+            "A test flight, which no model was trained on.",
             &training::series(summary, &SHOWN),
         );
     }
@@ -70,7 +71,8 @@ pub fn html(experiment: &Experiment<'_>) -> String {
     );
     page.section(
         "Open loop and feedback",
-        "Root mean square of the input's parts: what the reference sends beyond hover at the desired yaw, and what the feedback adds.",
+        "Root mean square of the input's parts: the reference's input beyond hover at the desired \
+         yaw, and the feedback's.",
         &shares(experiment),
     );
     let files: Vec<(String, String)> = experiment
@@ -97,7 +99,8 @@ fn verdict(experiment: &Experiment<'_>, page: &mut Page) {
         Some(best) => {
             let gain = first.mean.rmse_3d_m / best.mean.rmse_3d_m;
             let sentence = format!(
-                "Planned through the {} model, the flight keeps {} RMS from the desired trajectory; {} {}: {:.1} times as far.",
+                "Planned with the {} model, the flight stays {} RMS from the desired trajectory; \
+                 {} {}: {:.1} times as far.",
                 best.name,
                 length(best.mean.rmse_3d_m),
                 first.name,

@@ -10,13 +10,14 @@ use crate::diagnose::fleet::words::{four, told};
 const Z90: f64 = 1.645;
 
 /// What the picture shows.
-const PICTURE: &str = "Each vehicle's own value by its flights alone, as the distance from the vehicle \
-    file, with its 90 % interval; the mark is the value. The first bar is the fleet: where nine of ten \
-    vehicles lie. In another colour: vehicles that are not as the fleet.";
+const PICTURE: &str = "Each vehicle's value from its flights alone, as the distance from the \
+                       vehicle file, with its 90 % interval; the mark is the value. The first bar \
+                       is the fleet: nine of ten vehicles are within it. Vehicles that differ from \
+                       the fleet have another colour.";
 
 /// The whole page, self-contained.
 pub fn html(answer: &FleetAnswer, vehicle: &str) -> String {
-    let subtitle = format!("{} vehicles, {} looked at", answer.vehicles.len(), answer.looked_at);
+    let subtitle = format!("{} vehicles, {} examined", answer.vehicles.len(), answer.looked_at);
     let mut page = Page::new(&format!("A fleet of {vehicle}"), &subtitle);
     let is_clear = answer.shared.is_empty()
         && answer.vehicles.iter().all(|vehicle| vehicle.state == State::AsType);
@@ -55,7 +56,7 @@ pub fn html(answer: &FleetAnswer, vehicle: &str) -> String {
         }
         page.section(
             "Numbers of the vehicle file",
-            "Off in common, but within what the file is known to: no effect.",
+            "Shared deviations within the tolerances of the vehicle file: no effect.",
             &table.into_html(),
         );
     }
@@ -91,8 +92,8 @@ fn vehicles(answer: &FleetAnswer) -> String {
     let mut table = Table::new(&[
         ("vehicle", false),
         ("what", false),
-        ("gap to its type", true),
-        ("with its own", true),
+        ("gap with its type", true),
+        ("gap with its own effects", true),
     ]);
     for vehicle in &answer.vehicles {
         let mood = match vehicle.state {

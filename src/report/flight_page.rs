@@ -47,14 +47,16 @@ fn html(report: &FlightReport) -> String {
         &path(report),
     );
     if report.info.tracking.is_some() {
-        let explanation = "State minus reference, at every tick that sent a setpoint; landing is the vehicle's own.";
+        let explanation = "State minus reference, at every tick that sent a setpoint; the \
+                           autopilot lands by itself.";
         let html = biases(report) + &figure.tracking_error();
         page.section("Tracking error", explanation, &html);
     }
     let explanation =
-        "World axes: north, east, down. Nothing is desired while no setpoints are sent.";
+        "World axes: north, east, down. There is no desired state while no setpoints are sent.";
     page.section("Desired and flown", explanation, &figure.states());
-    let explanation = "What was sent, and the feed-forward's share of it; the rest is feedback.";
+    let explanation =
+        "The setpoints sent, and the feed-forward's share of them; the rest is feedback.";
     page.section("Setpoints", explanation, &figure.setpoints());
     if let Some((recording, shift_s)) = report.recording.as_ref().zip(report.vehicle_shift_s()) {
         let timeline = Timeline {
@@ -398,9 +400,9 @@ fn link(report: &FlightReport, figure: &Figure<'_>) -> String {
         };
         count("frames with a wrong checksum", link.crc_errors);
         count("frames missing from the vehicle's sequence", link.lost_frames);
-        count("frames with the vehicle's ids from elsewhere", link.stray_frames);
-        count("frames whose content could not be true", link.refused_frames);
-        count("frames that did not leave", link.dropped_frames);
+        count("frames with the vehicle's ids from another sender", link.stray_frames);
+        count("frames with implausible content", link.refused_frames);
+        count("frames that could not be sent", link.dropped_frames);
         count("reconnects", link.reconnects);
         // A ground station on the same link is no trouble.
         let foreign = "frames of other systems and components".into();
@@ -446,12 +448,14 @@ fn provenance(report: &FlightReport) -> String {
     let text = [
         (
             "errors",
-            "state minus reference; RMS over the ticks with a trajectory, that is without take-off, hold and landing",
+            "state minus reference; RMS over the ticks with a trajectory, without take-off, hold \
+             and landing",
         ),
         ("frames", "world north, east, down; body front, right, down; yaw from north towards east"),
         (
             "missed ticks",
-            "pauses of more than 1.5 usual intervals, each counted by how many ticks it lacks; usual is the mean interval without them, whose inverse is the control rate",
+            "pauses of more than 1.5 usual intervals, each counted as the number of missing ticks; \
+             usual is the mean interval without these pauses, whose inverse is the control rate",
         ),
         (
             "sample age",
@@ -459,11 +463,12 @@ fn provenance(report: &FlightReport) -> String {
         ),
         (
             "drawing",
-            "in long flights the smallest and the largest value of each step along the time axis; tables use every value",
+            "long flights show the smallest and the largest value of each step along the time \
+             axis; tables use every value",
         ),
     ];
     let run = report.info.run.iter().map(|(key, value)| (key.as_str(), value.as_str()));
-    format!("{}<h3>The run, as the log says</h3>{}", definitions(text), definitions(run))
+    format!("{}<h3>The run, according to the log</h3>{}", definitions(text), definitions(run))
 }
 
 /// Seconds since the log's start.

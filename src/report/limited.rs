@@ -58,9 +58,9 @@ impl LimitedTicks {
             .collect();
         (!met.is_empty()).then(|| {
             format!(
-                "{} of the setpoints along the trajectory: feedback swings from limit to limit where \
-                 the vehicle file is not of this vehicle (its mass, inertia, thrust or attitude \
-                 loop), or the trajectory asks for more than [offboard.limits] allow",
+                "{} of the setpoints along the trajectory: feedback swings from limit to limit \
+                 where the vehicle file does not describe this vehicle (its mass, inertia, thrust \
+                 or attitude loop), or the trajectory demands more than [offboard.limits] allow",
                 met.join(", ")
             )
         })

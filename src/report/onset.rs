@@ -31,7 +31,7 @@ pub fn html(vehicle: &str, bound: f64, flights: &[SeenFlight<'_>], steps: &[Step
     });
     let lines: Vec<String> = lines.chain(steps.iter().map(step_line)).collect();
     match (count, steps.len()) {
-        (0, 0) => page.verdict(Mood::Good, "Nothing changed that stands out of the noise.", &[]),
+        (0, 0) => page.verdict(Mood::Good, "No change stands out from the noise.", &[]),
         _ => page.verdict(
             Mood::Warning,
             &format!("{} in flight, {} between flights.", counted(count, "change"), steps.len()),
@@ -49,9 +49,10 @@ fn counted(count: usize, what: &str) -> String {
 }
 
 /// What the picture shows.
-pub const EXPLANATION: &str = "How much likelier a change within the last seconds makes the flight than \
-    none, by the cause that most speaks for. Above the dashed bound a change is reported; the upright line is \
-    when it began, the background its 90 % interval.";
+pub const EXPLANATION: &str = "How much more likely the flight is with a change in the last \
+                               seconds than with none, for the most likely cause. Above the dashed \
+                               bound a change is reported; the vertical line marks when it began, \
+                               the shading its 90 % interval.";
 
 /// The statistic over time, with onsets and their intervals, and a table of the changes.
 pub fn picture(bound: f64, seen: &Seen) -> String {

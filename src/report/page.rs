@@ -127,9 +127,10 @@ pub(super) fn anchor(heading: &str) -> String {
 }
 
 /// What can be done with charts, where the script runs.
-const HINT: &str = "<p class=\"hint\">Charts: drag to look closer, shift and drag to move along, \
-    double-click for all of it; Ctrl and the wheel, two fingers, or the keys + - 0 and arrows do it too. \
-    A name in a legend switches its curve. The path in space turns.</p>";
+const HINT: &str = "<p class=\"hint\">Charts: drag to zoom, Shift-drag to pan, double-click to \
+                    reset; Ctrl and the wheel, two fingers, or the keys + - 0 and arrows also \
+                    work. Click a name in a legend to show or hide its curve. Drag the 3D path to \
+                    turn it.</p>";
 /// Colours are Okabe and Ito's, told apart with any colour vision; lighter on dark.
 const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");

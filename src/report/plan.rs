@@ -41,7 +41,7 @@ const TIME: &str = "time since the start of the trajectory (s)";
 pub fn html(plan: &Plan, not_flyable: Option<&str>, limits: &Limits) -> String {
     let mut page = Page::new(
         &format!("Plan: {}", plan.trajectory),
-        &format!("vehicle {}, through the {} model", plan.vehicle, plan.model.kind),
+        &format!("vehicle {}, with the {} model", plan.vehicle, plan.model.kind),
     );
     verdict(plan, not_flyable, &mut page);
     let place = |state: &StateVector| Ned::new(state[0], state[1], state[2]);
@@ -62,12 +62,14 @@ pub fn html(plan: &Plan, not_flyable: Option<&str>, limits: &Limits) -> String {
     page.section(title, axes, &states(plan));
     page.section(
         "Inputs",
-        "What the model is given to follow the plan; a flight sends it early by the vehicle's delay and lag.",
+        "The input with which the model follows the plan; a flight sends it early by the vehicle's \
+         delay and lag.",
         &inputs(plan),
     );
     page.section(
         "Search",
-        "Subproblem by subproblem, logarithmic: the cost's distance to the end, and the step that could be taken.",
+        "For each subproblem, on a logarithmic scale: the cost above its final value, and the size \
+         of the trust region.",
         &search(plan),
     );
     page.section("How this was computed", "", &provenance(plan, limits));
@@ -79,9 +81,9 @@ fn verdict(plan: &Plan, not_flyable: Option<&str>, page: &mut Page) {
     let most = distances.iter().copied().fold(0.0, f64::max);
     let rms = (distances.iter().map(|d| d * d).sum::<f64>() / distances.len().max(1) as f64).sqrt();
     let sentence = match plan.is_fastest() {
-        true => format!("The fastest way that was found takes {:.2} s.", plan.duration()),
+        true => format!("The fastest flight found takes {:.2} s.", plan.duration()),
         false => format!(
-            "A plan of {:.1} s that keeps {} RMS from the desired path, {} at most.",
+            "A plan of {:.1} s that stays {} RMS from the desired path, {} at most.",
             plan.duration(),
             length(rms),
             length(most)
@@ -144,7 +146,7 @@ fn search(plan: &Plan) -> String {
     let trust = plan.records.iter().map(|r| log(r.trust)).collect();
     let panels = vec![
         Panel {
-            name: "log10 of cost above the end".into(),
+            name: "log10 of the cost above its final value".into(),
             curves: vec![Curve { name: "cost".into(), style: Style::Colour(1), y: above }],
         },
         Panel {
@@ -188,7 +190,9 @@ fn provenance(plan: &Plan, limits: &Limits) -> String {
         (
             "model",
             match &plan.model.sha256 {
-                Some(hash) => format!("{}, of the model file with SHA-256 {hash}", plan.model.kind),
+                Some(hash) => {
+                    format!("{}, from the model file with SHA-256 {hash}", plan.model.kind)
+                }
                 None => format!("{}: the vehicle file's own physics", plan.model.kind),
             },
         ),

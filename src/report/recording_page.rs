@@ -81,7 +81,8 @@ pub(super) fn sections(recording: &Recording, timeline: &Timeline<'_>, page: &mu
     if !recording.flight.outputs.is_empty() {
         page.section(
             "Motors",
-            "Outputs as shares of full thrust where the log says their range. Headroom is the room between the strongest motor and full: at 0 the vehicle cannot do more.",
+            "Outputs as shares of full thrust where the log states their range. Headroom is the \
+             margin between the strongest motor and full thrust: at 0 the vehicle can do no more.",
             &motors(recording, timeline),
         );
     }
@@ -89,7 +90,8 @@ pub(super) fn sections(recording: &Recording, timeline: &Timeline<'_>, page: &mu
     if !hover.is_empty() {
         page.section(
             "Thrust against hover",
-            "Mean motor output over its median in flight, and the accelerometer's thrust over weight: both are 1 in hover. Where they part, thrust is not what the outputs say.",
+            "Mean motor output over its median in flight, and the accelerometer's thrust over \
+             weight: both are 1 in hover. Where they diverge, thrust does not follow the outputs.",
             &hover,
         );
     }
@@ -100,7 +102,8 @@ pub(super) fn sections(recording: &Recording, timeline: &Timeline<'_>, page: &mu
     if !shaken.is_empty() {
         page.section(
             "Vibration",
-            "Root mean square of what is faster than 10 Hz, over half seconds; below, the density of the gyro over frequency, as far as the log's rate shows it.",
+            "Root mean square of everything above 10 Hz, over half seconds; below, the spectral \
+             density of the gyro, as far as the log's rate shows it.",
             &shaken,
         );
     }
@@ -111,7 +114,7 @@ pub(super) fn sections(recording: &Recording, timeline: &Timeline<'_>, page: &mu
     );
     page.section(
         "Streams",
-        "What the log holds, and samples in each second.",
+        "The log's content, and samples in each second.",
         &rates(recording, timeline),
     );
 }
@@ -185,7 +188,7 @@ fn battery(recording: &Recording, timeline: &Timeline<'_>) -> String {
     let mut html = timeline.chart(voltage.times(), 100.0, panels);
     if let Some(pack) = recording.summary().battery {
         html += &format!(
-            "<p class=\"note\">From {:.2} V to {:.2} V; {:.2} V at least.</p>",
+            "<p class=\"note\">From {:.2} V to {:.2} V; minimum {:.2} V.</p>",
             pack.first_v, pack.last_v, pack.min_v
         );
     }
@@ -198,8 +201,8 @@ fn vibration(recording: &Recording, timeline: &Timeline<'_>) -> String {
     let rate = flight.body_rate.map(|w| w.to_array().map(f64::to_degrees));
     let mut html = String::new();
     let kinds = [
-        (&force, "specific force faster than 10 Hz (m/s\u{b2})", ["front", "right", "down"]),
-        (&rate, "body rate faster than 10 Hz (deg/s)", AXES),
+        (&force, "specific force above 10 Hz (m/s\u{b2})", ["front", "right", "down"]),
+        (&rate, "body rate above 10 Hz (deg/s)", AXES),
     ];
     for (stream, name, axes) in kinds {
         let (time, rms) = vibration_over_time(stream);
@@ -334,10 +337,10 @@ impl Recording {
         let tracked = self.tracked();
         if !tracked.is_empty() {
             let by = match flight.setpoint_source {
-                SetpointSource::Ground => "setpoints are those that the ground sent",
-                SetpointSource::Onboard => "setpoints are those that the autopilot followed",
+                SetpointSource::Ground => "setpoints as the ground sent them",
+                SetpointSource::Onboard => "setpoints as the autopilot followed them",
             };
-            let explanation = format!("What was less what was asked, with its sign; {by}.");
+            let explanation = format!("Signed error, reported minus setpoint; {by}.");
             page.section("Errors", &explanation, &errors(self, &tracked, &timeline));
         }
         page.section(
@@ -347,7 +350,7 @@ impl Recording {
         );
         sections(self, &timeline, &mut page);
         if !texts.is_empty() {
-            page.section("Texts", "What the vehicle said.", &said(&texts));
+            page.section("Texts", "Messages from the vehicle.", &said(&texts));
         }
         page.section("How this was computed", "", &provenance(self));
         page.into_html()
@@ -358,7 +361,7 @@ fn verdict(recording: &Recording, page: &mut Page) {
     let summary = recording.summary();
     let mut reasons = Vec::new();
     if let Some(stated) = recording.flight.facts.stated_otherwise() {
-        reasons.push(format!("the log states that this is no multirotor: {}", stated.kind));
+        reasons.push(format!("the log states that this is not a multirotor: {}", stated.kind));
     }
     if let Some(motors) = summary.motors.as_ref().filter(|motors| motors.full_share > 0.01) {
         let share = 100.0 * motors.full_share;
@@ -370,10 +373,7 @@ fn verdict(recording: &Recording, page: &mut Page) {
         n => reasons.push(format!("the estimate jumps {n} times")),
     }
     let sentence = match summary.errors.as_slice() {
-        [] => format!(
-            "{:.1} s were recorded; what was asked of the vehicle was not.",
-            summary.duration_s
-        ),
+        [] => format!("{:.1} s were recorded, without setpoints.", summary.duration_s),
         errors => {
             let largest: Vec<String> = errors
                 .iter()
@@ -452,10 +452,13 @@ fn said(texts: &[(Option<f64>, String)]) -> String {
 fn provenance(recording: &Recording) -> String {
     let flight = &recording.flight;
     let clock = match flight.clock {
-        Clock::Single => "there is one clock in this log".to_owned(),
+        Clock::Single => "this log has a single clock".to_owned(),
         Clock::Synchronised => "ground and vehicle were synchronised".to_owned(),
         Clock::LeastDelay { assumed_s } => {
-            format!("the ground's clock by the least delay, taken to be {:.1} ms", 1e3 * assumed_s)
+            format!(
+                "the ground's clock by the least delay, assumed to be {:.1} ms",
+                1e3 * assumed_s
+            )
         }
     };
     let left_out: Vec<String> =
@@ -475,7 +478,9 @@ fn provenance(recording: &Recording) -> String {
         ),
         (
             "drawing",
-            "in long flights the smallest and the largest value of each step along the time axis; tables use every value".to_owned(),
+            "long flights show the smallest and the largest value of each step along the time \
+             axis; tables use every value"
+                .to_owned(),
         ),
     ];
     if !notes.is_empty() {

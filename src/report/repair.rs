@@ -54,7 +54,8 @@ pub fn html(repair: &Repair<'_>) -> String {
     page.figures(&shown);
     page.section(
         "Before and after",
-        "The gap is how far open-loop predictions of the flights along the trajectory are off, in units of what noise alone leaves. Tracking errors are against the desired trajectory.",
+        "The gap is the error of open-loop predictions of the flights along the trajectory, as a \
+         multiple of the noise floor. Tracking errors are against the desired trajectory.",
         &table(repair),
     );
     page.section(
@@ -91,7 +92,7 @@ fn table(repair: &Repair<'_>) -> String {
     if let Some([before, after, _]) = repair.gap
         && repair.contenders.len() == 2
     {
-        row("gap, in units of the noise", vec![significant(before), significant(after)]);
+        row("gap, times the noise floor", vec![significant(before), significant(after)]);
     }
     let of = |value: fn(&Contender) -> f64| -> Vec<String> {
         repair.contenders.iter().map(|contender| significant(value(contender))).collect()

@@ -41,12 +41,14 @@ pub fn html(summary: &TrainingSummary) -> String {
     }
     page.section(
         "Over time",
-        "Accelerations of a test flight, which no model was fitted on: the label, and what each model says at the same state and input.",
+        "Accelerations of a test flight, which no model was trained on: the label, and each \
+         model's prediction at the same state and input.",
         &series(summary, &[0, 1, 2, 3, 4, 5]),
     );
     page.section(
         "One step",
-        "Mean squared error of the accelerations over the variance of the training labels: 1 is no better than the mean. Truth is the simulator's, where the logs hold it.",
+        "Mean squared error of the accelerations over the variance of the training labels: 1 is no \
+         better than the mean. Truth is the simulator's, where the logs contain it.",
         &one_step(summary),
     );
     page.section(
@@ -56,7 +58,8 @@ pub fn html(summary: &TrainingSummary) -> String {
     );
     page.section(
         "Learning",
-        "Normalised mean squared error pass by pass, on a logarithmic scale, for the regularisation that validation chose.",
+        "Normalised mean squared error of each pass, on a logarithmic scale, for the \
+         regularisation that validation chose.",
         &learning(summary),
     );
     page.section("Data", "", &data(summary));
@@ -76,7 +79,7 @@ fn verdict(summary: &TrainingSummary, page: &mut Page) {
     let mut reasons = Vec::new();
     let refused = summary.data.refused.len();
     if refused > 0 {
-        reasons.push(format!("{refused} logs were left out whole; they are listed below"));
+        reasons.push(format!("{refused} logs were excluded entirely; they are listed below"));
     }
     for errors in &summary.one_step {
         if let [Some(training), _, Some(test)] = &errors.labels {
@@ -120,10 +123,10 @@ fn sentence(best: Best, kind: ModelKind, tested: Option<(&OneStep, bool)>) -> St
     let name = kind.name();
     let praise = match best {
         Best::NotJudged => {
-            format!("The models' predictions could not be judged; the {name} model is taken")
+            format!("The models' predictions could not be judged; the {name} model is selected")
         }
         Best::NotFinite => return "No model can be used.".to_owned(),
-        Best::NoBetterThanHolding => format!("No model is good; the {name} model is taken"),
+        Best::NoBetterThanHolding => format!("No model is good; the {name} model is selected"),
         Best::Better => format!("The {name} model predicts best on the validation flights"),
     };
     match tested {
@@ -297,7 +300,7 @@ fn data(summary: &TrainingSummary) -> String {
     }
     let mut html = table.into_html();
     if !summary.data.refused.is_empty() {
-        let mut table = Table::new(&[("log left out whole", false), ("why", false)]);
+        let mut table = Table::new(&[("log excluded entirely", false), ("why", false)]);
         for log in &summary.data.refused {
             let cells = [file_name(&log.path), log.reason.clone()];
             table.row(Mood::Warning, &cells);
@@ -314,7 +317,7 @@ fn provenance(summary: &TrainingSummary) -> String {
     let entries = [
         (
             "rows",
-            format!("100 a second: {training} training, {validation} validation, {test} test"),
+            format!("100 per second: {training} training, {validation} validation, {test} test"),
         ),
         (
             "split",
@@ -379,7 +382,7 @@ mod tests {
         let leaves = "; on the test flights it leaves 10.00 % of the variance";
         let good = format!("The net model predicts best on the validation flights{leaves}");
         assert!(said(Best::Better).starts_with(&good), "{}", said(Best::Better));
-        let poor = format!("No model is good; the net model is taken{leaves}");
+        let poor = format!("No model is good; the net model is selected{leaves}");
         let found = said(Best::NoBetterThanHolding);
         assert!(found.starts_with(&poor), "{found}");
         assert_eq!(said(Best::NotFinite), "No model can be used.");

@@ -82,7 +82,7 @@ def test_plans_that_may_not_be_flown_are_refused_with_the_reason(plan, tmp_path)
         assert words in done.stderr, done.stderr
 
     refused(lambda bad: bad.update(vehicle="another"), 4, "the plan is for the vehicle")
-    refused(lambda bad: bad["violation"].update(defect=0.1), 4, "misses its dynamics")
+    refused(lambda bad: bad["violation"].update(defect=0.1), 4, "violates its dynamics")
     refused(lambda bad: bad.update(status="failed"), 4, "failed")
     refused(lambda bad: bad.update(schema_version=99), 2, "99")
     refused(lambda bad: bad["inputs"].pop(), 2, "states")

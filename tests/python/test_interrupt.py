@@ -65,7 +65,7 @@ def test_trained_networks_are_kept_before_they_are_judged(program, flights, tmp_
 def test_diagnose(program, flights, tmp_path, number):
     out = tmp_path / "improved.toml"
     one = program("diagnose", "--vehicle", CRAZYFLIE, *flights, "-o", out)
-    one.says("... how good the vehicle file is")
+    one.says("... assessing the vehicle file")
     ends(one, number)
     assert not list(tmp_path.iterdir())
 

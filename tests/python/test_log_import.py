@@ -90,7 +90,7 @@ def test_what_is_wrong_is_said_with_its_file(tmp_path):
     noise = tmp_path / "noise.tlog"
     noise.write_bytes(bytes(range(256)) * 10)
     done = run(noise, "-o", out)
-    assert done.returncode == 2 and "no flight log" in done.stderr
+    assert done.returncode == 2 and "not a flight log" in done.stderr
     done = run(table, "--mapping", MAPPING, "-o", table)
     assert done.returncode == 2 and table.read_text().startswith(COLUMNS)
     assert not out.exists()

@@ -91,7 +91,7 @@ def test_a_plan_that_misses_its_dynamics_is_not_flown(planned, tmp_path):
     plan["violation"]["defect"] = 0.02
     said = tmp_path / "said.json"
     said.write_text(json.dumps(plan))
-    assert "misses its dynamics by 2.0e-2" in fly(said, tmp_path)
+    assert "violates its dynamics by 2.0e-2" in fly(said, tmp_path)
 
 
 def test_damaged_plans_are_refused(planned, tmp_path):
@@ -109,8 +109,8 @@ def test_no_time_leaves_a_file_that_is_not_flown(trajectory, tmp_path):
         run("plan", trajectory, "-o", out, "--time-limit", 0, "--json", code=6).stdout
     )
     assert summary["status"] == "stopped" and summary["subproblems"] == 0
-    assert "misses its dynamics" in summary["not_flyable"]
-    assert "misses its dynamics" in fly(out, tmp_path)
+    assert "violates its dynamics" in summary["not_flyable"]
+    assert "violates its dynamics" in fly(out, tmp_path)
 
 
 def test_an_interrupt_leaves_the_best_plan_so_far(program, tmp_path):

@@ -79,7 +79,7 @@ def test_a_full_disk_ends_the_log_and_not_the_flight(flight):
         resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
 
     program, url = flight(preexec_fn=small_files, restore_signals=False)
-    program.says("flying goes on without a log")
+    program.says("the flight continues without a log")
     metrics = in_flight(program, url)
     assert value(metrics, "log_failures_total") == 1
     status, text = get(f"{url}/health")

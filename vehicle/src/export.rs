@@ -152,20 +152,20 @@ impl Model<'_> {
         if rotors.iter().any(|r| is_off(r.thrust_max, thrust)) {
             let each = self.constants.rotors.map(|rotor| rotor.thrust_max);
             self.lose(format!(
-                "rotors of different thrust, {each:?} N: each has their mean, {thrust} N"
+                "rotors of different thrust, {each:?} N: each has the mean, {thrust} N"
             ));
         }
         let rotors = &self.constants.rotors;
         if rotors.iter().any(|r| is_off(r.torque_per_thrust.abs(), torque)) {
-            self.lose(format!("rotors of different drag torque: each has their mean, {torque} m"));
+            self.lose(format!("rotors of different drag torque: each has the mean, {torque} m"));
         }
     }
 
     fn lose_assumed_speed(&mut self) {
         if self.vehicle.rotor_max_rpm.is_none() {
             self.lose(format!(
-                "the rotors' speed, which the vehicle file does not say (rotor_max_rpm): \
-                 {ASSUMED_SPEED} rad/s stand for full output"
+                "the rotors' speed, which the vehicle file does not state (rotor_max_rpm): \
+                 {ASSUMED_SPEED} rad/s is assumed at full output"
             ));
         }
     }

@@ -121,7 +121,7 @@ pub(super) fn read(source: impl Read, flight: &mut Flight) -> Result<super::Cont
         contents.topics.push(kept.source.wanted, instance, number(stamp) * seconds, &values);
     }
     if reader.messages == 0 {
-        return Err(LogFault::Foreign("no whole message of a DataFlash log".into()));
+        return Err(LogFault::Foreign("no complete message of a DataFlash log".into()));
     }
     if reader.defines("TIME", "StartTime") {
         return Err(LogFault::Foreign(foreign::SDLOG2.into()));

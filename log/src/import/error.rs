@@ -15,7 +15,7 @@ pub enum ImportError {
         source: io::Error,
     },
     /// The file is not a flight log.
-    #[error("{} is no flight log: expected {EXPECTED}, found {found}", path.display())]
+    #[error("{} is not a flight log: expected {EXPECTED}, found {found}", path.display())]
     NotALog {
         /// The file.
         path: PathBuf,
@@ -23,7 +23,7 @@ pub enum ImportError {
         found: String,
     },
     /// The file has no data of a flight.
-    #[error("{}: nothing of this {format} file can be used: {why}", path.display())]
+    #[error("{}: nothing in this {format} file can be used: {why}", path.display())]
     Nothing {
         /// The file.
         path: PathBuf,
@@ -34,8 +34,8 @@ pub enum ImportError {
     },
     /// The file does not have the chosen boot.
     #[error(
-        "{}: expected a boot from 1 to {boots} (--boot), found {boot}: the vehicle was started so many \
-         times in this file",
+        "{}: expected a boot from 1 to {boots} (--boot), found {boot}: the vehicle was started \
+         that many times in this file",
         path.display()
     )]
     NoBoot {
@@ -48,7 +48,7 @@ pub enum ImportError {
     },
     /// The file is a table and no mapping file was given.
     #[error(
-        "{} is a table: what its columns are must be said in a mapping file (--mapping MAP.toml); \
+        "{} is a table: expected a mapping file that states its columns (--mapping MAP.toml); \
          `downwash log import --propose {}` prints one to start from",
         path.display(),
         path.display()

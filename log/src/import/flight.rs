@@ -413,8 +413,8 @@ impl Flight {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "its motor outputs are not in 0..1, it states no parameters of their range (PWM_MAIN_MINn and \
-     PWM_MAIN_MAXn, or MOT_PWM_* and MOT_SPIN_*), and the vehicle file has no `motor_output` that \
-     says what they mean"
+     PWM_MAIN_MAXn, or MOT_PWM_* and MOT_SPIN_*), and the vehicle file has no `motor_output` to \
+     state what they mean"
 )]
 pub struct UnitUnknown;
 

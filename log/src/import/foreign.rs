@@ -34,10 +34,10 @@ const MAGICS: [(&[u8], &str); 16] = [
 const TEXTS: [(&str, &str); 11] = [
     (
         "FMT, ",
-        "a log of ArduPilot as text, as ground stations write it: give the .bin that it was made of",
+        "a log of ArduPilot as text, as ground stations write it: give the .bin it was made from",
     ),
-    ("<!doctype html", "a web page, perhaps of a download that failed: download the file anew"),
-    ("<html", "a web page, perhaps of a download that failed: download the file anew"),
+    ("<!doctype html", "a web page, perhaps from a failed download: download the file again"),
+    ("<html", "a web page, perhaps from a failed download: download the file again"),
     ("<?xml", "an XML file"),
     ("{", "a JSON file"),
     ("[{", "a JSON file"),
@@ -55,7 +55,8 @@ pub(super) fn known(head: &[u8], extension: Option<&str>) -> Option<&'static str
     }
     if head.iter().all(|byte| *byte == 0) {
         return Some(
-            "zeros: space that was set aside and never written, or a damaged card; copy the log anew",
+            "zeros: space that was allocated and never written, or a damaged card; copy the log \
+             again",
         );
     }
     if let Some((_, found)) = MAGICS.iter().find(|(magic, _)| head.starts_with(magic)) {
@@ -79,5 +80,5 @@ pub(super) fn known_text(text: &str) -> Option<&'static str> {
 }
 
 /// Description of a DataFlash file that is not ArduPilot's.
-pub(super) const SDLOG2: &str = "a log of PX4 before ULog (sdlog2, until 2016): PX4 1.4 and later write \
-                                 ULog (.ulg), which is read";
+pub(super) const SDLOG2: &str = "a log of PX4 before ULog (sdlog2, until 2016): PX4 1.4 and later \
+                                 write ULog (.ulg), which downwash reads";

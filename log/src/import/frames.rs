@@ -113,7 +113,7 @@ impl Frames {
         let heard = Heard { index: self.index, ground: self.latest };
         let sender = (frame.system(), frame.component());
         if !self.numbers.contains_key(&sender) && self.numbers.len() == SENDERS_MAX {
-            self.tally.add("frame of one sender too many", 1);
+            self.tally.add("frame from one sender too many", 1);
             return;
         }
         if self.numbers.entry(sender).or_default().is_repeated(frame) {

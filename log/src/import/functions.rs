@@ -102,8 +102,8 @@ impl Drive {
         match &self.device {
             Some(device) => format!("by {device}_FUNCn"),
             None => {
-                "as no parameter says which output drives which motor: the first device was taken \
-                     whose outputs 1 to 4 all move"
+                "as no parameter states which output drives which motor: the first device is used \
+                 whose outputs 1 to 4 all move"
                     .to_owned()
             }
         }
@@ -130,9 +130,9 @@ pub(super) fn px4_drive(
             let split = devices.iter().filter(|device| device.motors().iter().any(Option::is_some));
             let names: Vec<&str> = split.map(|device| device.name.as_str()).collect();
             return Err(match names.as_slice() {
-                [] => "the functions of outputs that parameters state are of no motor".to_owned(),
+                [] => "no output function that the parameters state is a motor's".to_owned(),
                 names => format!(
-                    "no device drives all of motors 1 to 4: some are of {}",
+                    "no device drives all of motors 1 to 4: some are on {}",
                     names.join(", ")
                 ),
             });
@@ -239,7 +239,7 @@ mod tests {
     #[test]
     fn what_drives_no_motor_is_said() {
         let wing = parameters(&[("PWM_MAIN_FUNC1", 201.0)]);
-        assert!(px4_drive(&wing, &[logged(&[0])]).unwrap_err().contains("of no motor"));
+        assert!(px4_drive(&wing, &[logged(&[0])]).unwrap_err().contains("is a motor"));
         let split = parameters(&[("PWM_MAIN_FUNC1", 101.0), ("PWM_AUX_FUNC1", 102.0)]);
         assert!(px4_drive(&split, &[logged(&[0])]).unwrap_err().contains("PWM_MAIN, PWM_AUX"));
     }

@@ -48,7 +48,7 @@ impl fmt::Display for VehicleKind {
             Self::Boat => "a boat",
             Self::Submarine => "a submarine",
             Self::Airship => "an airship",
-            Self::Other => "no multirotor",
+            Self::Other => "not a multirotor",
         })
     }
 }

@@ -81,7 +81,7 @@ pub enum DecimalMark {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(
     untagged,
-    expecting = "expected a column: its name, its number from 1, or a list of words that stand above it"
+    expecting = "expected a column: its name, its number from 1, or a list of words above it"
 )]
 pub enum Column {
     /// By name.

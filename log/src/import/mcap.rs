@@ -80,10 +80,10 @@ pub(super) fn read(
     tally.add("damaged part of the file", ending.damaged);
     tally.add("end of the file (it was cut short)", u64::from(!ending.finished));
     if ending.damaged > 0 {
-        tally.lose(format!("{} damaged parts were passed over", ending.damaged));
+        tally.lose(format!("{} damaged parts were skipped", ending.damaged));
     }
     if !ending.finished {
-        tally.lose("it has no end: it was cut short, or is still written".to_owned());
+        tally.lose("it has no end: it was cut short, or is still being written".to_owned());
     }
     if !flat::take_facts(reader.run(), flight)
         && let Some(frames) = frames

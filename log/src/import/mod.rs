@@ -156,12 +156,12 @@ impl Contents {
         let what = self.part;
         match self.names.as_slice() {
             [] if what.is_empty() => {}
-            [] => parts.push(format!("it has no {what} that can be read")),
+            [] => parts.push(format!("it has no readable {what}")),
             names => {
                 let more = names.len().saturating_sub(Self::NAMED);
                 let named = names[..names.len() - more].join(", ");
                 let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-                parts.push(format!("no {what} that is known: it has {named}{more}"));
+                parts.push(format!("no known {what}: it has {named}{more}"));
             }
         }
         let missing = "neither pose, IMU, motor outputs nor setpoints".to_owned();

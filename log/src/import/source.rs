@@ -72,7 +72,10 @@ pub(super) fn recognise(path: &Path) -> Result<Format, ImportError> {
             None => "text without a line of numbers",
             Some(found) => found,
         },
-        None => "data of another kind: no log's first bytes, and no frames of MAVLink with stamps",
+        None => {
+            "data of another kind: neither a known log's first bytes nor MAVLink frames with \
+             timestamps"
+        }
     };
     Err(ImportError::not_a_log(path, found.to_owned()))
 }

@@ -159,7 +159,8 @@ pub(super) fn propose(source: impl Read) -> Result<String, TableError> {
         }
     }
     let sheet = head.table().ok_or_else(|| {
-        let message = "no line of names is followed by a line of numbers: it looks like no table";
+        let message =
+            "no line of names is followed by a line of numbers: it does not look like a table";
         TableError::Unmapped(message.to_owned())
     })?;
     Ok(mapping::propose(&sheet))

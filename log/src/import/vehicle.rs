@@ -320,11 +320,11 @@ impl VehicleLog {
         for (at, epoch) in self.epochs.iter().enumerate() {
             let (from, to) = epoch.span();
             if boots > 1 && (at < BOOTS_NAMED || at == chosen) {
-                let taken = if at == chosen { ", taken" } else { "" };
+                let taken = if at == chosen { ", used" } else { "" };
                 let (boot, flown) = (at + 1, flown[at]);
                 flight.facts.notes.push(format!(
-                    "boot {boot} of {boots} (--boot {boot}): {from:.2} to {to:.2} s, {flown:.1} s of them \
-                     flown{taken}"
+                    "boot {boot} of {boots} (--boot {boot}): {from:.2} to {to:.2} s, {flown:.1} s \
+                     of it flown{taken}"
                 ));
             }
             if at != chosen {
@@ -374,7 +374,7 @@ impl VehicleLog {
             Clock::LeastDelay { assumed_s: assumed }
         };
         flight.ground_skew = map.skew();
-        tally.add("step of the ground's clock (its stamps were tied anew)", map.steps());
+        tally.add("step of the ground's clock (its stamps were matched again)", map.steps());
         place(&map, battery, &mut flight.voltage, voltage_source, &mut tally);
         place(&map, landed, &mut flight.in_air, "EXTENDED_SYS_STATE", &mut tally);
         let setpoints = steadied(setpoints).into_iter();

@@ -301,7 +301,9 @@ impl Assembly<'_> {
             .collect();
         let reason = |effect: EffectId| {
             if effect == EffectId::PdGain && !inquiry.leg() {
-                return Some("setpoints or the on-board law's gains are not known".to_owned());
+                return Some(
+                    "the setpoints or the gains of the on-board loop are unknown".to_owned(),
+                );
             }
             if effect == EffectId::RotorGyroscopic && catalogue.vehicle.rotor_max_rpm.is_none() {
                 return Some("the vehicle file has no rotor_max_rpm".to_owned());
@@ -326,12 +328,12 @@ impl Assembly<'_> {
             );
             if turns && !unused.is_empty() && !is_seen {
                 return Some(format!(
-                    "the motor outputs of these logs do not tell how the body turns in {}",
+                    "the motor outputs in these logs do not explain the rotation in {}",
                     unused.join(", ")
                 ));
             }
             (!tried.is_empty() && !is_seen)
-                .then(|| "the motion and the channels of these logs do not show it".to_owned())
+                .then(|| "the motion and the channels in these logs cannot show it".to_owned())
         };
         let all = EffectId::ALL.into_iter();
         all.filter_map(|id| Some(NotTestable { id, reason: reason(id)? })).collect()

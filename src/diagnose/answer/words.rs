@@ -30,24 +30,24 @@ const LISTED: usize = 3;
 /// For the verdict `none`: how well the simulator predicts, and how the file's numbers contribute.
 fn none(answer: &Answer) -> String {
     let Some(gap) = &answer.gap else {
-        return "No effect stands out in what these logs can show.".to_owned();
+        return "No effect that these logs can show stands out.".to_owned();
     };
     let before = gap.times(gap.before);
     let after = gap.nuisances_only.map(|after| gap.times(after));
     let Some(after) = after.filter(|after| before > WIDE && 2.0 * after < before) else {
         let mut text = format!(
-            "No effect stands out: the simulator predicts the flights held out to {before:.2} \
-             times what noise alone leaves."
+            "No effect stands out: the simulator predicts the held-out flights to {before:.2} \
+             times the noise floor."
         );
         if before > WIDE && gap.with_learner.is_none() {
-            text += " That is the sensors' noise; how much an estimate that wanders adds, so little \
-                     flight does not tell.";
+            text += " The floor is sensor noise only: too little flight to measure how much \
+                     estimator drift adds.";
         }
         return text;
     };
     let mut text = format!(
-        "No effect stands out: within their tolerances the vehicle file's numbers bring predictions \
-         of the flights held out from {before:.2} to {after:.2} times what noise alone leaves."
+        "No effect stands out: changing the vehicle file's numbers within their tolerances brings \
+         predictions of the held-out flights from {before:.2} to {after:.2} times the noise floor."
     );
     if !answer.file_numbers.is_empty() {
         text += &format!(" Furthest off: {}.", furthest_off(&answer.file_numbers));
@@ -60,34 +60,34 @@ fn furthest_off(numbers: &[FileNumber]) -> String {
     let one = |number: &FileNumber| {
         let FileNumber { name, value, expected, tolerances } = number;
         let [value, expected] = [*value, *expected].map(short);
-        format!("{name} {value} for {expected} ({tolerances:+.1} tolerances)")
+        format!("{name} {value} instead of {expected} ({tolerances:+.1} tolerances)")
     };
     numbers.iter().take(LISTED).map(one).collect::<Vec<_>>().join(", ")
 }
 
 /// For the verdict `unknown`: why the gap counts as unexplained.
 fn unknown(answer: &Answer) -> String {
-    let head = "Something acts that no listed effect explains";
+    let head = "These flights show something that no listed effect explains";
     let gap = answer.gap.as_ref();
     let why = match answer.finding.because {
         Some(Unexplained::Force) => answer.unmodelled_force.as_ref().map(|[_, after]| {
             format!(
-                "{:.2} m/s^2 of force per mass that velocity and accelerometer agree on is left",
+                "{:.2} m/s^2 of force per mass remains, on which velocity and accelerometer agree",
                 after.rms()
             )
         }),
         Some(Unexplained::Doubt) => gap.map(|gap| {
             format!(
-                "the nearest brings predictions from {:.2} to {:.2} times what noise alone leaves, \
-                 and is less likely than not to be the cause",
+                "the nearest brings predictions from {:.2} to {:.2} times the noise floor, and is \
+                 less likely than not to be the cause",
                 gap.times(gap.before),
                 gap.times(gap.after)
             )
         }),
         Some(Unexplained::Remainder) => gap.map(|gap| {
             format!(
-                "the flights held out are predicted to {:.2} times what noise alone leaves, and to \
-                 {:.2} with what comes nearest",
+                "the held-out flights are predicted to {:.2} times the noise floor, and to {:.2} \
+                 with the nearest explanation",
                 gap.times(gap.before),
                 gap.times(gap.with_nuisances.unwrap_or(gap.after))
             )
@@ -105,7 +105,7 @@ fn effect(answer: &Answer) -> String {
     let mut text = if named.is_empty() {
         let likely = answer.effects.iter().filter(|effect| effect.probability >= LIKELY);
         let likely: Vec<String> = likely.map(one).collect();
-        format!("One of these acts, and these flights do not tell which: {}.", likely.join(", or "))
+        format!("One of these acts, and these flights cannot show which: {}.", likely.join(", or "))
     } else {
         format!("Found: {}.", named.join(", and "))
     };
@@ -116,11 +116,11 @@ fn effect(answer: &Answer) -> String {
         }
     }
     if answer.finding.verdict == FullVerdict::OtherLaw {
-        text += " Its equation is not quite the catalogue's: a part of the gap stays open.";
+        text += " Its equation differs from the catalogue's: part of the gap stays open.";
     }
     if !answer.ambiguous_with.is_empty() {
         let others = listed(answer.ambiguous_with.iter().copied());
-        text += &format!(" It cannot be told from {others}.");
+        text += &format!(" It cannot be distinguished from {others}.");
     }
     text
 }
@@ -131,13 +131,13 @@ fn shrinks(gaps: [f64; 2], closure: Option<f64>) -> String {
     let [before, after] = gaps.map(|gap| format!("{gap:.2}"));
     if before == after || gaps[1] > gaps[0] {
         return format!(
-            " On the flights held out this does not close the gap: it is {before} times the noise \
-             with the file as shipped, and {after} with the effects."
+            " On the held-out flights this does not close the gap: it is {before} times the noise \
+             floor with the file as shipped, and {after} with the effects."
         );
     }
     format!(
-        " On the flights held out the gap shrinks from {before} to {after} times the noise: {:.0} % \
-         of what can be closed.",
+        " On the held-out flights the gap shrinks from {before} to {after} times the noise floor: \
+         {:.0} % of what can be closed.",
         100.0 * closure
     )
 }
@@ -147,9 +147,9 @@ fn shrinks(gaps: [f64; 2], closure: Option<f64>) -> String {
 pub fn closed_loop(closed_loop: &ClosedLoop, explanation: &str) -> String {
     let ClosedLoop { position_m, thrust_n, moment_nm, .. } = closed_loop;
     format!(
-        "Flown again with its feedback, the simulator differs from the flights held out by {} m in \
+        "Flown again in closed loop, the simulator differs from the held-out flights by {} m in \
          position, {} N in thrust and {} N m in moment; {explanation} by {} m, {} N and {} N m; \
-         noise alone leaves {} m, {} N and {} N m.",
+         noise alone accounts for {} m, {} N and {} N m.",
         short(position_m.before),
         short(thrust_n.before),
         short(moment_nm.before),
@@ -174,14 +174,15 @@ pub fn next_flight(next: &NextFlight) -> String {
             .map(|rival| format!("{:.0} nats against {}", rival.nats, in_words(&rival.rival)))
             .collect();
         text += &format!(
-            " If {} is true, it is expected to have {:.0} % after it instead of {:.0} %: {}.",
+            " If {} is true, its expected probability after that flight is {:.0} % instead of \
+             {:.0} %: {}.",
             in_words(&outlook.truth),
             100.0 * outlook.expected,
             100.0 * outlook.now,
             rivals.join(", ")
         );
     }
-    text += " Diagnose the old and the new flight together, the new one given with --new.";
+    text += " Diagnose the old and the new flight together, and pass the new one with --new.";
     text
 }
 
@@ -198,7 +199,7 @@ pub fn law_sentence(law: &LawAnswer) -> String {
         return text;
     };
     format!(
-        "The law that comes nearest is not named, because {because}; it depends on {}.",
+        "The nearest law is not named, because {because}; it depends on {}.",
         law.depends_on.join(", ")
     )
 }
@@ -278,7 +279,7 @@ pub fn alternative(other: &ExplanationAnswer) -> String {
 pub fn explanation(finding: FullVerdict) -> &'static str {
     match finding {
         FullVerdict::Named | FullVerdict::Ambiguous | FullVerdict::OtherLaw => "with the effects",
-        _ => "with what comes nearest",
+        _ => "with the nearest explanation",
     }
 }
 
@@ -322,7 +323,7 @@ pub fn report(answer: &Answer) -> String {
     }
     let with = explanation(answer.finding.verdict);
     if let Some(gap) = &answer.gap {
-        text += &format!("how far    gap held out {:.2}", gap.before);
+        text += &format!("how far    held-out gap {:.2}", gap.before);
         if let Some(nuisances) = gap.nuisances_only {
             text += &format!(", {nuisances:.2} with the file's numbers alone");
         }
@@ -330,7 +331,7 @@ pub fn report(answer: &Answer) -> String {
         if let Some(learner) = gap.with_learner {
             text += &format!(", {learner:.2} with a flexible learner");
         }
-        text += &format!(", {:.2} of noise alone\n", gap.floor);
+        text += &format!(", {:.2} from noise alone\n", gap.floor);
     }
     if let Some(ClosedLoop { position_m, thrust_n, moment_nm, .. }) = &answer.closed_loop {
         for (line, (name, unit, difference)) in
@@ -340,7 +341,7 @@ pub fn report(answer: &Answer) -> String {
         {
             let head = if line == 0 { "again" } else { "" };
             text += &format!(
-                "{head:10} {name} off by {} {unit}, {} {with}, {} of noise alone\n",
+                "{head:10} {name} off by {} {unit}, {} {with}, {} from noise alone\n",
                 short(difference.before),
                 short(difference.after),
                 short(difference.floor)
@@ -369,7 +370,7 @@ pub fn report(answer: &Answer) -> String {
     }
     if let Some(twins) = &answer.twins {
         text += &format!(
-            "chance     {} twins without an effect: up to {:.0} % of the evidence that is asked\n",
+            "chance     {} twins without an effect: up to {:.0} % of the required evidence\n",
             twins.count,
             100.0 * twins.largest.last().copied().unwrap_or(0.0)
         );
@@ -413,7 +414,10 @@ mod tests {
             vec![FileNumber { name, value: 1.12, expected: 1.0, tolerances: 1.6 }];
         let text = finding(&answer);
         assert!(text.contains("from 8.00 to 1.20 times"), "{text}");
-        assert!(text.contains("inertia scale[0] 1.120 for 1.000 (+1.6 tolerances)"), "{text}");
+        assert!(
+            text.contains("inertia scale[0] 1.120 instead of 1.000 (+1.6 tolerances)"),
+            "{text}"
+        );
         // A gap that those numbers leave open is not reported as closed.
         answer.gap.as_mut().unwrap().nuisances_only = Some(7.0);
         assert!(finding(&answer).contains("to 8.00 times"));

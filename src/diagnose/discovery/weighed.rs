@@ -74,13 +74,17 @@ impl Inquiry<'_> {
         let gap = shipped.zip(after).map(|(before, after)| [before, after.effects, after.both]);
         let because = match (is_chosen, decision.explanation) {
             (true, _) => None,
-            (false, 0) => Some("it predicts the flights held out no better than the vehicle file's numbers do within their tolerances".to_owned()),
+            (false, 0) => Some(
+                "it predicts the held-out flights no better than the vehicle file's \
+                 numbers do within their tolerances"
+                    .to_owned(),
+            ),
             (false, other) if other == index => {
-                Some("what it leaves of the gap makes another cause likelier".to_owned())
+                Some("the gap that it leaves makes another cause more likely".to_owned())
             }
             (false, other) => {
                 let effects = with.explanations[other].effects.join(" and ");
-                Some(format!("{effects} of the catalogue does as well"))
+                Some(format!("{effects} from the catalogue does as well"))
             }
         };
         let mut order: Vec<usize> = (1..index).collect();

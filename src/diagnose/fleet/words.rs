@@ -29,15 +29,15 @@ fn list(causes: &[CauseAnswer]) -> String {
 pub fn sentence(answer: &FleetAnswer) -> String {
     let of = counted(answer.looked_at, "vehicle");
     let mut text = match answer.shared.as_slice() {
-        [] => format!("The {of} share nothing that the vehicle file lacks."),
-        shared => format!("The type has {}, by {of}.", list(shared)),
+        [] => format!("The {of} share no effect that the vehicle file lacks."),
+        shared => format!("The type has {}, according to {of}.", list(shared)),
     };
     for group in &answer.groups {
         text += &format!(" {} have {}.", counted(group.vehicles.len(), "vehicle"), values(group));
     }
     for open in &answer.open {
         text += &format!(
-            " {} have {}: too few to tell whether it is the type's or theirs alone.",
+            " {} have {}: too few to show whether it belongs to the type or to them alone.",
             counted(open.vehicles.len(), "vehicle"),
             values(open)
         );
@@ -52,9 +52,9 @@ pub fn sentence(answer: &FleetAnswer) -> String {
     };
     let own = answer.vehicles.iter().filter(has_own).count();
     text += &match own {
-        0 => " No vehicle has anything of its own.".to_owned(),
-        1 => " One has something of its own.".to_owned(),
-        own => format!(" {own} have something of their own."),
+        0 => " No vehicle has an effect of its own.".to_owned(),
+        1 => " One has an effect of its own.".to_owned(),
+        own => format!(" {own} have effects of their own."),
     };
     text
 }
@@ -62,7 +62,7 @@ pub fn sentence(answer: &FleetAnswer) -> String {
 fn cause_lines(title: &str, cause: &CauseAnswer) -> String {
     let percent = |p: f64| format!("{:.0} %", 100.0 * p);
     let mut text = format!(
-        "{title:10} {:18} {:>5}  of the type {:>5}  {} vehicles have it\n",
+        "{title:10} {:18} {:>5}  type-wide {:>5}  {} vehicles have it\n",
         cause.id,
         percent(cause.probability),
         percent(cause.of_type),
@@ -98,12 +98,12 @@ pub fn told(vehicle: &VehicleAnswer) -> String {
     let effects: Vec<String> = vehicle.effects.iter().map(effect).collect();
     let effects = effects.join("; ");
     match vehicle.state {
-        State::AsType => "as its type".to_owned(),
-        State::Group => format!("as its group: {effects}"),
+        State::AsType => "like its type".to_owned(),
+        State::Group => format!("like its group: {effects}"),
         State::Own => effects,
         State::Ambiguous => format!("{effects}; or {}", vehicle.ambiguous_with.join(", ")),
         State::Unknown => format!("unknown: {}", vehicle.sentence),
-        State::Faulty => format!("logs at fault: {}", vehicle.faults.join("; ")),
+        State::Faulty => format!("faulty logs: {}", vehicle.faults.join("; ")),
         State::Unusable => format!("left out: {}", vehicle.sentence),
     }
 }
@@ -124,7 +124,7 @@ pub fn report(answer: &FleetAnswer) -> String {
     }
     for number in &answer.file_numbers {
         text += &format!(
-            "file       {:18} {} for {} in the mean ({:+.1} tolerances), spread {}\n",
+            "file       {:18} {} instead of {} on average ({:+.1} tolerances), spread {}\n",
             number.name,
             four(number.mean),
             four(number.expected),
@@ -136,8 +136,8 @@ pub fn report(answer: &FleetAnswer) -> String {
         text += &format!("vehicle    {:18} {}\n", vehicle.name, told(vehicle));
     }
     text += &format!(
-        "vehicles   {} as the type, {} of a group, {} with something of their own, {} ambiguous, {} \
-         unknown, {} with faulty logs, {} left out\n",
+        "vehicles   {} like the type, {} in a group, {} with effects of their own, {} ambiguous, \
+         {} unknown, {} with faulty logs, {} left out\n",
         answer.count(State::AsType),
         answer.count(State::Group),
         answer.count(State::Own),

@@ -115,12 +115,13 @@ pub struct PreparedFlight {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NotPrepared {
     /// The recording never began, or no vehicle was received.
-    #[error("neither velocity, specific force or body rate nor motor outputs are recorded in it")]
+    #[error("the log has neither velocity, specific force, body rate nor motor outputs")]
     Empty,
     /// No input of the plant is logged.
     #[error(
-        "the log has no motor outputs (and no rotor speeds with rotor_max_rpm, and no setpoints \
-         with attitude and thrust for the attitude_pd of the vehicle file), which drive the model"
+        "the log has no motor outputs to drive the model (and neither rotor speeds with \
+         rotor_max_rpm nor setpoints with attitude and thrust for the attitude_pd of the vehicle \
+         file)"
     )]
     NoOutputs,
     /// No response of the vehicle is logged.
@@ -130,7 +131,7 @@ pub enum NotPrepared {
     #[error(transparent)]
     Unit(#[from] UnitUnknown),
     /// Its airborne time is too short.
-    #[error("only {0:.1} s of it are in the air without gaps; at least {min:.1} s are needed", min = BLOCK_MIN as f64 * CELL_S)]
+    #[error("only {0:.1} s of the log is airborne and free of gaps; at least {min:.1} s is needed", min = BLOCK_MIN as f64 * CELL_S)]
     TooShort(f64),
 }
 

@@ -129,14 +129,14 @@ pub(in crate::diagnose) const QUANTITIES: [&str; 7] = [
 
 /// Quantities of the body's motion, of place and of heading, for further dependences.
 const OF_BODY: [&str; 6] = [
-    "velocity to the front [m/s]",
-    "velocity to the right [m/s]",
+    "velocity forward [m/s]",
+    "velocity right [m/s]",
     "velocity down [m/s]",
     "roll rate [rad/s]",
     "pitch rate [rad/s]",
     "yaw rate [rad/s]",
 ];
-const OF_PLACE: [&str; 3] = ["place, north [m]", "place, east [m]", "heading [rad]"];
+const OF_PLACE: [&str; 3] = ["position north [m]", "position east [m]", "heading [rad]"];
 
 /// The unexplained acceleration over a quarter of a second, with the vehicle's motion.
 #[derive(Clone, Copy, Debug)]
@@ -320,13 +320,13 @@ const STEEP: f64 = 2.0;
 fn sentence(cells: &[Cell], regimes: &[Regime]) -> String {
     let shown: Vec<&Cell> = cells.iter().filter(|cell| cell.excess > EXCESS_MIN).take(3).collect();
     if shown.is_empty() {
-        return "Nothing stands out over the floor in any channel.".to_owned();
+        return "No channel stands out above the noise floor.".to_owned();
     }
     let list: Vec<String> = shown
         .iter()
         .map(|cell| {
             let factor = (1.0 + cell.excess).sqrt();
-            format!("{} ({}, {factor:.1} times the floor)", cell.channel, cell.scale)
+            format!("{} ({}, {factor:.1} times the noise floor)", cell.channel, cell.scale)
         })
         .collect();
     let mut sentence = format!("The gap is largest in {}", list.join(", "));
@@ -341,7 +341,7 @@ fn sentence(cells: &[Cell], regimes: &[Regime]) -> String {
     }
     let command = shown.iter().all(|cell| CHANNEL_NAMES[COMMAND..].contains(&cell.channel));
     if command {
-        sentence += "; it lies between setpoint and motor output, not in the motion";
+        sentence += "; it is between setpoint and motor output, not in the motion";
     }
     sentence + "."
 }

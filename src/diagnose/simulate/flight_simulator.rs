@@ -39,7 +39,7 @@ const SAME_TIME_S: f64 = 0.25 * Plant::STEP;
 #[derive(Debug, thiserror::Error)]
 pub enum NotSimulated {
     /// The vehicle file does not describe the attitude loop.
-    #[error("the vehicle file has no attitude_pd, so how its attitude loop answers is not known")]
+    #[error("the vehicle file has no attitude_pd, so the response of its attitude loop is unknown")]
     NoAttitudeLoop,
     /// The physics rejects the vehicle.
     #[error(transparent)]

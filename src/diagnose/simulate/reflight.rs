@@ -44,7 +44,7 @@ pub enum NotReflown {
     NotSimulated(#[from] NotSimulated),
     /// No held-out flight has the motion and outputs to compare with.
     #[error(
-        "no flight held out has position, velocity, attitude and outputs over three seconds or more"
+        "no held-out flight has position, velocity, attitude and outputs for three seconds or more"
     )]
     NoMotion,
 }

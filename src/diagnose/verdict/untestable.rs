@@ -48,7 +48,9 @@ fn lacking(need: Need, flight: &Flight, channels: &Channels) -> Option<String> {
     let driven = channels.outputs || channels.rotor_speed || channels.setpoint;
     let rotors = channels.outputs || channels.rotor_speed;
     match need {
-        Need::Input => lacks(driven, "nothing that was commanded is logged"),
+        Need::Input => {
+            lacks(driven, "neither motor outputs, rotor speeds nor setpoints are logged")
+        }
         Need::Pose => lacks(channels.pose(), "position, velocity and attitude are not all logged"),
         Need::Motion => {
             lacks(channels.pose() || channels.imu, "neither pose nor accelerometer is logged")
@@ -57,7 +59,7 @@ fn lacking(need: Need, flight: &Flight, channels: &Channels) -> Option<String> {
             channels.body_rate || channels.attitude,
             "neither body rate nor attitude is logged",
         )
-        .or(lacks(rotors, "motor outputs are not logged, so that rotors cannot be told apart")),
+        .or(lacks(rotors, "motor outputs are not logged, so rotors cannot be distinguished")),
         Need::FastInput if channels.setpoint => None,
         Need::FastOutputs | Need::FastInput => {
             let is_slow = channels.outputs && !channels.fast_outputs && !channels.rotor_speed;
@@ -65,33 +67,33 @@ fn lacking(need: Need, flight: &Flight, channels: &Channels) -> Option<String> {
         }
         Need::Voltage => {
             let range @ [low, high] = voltage_range(flight.voltage.values().iter().copied());
-            let flat = || format!("the voltage stays within {low:.2} to {high:.2} V in this log");
+            let flat = || format!("the voltage stays between {low:.2} and {high:.2} V in this log");
             lacks(channels.voltage, "the voltage is not logged")
                 .or_else(|| is_flat(range).then(flat))
         }
         Need::Attitude => lacks(channels.attitude, "the attitude is not logged").or(lacks(
             channels.motion || channels.body_rate,
-            "neither velocity nor body rate is logged beside the attitude",
+            "the attitude is logged without velocity or body rate",
         )),
         Need::Imu => lacks(
             channels.imu,
-            "no IMU is logged at 80 Hz or more, against which the estimate could be late",
+            "no IMU is logged at 80 Hz or more, so the estimate's latency cannot be measured",
         ),
         Need::WholeSetpoint => lacks(
             channels.whole_setpoint,
-            "setpoints with attitude, rates and thrust, as the ground sent them, are not logged",
+            "the log has no setpoints with attitude, rates and thrust as the ground sent them",
         ),
     }
 }
 
 fn slow_outputs(flight: &Flight) -> String {
     match Rates::of(flight).outputs_hz {
-        Some(rate) => format!(
-            "new motor outputs come at {rate:.1} Hz only; at least {FAST_HZ:.0} Hz are needed"
-        ),
+        Some(rate) => {
+            format!("motor outputs update at only {rate:.1} Hz; at least {FAST_HZ:.0} Hz is needed")
+        }
         None => format!(
-            "the motor outputs hardly change in this log; new ones at {FAST_HZ:.0} Hz or more \
-             are needed"
+            "the motor outputs hardly change in this log; updates at {FAST_HZ:.0} Hz or more are \
+             needed"
         ),
     }
 }

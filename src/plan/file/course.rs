@@ -56,8 +56,8 @@ impl Builder<'_> {
             let [(before, from, _), (name, to, _)] = pair else { continue };
             if (*to - *from).norm() < APART_M {
                 let message = format!(
-                    "{name} is at the same place as {before}; expected places that are at least \
-                     {APART_M} m from the one before"
+                    "{name} is at the same place as {before}; expected at least {APART_M} m \
+                     between one place and the next"
                 );
                 return Err(TrajectoryError::Syntax { path: self.origin.into(), message });
             }

@@ -40,7 +40,7 @@ pub struct Task {
 pub enum NoWay {
     /// A place to pass is inside a region to avoid.
     #[error(
-        "{place} lies in keep_out[{region}] of [plan] in the configuration: no way leads through it"
+        "{place} is inside keep_out[{region}] of [plan] in the configuration: no path can pass it"
     )]
     KeptOut {
         /// The place.
@@ -49,7 +49,7 @@ pub enum NoWay {
         region: usize,
     },
     /// A place to pass is outside the box.
-    #[error("{place} lies out of box_m of [plan] in the configuration: no way leads through it")]
+    #[error("{place} is outside box_m of [plan] in the configuration: no path can pass it")]
     OutOfBox {
         /// The place.
         place: String,

@@ -6,7 +6,10 @@ use crate::report::page::{Mood, escape};
 use crate::report::table::{Table, definitions};
 
 /// What stands above it.
-pub const INTRODUCTION: &str = "A formula of terms that units and the symmetry of the airframe allow. The flights of the fit chose it, and the same rules as for effects judge it. Beyond the range that the flights show it keeps its value at the end of the range.";
+pub const INTRODUCTION: &str = "A formula of terms that units and the airframe's symmetry allow. \
+                                The fitted flights select it, and the rules for effects judge it. \
+                                Beyond the range of the flights it keeps its value at the end of \
+                                the range.";
 
 /// The section.
 pub fn html(law: &LawAnswer) -> String {
@@ -63,7 +66,7 @@ pub fn html(law: &LawAnswer) -> String {
         ("named", verdict.as_str()),
         ("depends on", law.depends_on.join(", ").as_str()),
         ("known for", range.join(", ").as_str()),
-        ("gap held out, times the floor", gap.as_str()),
+        ("held-out gap, times the floor", gap.as_str()),
         ("evidence (nats)", format!("{:.0}", law.evidence).as_str()),
         ("nearest in the catalogue (nats)", near.join(", ").as_str()),
     ]);

@@ -19,8 +19,9 @@ pub(super) fn html(answer: &Answer) -> String {
     let mut html = String::new();
     let regimes = &answer.map.regimes;
     if !regimes.is_empty() {
-        html += "<h3>Unexplained acceleration against what it may depend on</h3>\
-                 <p class=\"note\">Root mean square in quarters of the time, m/s\u{b2}; quantities in the order of their effect.</p>";
+        html += "<h3>Unexplained acceleration against possible dependences</h3><p \
+                 class=\"note\">Root mean square in quarters of the time, m/s\u{b2}; quantities in \
+                 the order of their effect.</p>";
         html += &legend(
             [("as shipped", "curve c1".to_owned()), (explanation, "curve c2".to_owned())]
                 .into_iter(),

@@ -60,7 +60,7 @@ fn picture(flight: &Reflown, explanation: &str) -> String {
             curves: curves(&flight.traces.position_m),
         },
         Panel {
-            name: "simulated less logged thrust (N)".into(),
+            name: "simulated minus logged thrust (N)".into(),
             curves: curves(&flight.traces.thrust_n),
         },
     ];

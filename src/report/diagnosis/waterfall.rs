@@ -28,7 +28,7 @@ pub fn html(shares: &[Share]) -> String {
 fn label(of: &str) -> &str {
     match of {
         "file" => "the file's numbers",
-        "remainder" => "nothing that was tried",
+        "remainder" => "not explained",
         other => other,
     }
 }

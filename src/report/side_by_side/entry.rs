@@ -27,7 +27,7 @@ impl Alignment {
     pub(super) fn label(self) -> &'static str {
         match self {
             Self::Time => "time since the start of the trajectory (s)",
-            Self::Position => "way along the path (m)",
+            Self::Position => "distance along the path (m)",
             Self::Phase => "phase of the trajectory (0..1)",
         }
     }

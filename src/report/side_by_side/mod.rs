@@ -253,14 +253,15 @@ fn sentence(
     pairs: usize,
 ) -> String {
     let Some(first) = first else {
-        return "The flights have no error in common that could be compared.".to_owned();
+        return "The flights have no error in common to compare.".to_owned();
     };
     let name = first.metric;
     let Some(tested) = first.tested else {
         let (a_mean, b_mean) =
             (page::value(first.a.mean, first.unit), page::value(first.b.mean, first.unit));
         return format!(
-            "{name}: {a_mean} in A, {b_mean} in B; of {a} and {b} flights nothing can be said of chance."
+            "{name}: {a_mean} in A, {b_mean} in B; {a} and {b} flights are too few to rule out \
+             chance."
         );
     };
     let [low, high] = tested.interval.map(|bound| page::signed(bound, first.unit));
@@ -274,7 +275,7 @@ fn sentence(
     let verdict = match outcome {
         Outcome::Worse => "B is worse than A",
         Outcome::Better => "B is better than A",
-        _ => "No difference by more than chance",
+        _ => "No difference beyond chance",
     };
     format!("{verdict}: {name} {by}{share} (95 % interval {low} to {high}; {how}).")
 }
@@ -347,7 +348,7 @@ mod tests {
         let comparison = compared(&[entry(0.1, "circle", 1, "x")], &[entry(9.0, "circle", 1, "y")]);
         assert_eq!(comparison.outcome, Outcome::Undecided);
         assert!(
-            comparison.sentence.contains("nothing can be said of chance"),
+            comparison.sentence.contains("are too few to rule out chance"),
             "{}",
             comparison.sentence
         );

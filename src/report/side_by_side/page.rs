@@ -28,14 +28,16 @@ impl Comparison {
         self.verdict(&mut page);
         page.section(
             "Differences",
-            "B less A as a share of A, with the 95 % interval over flights; the mark is the mean. Left of zero B is smaller.",
+            "B minus A as a share of A, with the 95 % interval over flights; the mark is the mean. \
+             B is smaller to the left of zero.",
             &(self.bars() + &self.table()),
         );
         let errors = self.errors(a, b);
         if !errors.is_empty() {
             page.section(
                 "Errors along the flights",
-                "Signed errors: means over the flights, with their 95 % intervals where there are several; thin, the single flights.",
+                "Signed errors: means over the flights, with their 95 % intervals where there are \
+                 several; thin lines are single flights.",
                 &errors,
             );
         }
@@ -49,7 +51,8 @@ impl Comparison {
         }
         page.section(
             "What else differs",
-            "Vehicles, settings and versions, as the logs say. What varies within a group cannot alone be what parts A and B.",
+            "Vehicles, settings and versions, as the logs state them. A value that varies within a \
+             group cannot alone explain a difference between A and B.",
             &self.facts_table(),
         );
         page.section("Flights", "", &self.flights(a, b));
@@ -97,10 +100,10 @@ impl Comparison {
             ("", false),
             ("A", true),
             ("B", true),
-            ("B less A", true),
+            ("B minus A", true),
             ("95 % interval", true),
             ("p", true),
-            ("p of all", true),
+            ("adjusted p", true),
         ]);
         for d in &self.differences {
             let (scale, unit) = shown_unit(d.unit);
@@ -177,7 +180,7 @@ impl Comparison {
 
     fn facts_table(&self) -> String {
         if self.facts.is_empty() {
-            return "<p class=\"note\">Nothing that the logs say.</p>".into();
+            return "<p class=\"note\">The logs state no differences.</p>".into();
         }
         let mut table =
             Table::new(&[("", false), ("A", false), ("B", false), ("varies within", false)]);
@@ -225,7 +228,9 @@ impl Comparison {
     fn provenance(&self) -> String {
         let pairing = match self.paired_by {
             Some(by) => format!("{} pairs, by {by}", self.pairs.len()),
-            None => "none: not every flight has one partner of its trajectory and seed".to_owned(),
+            None => {
+                "none: not every flight has one partner with its trajectory and seed".to_owned()
+            }
         };
         let test = self
             .differences
@@ -237,16 +242,19 @@ impl Comparison {
             (
                 "test",
                 &format!(
-                    "{test} of one number a flight; the interval is the one that leaves out zero in one of twenty comparisons of flights that do not differ"
+                    "{test} on one number per flight; the interval excludes zero in one of twenty \
+                     comparisons of flights that do not differ"
                 ),
             ),
             (
-                "p of all",
-                "after Holm, among all rows: below 0.05 a row differs, whatever the others do. The first row alone decides whether B is worse, by its own interval",
+                "adjusted p",
+                "adjusted after Holm for all rows: below 0.05 a row differs, whatever the others \
+                 do. The first row alone decides whether B is worse, by its own interval",
             ),
             (
                 "errors",
-                "flown less wanted along the trajectory; of a log that knows none, what was less what setpoints asked, while in the air",
+                "flown minus desired along the trajectory; for a log without one, reported minus \
+                 setpoint, while airborne",
             ),
             (
                 "aligned by",

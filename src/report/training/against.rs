@@ -99,7 +99,8 @@ pub(super) fn sentence(summary: &TrainingSummary) -> String {
         })
         .collect();
     format!(
-        "On the test flight the {} model is closest, with {:.0} % of the deviation left on average; {}. On the line a prediction is exact.",
+        "On the test flight the {} model is closest, with {:.0} % of the deviation left on \
+         average; {}. Exact predictions are on the line.",
         best.name(),
         100.0 * error,
         failures.join("; ")
@@ -117,7 +118,9 @@ pub(super) fn html(summary: &TrainingSummary) -> String {
         names.map(|(place, kind)| (kind.name(), format!("curve thin key {}", colour(place))));
     let mut html = legend(items);
     html += &format!("<div class=\"side\">{frames}</div>");
-    html += "<h3>What is left, by how hard the vehicle moves</h3><p class=\"note\">Root mean square error over the deviation of what was observed, in thirds of the rows by the magnitude of the acceleration.</p>";
+    html += "<h3>Remaining error, by how hard the vehicle moves</h3><p class=\"note\">Root mean \
+             square error over the deviation of the observed acceleration, in thirds of the rows \
+             by the magnitude of the acceleration.</p>";
     let mut columns = vec![("model", false), ("axis", false)];
     columns.extend(REGIMES.map(|regime| (regime, true)));
     columns.push(("all", true));

@@ -33,7 +33,7 @@ pub enum OnsetError {
     Time(String),
     /// The effect acts in a sensor, a link or a loop, or carries its own state.
     #[error(
-        "{0} cannot set in during a flight: only forces, moments and constants of the vehicle can"
+        "{0} cannot start during a flight: only forces, moments and constants of the vehicle can"
     )]
     Fixed(EffectId),
 }
@@ -131,7 +131,7 @@ mod tests {
     #[test]
     fn what_cannot_set_in_is_refused_by_name() {
         let message = |text: &str| requested(&[text]).unwrap_err().to_string();
-        assert!(message("command_delay:delay_s=0.02@3").contains("command_delay cannot set in"));
+        assert!(message("command_delay:delay_s=0.02@3").contains("command_delay cannot start"));
         assert!(message("thrust_scale:scale=0.9@soon").contains("time of an onset"));
         assert!(message("thrust_scale:scale=0.9@-1").contains("time of an onset"));
     }

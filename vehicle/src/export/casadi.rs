@@ -28,7 +28,7 @@ pub(super) fn text(model: &mut Model<'_>) -> String {
     let tau = model.constants.motor_time_constant;
     let gyroscopic = model.effect::<RotorGyroscopic>();
     if gyroscopic.is_some() && tau <= 0.0 {
-        model.lose("the reaction on yaw of rotors that change their speed at once");
+        model.lose("the yaw reaction of rotors whose speed changes at once");
     }
     let vehicle = model.vehicle;
     let rotors = &model.constants.rotors;

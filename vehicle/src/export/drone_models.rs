@@ -18,10 +18,10 @@ pub(super) fn text(model: &mut Model<'_>) -> String {
     model.lose_unlike_rotors();
     model.lose_assumed_speed();
     if follows_speed {
-        model.lose("a drag that grows with the rotors' speed: it is as large as at hover's");
+        model.lose("a drag that grows with the rotors' speed: exact only at hover speed");
     }
     if model.constants.motor_time_constant > 0.0 {
-        model.lose("a lag of the thrust: their rotors lag in their speed, alike about hover");
+        model.lose("a lag of the thrust: their rotors lag in their speed, equivalent near hover");
     }
     if model.vehicle.angular_damping_nms.is_some() {
         model.lose("angular_damping_Nms");

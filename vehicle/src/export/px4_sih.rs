@@ -20,13 +20,16 @@ pub(super) fn text(model: &mut Model<'_>) -> String {
     model.lose_unlike_rotors();
     model.lose_gravity(GRAVITY);
     if follows_speed {
-        model.lose("a drag that grows with the rotors' speed: it is as large as at hover's");
+        model.lose("a drag that grows with the rotors' speed: exact only at hover speed");
     }
     if drag[0] != drag[2] {
-        model.lose("another drag along the thrust than across it: it has the one across");
+        model.lose(
+            "a drag along the thrust that differs from the drag across it: both are the \
+             drag across",
+        );
     }
     if damping.iter().any(|axis| *axis != damping[0]) {
-        model.lose("a damping that differs between axes: it has roll's");
+        model.lose("a damping that differs between axes: all have roll's");
     }
     if model.wind.down() != 0.0 {
         model.lose("a wind up or down");
@@ -41,7 +44,7 @@ pub(super) fn text(model: &mut Model<'_>) -> String {
             && (rotor.y.abs() - across).abs() < 1e-3 * across
     });
     if !is_x {
-        model.lose("rotors that lie in no even X about the centre of mass: the arms are means");
+        model.lose("rotors that form no even X about the centre of mass: the arms are means");
     }
     let [ix, iy, iz] = model.constants.inertia;
     let [north, east, _] = model.wind.to_array();

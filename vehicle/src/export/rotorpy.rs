@@ -32,16 +32,18 @@ pub(super) fn text(model: &mut Model<'_>) -> String {
     model.lose_assumed_speed();
     model.lose_gravity(GRAVITY);
     if !follows_speed {
-        model.lose("a drag that does not grow with the rotors' speed: it is as large at hover's");
+        model.lose("a drag independent of the rotors' speed: exact only at hover speed");
     }
     if flapping.is_some_and(|flapping| flapping.tilt_rad_s_m != 0.0) {
-        model.lose("the tilt of the thrust by blade_flapping, whose moment is there");
+        model.lose("the tilt of the thrust by blade_flapping: only its moment is expressed");
     }
     if lift.is_some() {
-        model.lose("a translational lift in proportion to the thrust: it is as large at hover's");
+        model.lose("a translational lift in proportion to the thrust: exact only at hover thrust");
     }
     if model.constants.motor_time_constant > 0.0 {
-        model.lose("a lag of the thrust: RotorPy's rotors lag in their speed, alike about hover");
+        model.lose(
+            "a lag of the thrust: RotorPy's rotors lag in their speed, equivalent near hover",
+        );
     }
     if model.vehicle.angular_damping_nms.is_some() {
         model.lose("angular_damping_Nms");

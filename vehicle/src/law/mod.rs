@@ -187,7 +187,8 @@ impl Law {
         for (key, written) in &text.constants {
             let is_taken = Quantity::ALL.iter().any(|quantity| quantity.name() == key);
             if !is_name(key) || is_taken {
-                let reason = "a constant's name is letters, digits and '_', and no quantity's";
+                let reason =
+                    "a constant's name is letters, digits and '_', and not the name of a quantity";
                 return Err(refused(key, reason.to_owned()));
             }
             let constant = Constant::parse(written).map_err(|reason| refused(key, reason))?;
@@ -209,13 +210,13 @@ impl Law {
             formulas.push((channel, program));
         }
         if formulas.is_empty() {
-            return Err(refused("formulas", "there is none, such as force_x".to_owned()));
+            return Err(refused("formulas", "expected at least one, such as force_x".to_owned()));
         }
         let mut limits = [[f64::NEG_INFINITY, f64::INFINITY]; QUANTITIES];
         for (key, [low, high]) in &text.range {
             let quantity = Quantity::ALL.into_iter().find(|quantity| quantity.name() == key);
             let Some(slot) = quantity.and_then(|q| limits.get_mut(q as usize)) else {
-                return Err(refused("range", format!("{key:?} is no quantity")));
+                return Err(refused("range", format!("{key:?} is not a quantity")));
             };
             if !(low.is_finite() && high.is_finite() && low <= high) {
                 let reason = format!("{key}: expected [low, high], found [{low}, {high}]");
@@ -240,12 +241,15 @@ impl Law {
         for (_, program) in formulas.iter().filter(|(channel, _)| *channel == Channel::Lag) {
             if program.needed() != Needed::default() {
                 let reason =
-                    "a lag is of constants and numbers only: it acts on every flight alike";
+                    "a lag takes only constants and numbers: it is the same in every flight";
                 return Err(refused("lag", reason.to_owned()));
             }
             lag_s = program.value(&at_rest, &limits);
             if !(0.0..=1.0).contains(&lag_s) {
-                return Err(refused("lag", format!("expected 0..=1 s more, found {lag_s}")));
+                return Err(refused(
+                    "lag",
+                    format!("expected an added lag of 0..=1 s, found {lag_s}"),
+                ));
             }
         }
         formulas.retain(|(channel, _)| *channel != Channel::Lag);

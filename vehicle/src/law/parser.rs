@@ -33,7 +33,8 @@ impl Constant {
         let (number, unit) = text.split_once(char::is_whitespace).unwrap_or((text, ""));
         let expected = || {
             format!(
-                "{text:?} is no number with a unit; write it as \"0.012 kg/s\", or \"1.3\" where it has none"
+                "{text:?} is not a number with a unit; write it as \"0.012 kg/s\", or \"1.3\" \
+                 where it has none"
             )
         };
         let value: f64 = number.parse().map_err(|_| expected())?;
@@ -52,7 +53,7 @@ pub fn parse(
     unit: Unit,
 ) -> Result<Program, String> {
     if text.len() > LENGTH_MAX {
-        return Err(format!("the formula has {} bytes; at most {LENGTH_MAX} are read", text.len()));
+        return Err(format!("the formula has {} bytes; expected at most {LENGTH_MAX}", text.len()));
     }
     let mut parser = Parser { text, at: 0, depth: 0, constants, operations: Vec::new() };
     let found = parser.sum()?;
@@ -61,7 +62,7 @@ pub fn parse(
         return Err(parser.wrong("an operator or the end"));
     }
     if found != unit {
-        return Err(format!("the formula is in {found}, and {unit} is needed"));
+        return Err(format!("the formula is in {found}, expected {unit}"));
     }
     Program::new(parser.operations).ok_or_else(|| {
         format!("the formula is too long: at most {OPERATIONS_MAX} operations, {STACK_MAX} at once")
@@ -110,7 +111,7 @@ impl<'a> Parser<'a> {
             Some(found) => {
                 format!("at character {}: expected {expected}, found {found:?}", self.at)
             }
-            None => format!("the formula ends where {expected} is expected"),
+            None => format!("the formula ends too early: expected {expected}"),
         }
     }
 
@@ -135,13 +136,13 @@ impl<'a> Parser<'a> {
         loop {
             let (binary, word) = match self.next() {
                 Some(b'+') => (Binary::Add, "added to"),
-                Some(b'-') => (Binary::Subtract, "taken from"),
+                Some(b'-') => (Binary::Subtract, "subtracted from"),
                 _ => break,
             };
             self.at += 1;
             let other = self.product()?;
             if other != unit {
-                return Err(format!("what is in {other} cannot be {word} what is in {unit}"));
+                return Err(format!("a value in {other} cannot be {word} a value in {unit}"));
             }
             self.binary(binary)?;
         }
@@ -161,7 +162,7 @@ impl<'a> Parser<'a> {
             let other = self.signed()?;
             let joint =
                 if binary == Binary::Multiply { unit.times(other) } else { unit.over(other) };
-            unit = joint.ok_or("the powers of a unit grow beyond any use")?;
+            unit = joint.ok_or("the powers of a unit are too large")?;
             self.binary(binary)?;
         }
     }
@@ -206,8 +207,8 @@ impl<'a> Parser<'a> {
         }
         if !unit.is_none() {
             return Err(format!(
-                "what is in {unit} has no unit to the power {power}; divide it by a reference first, \
-                 as in (airspeed / 1[m/s])^{power}"
+                "a value in {unit} cannot be raised to the power {power}; divide it by a reference \
+                 first, as in (airspeed / 1[m/s])^{power}"
             ));
         }
         self.push(Operation::Unary(Unary::Power(power)))?;
@@ -219,7 +220,7 @@ impl<'a> Parser<'a> {
         self.skip_blank();
         if let Some(name) = self.name() {
             let constant = self.constants.get(name).filter(|constant| constant.unit.is_none());
-            let wrong = || format!("the power {name} is no constant without a unit");
+            let wrong = || format!("the power {name} is not a constant without a unit");
             return constant.map(|constant| constant.value).ok_or_else(wrong);
         }
         self.number()
@@ -262,7 +263,7 @@ impl<'a> Parser<'a> {
                 self.needs(b',')?;
                 let other = self.sum()?;
                 if other != unit {
-                    return Err(format!("{name} of what is in {unit} and what is in {other}"));
+                    return Err(format!("{name} of a value in {unit} and one in {other}"));
                 }
                 let binary = if name == "min" { Binary::Least } else { Binary::Greatest };
                 self.binary(binary)?;
@@ -279,7 +280,7 @@ impl<'a> Parser<'a> {
         self.push(Operation::Unary(unary))?;
         match unary {
             Unary::Absolute => Ok(unit),
-            Unary::Root => unit.root().ok_or_else(|| format!("sqrt of what is in {unit}")),
+            Unary::Root => unit.root().ok_or_else(|| format!("sqrt of a value in {unit}")),
             _ if unit.is_none() => Ok(unit),
             _ => Err(format!("{name} needs a number without a unit; this one is in {unit}")),
         }
@@ -294,7 +295,9 @@ impl<'a> Parser<'a> {
             let end = rest.find(']').ok_or("a unit's '[' has no ']'")?;
             let text = rest.get(..end).unwrap_or_default();
             unit = Unit::parse(text).ok_or_else(|| {
-                format!("{text:?} is no unit; units are made of kg, m, s, V, N and rad, as kg/s")
+                format!(
+                    "{text:?} is not a unit; units are made of kg, m, s, V, N and rad, such as kg/s"
+                )
             })?;
             self.at += end + 1;
         }

@@ -230,7 +230,7 @@ impl VehicleParams {
                 "rad/s",
                 format!(
                     "the on-board loop in {name} turns {} kg m^2 at {} rad/s, expected {} rad/s: \
-                     gains (N m/rad) and inertia do not belong together",
+                     gains (N m/rad) and inertia do not match",
                     brief(moment),
                     brief(natural),
                     told(LOOP_RAD_S)
@@ -256,8 +256,8 @@ impl VehicleParams {
                 "",
                 format!(
                     "the on-board loop in {name} follows rates within {} s, but its rotors lag by \
-                     {} s: it would swing; the second is expected to be less than {RATE_LOOP_LAG} \
-                     times the first",
+                     {} s: it would oscillate; expected the second below {RATE_LOOP_LAG} times the \
+                     first",
                     brief(moment / kd),
                     brief(lag)
                 ),

@@ -7,7 +7,7 @@ use super::VehicleParams;
 
 /// The first difference between two vehicles.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{field}{place} is {other} there and {this} in the vehicle at hand")]
+#[error("{field}{place} is {other} there and {this} in this vehicle")]
 pub struct Difference {
     /// The field's name in vehicle files.
     pub field: &'static str,
@@ -26,7 +26,7 @@ impl Difference {
         }
         let told = |value: &T| match serde_json::to_value(value) {
             Ok(value) => value,
-            Err(error) => format!("what no file can hold ({error})").into(),
+            Err(error) => format!("a value that no file can hold ({error})").into(),
         };
         let (this, other) = (told(this), told(other));
         let (place, this, other) = first_difference(&this, &other);
@@ -164,7 +164,7 @@ mod tests {
         let mut other = quad();
         other.rotor_max_rpm = Some(8000.0);
         let difference = quad().difference(&other).map(|difference| difference.to_string());
-        let told = "rotor_max_rpm is 8000.0 there and 9000.0 in the vehicle at hand";
+        let told = "rotor_max_rpm is 8000.0 there and 9000.0 in this vehicle";
         assert_eq!(difference.as_deref(), Some(told));
     }
 }

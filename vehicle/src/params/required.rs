@@ -21,7 +21,7 @@ const TOP: &[Key] = &[
 ];
 /// Required keys of each rotor.
 const ROTOR: &[Key] = &[
-    ("position_m", "the rotor's place from the centre of mass in m, as [front, right, down]"),
+    ("position_m", "the rotor's position from the centre of mass in m, as [front, right, down]"),
     ("spin", "1 where the rotor's drag turns the body to the right, else -1"),
     ("thrust_max_N", "the thrust at full output in N"),
     ("drag_torque_per_thrust_m", "the drag torque over the thrust in m"),

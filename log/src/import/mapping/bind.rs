@@ -17,7 +17,7 @@ const STANDARD_GRAVITY: f64 = 9.806_65;
 
 /// Error message for a missing key.
 fn unsaid(field: &str, expected: &str) -> String {
-    format!("{field} is not said: write {field} = {expected}")
+    format!("{field} is missing: write {field} = {expected}")
 }
 
 /// Finds columns and records which are used.
@@ -154,8 +154,8 @@ impl Binder<'_> {
         };
         let turn = AttitudeTurn::new(self.world()?, self.body()?).ok_or_else(|| {
             format!(
-                "{field}: of world_frame and body_frame one is right-handed and one left-handed: no \
-                 rotation leads from one to the other"
+                "{field}: of world_frame and body_frame one is right-handed and one left-handed: \
+                 no rotation relates them"
             )
         })?;
         Ok(AttitudeReader { rotation, is_inverse, turn })
@@ -202,7 +202,7 @@ impl Binder<'_> {
             MotorMeaning::ThrustN => (Outputs::Newton, None),
             MotorMeaning::Pwm => {
                 if map.range.is_none() && map.polynomial_n.is_none() {
-                    return Err("motors: what thrust a PWM value is, is not said: write range = \
+                    return Err("motors: the thrust of a PWM value is missing: write range = \
                                 [value of no thrust, value of full thrust] for a thrust that is \
                                 proportional between them, or polynomial_N = [c0, c1, c2] for a \
                                 thrust of c0 + c1 x + c2 x^2 in N (x being the PWM value, or its \

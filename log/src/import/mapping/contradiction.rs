@@ -26,7 +26,7 @@ pub(super) fn unit(
         return Ok(());
     }
     Err(format!(
-        "{field}: the table says that column {} is in {said:?}, the mapping takes it in another unit; \
+        "{field}: the table says that column {} is in {said:?}, the mapping uses another unit; \
          correct the one that is wrong",
         heading.pointed_out(column)
     ))

@@ -216,9 +216,11 @@ impl Proposal<'_> {
             &[&[""]],
         );
 
-        self.line("# Proposed from the names of the table's columns. Check what is marked CHECK: nothing of it");
         self.line(
-            "# can be seen in the table; config/mappings/motion-capture.toml explains every key.",
+            "# Proposed from the names of the table's columns. Check every line marked CHECK: the",
+        );
+        self.line(
+            "# table does not show it; config/mappings/motion-capture.toml explains every key.",
         );
         if self.sheet.separator != b',' {
             let separator = char::from(self.sheet.separator).to_string();

@@ -5,10 +5,10 @@ use vehicle::frame::{Attitude, Euler, Frd, Ned};
 use super::axes::{AttitudeTurn, BodyFrame, WorldFrame, from_matrix, unit};
 use super::{Axes, ForceMeaning, QuaternionOrder};
 
-const NO_NUMBER: &str = "row with a cell that is no finite number";
-const NO_ROTATION: &str = "row whose attitude is no rotation";
+const NO_NUMBER: &str = "row with a cell that is not a finite number";
+const NO_ROTATION: &str = "row whose attitude is not a rotation";
 
-const NO_ATTITUDE: &str = "row without an attitude, which a vector in it must be turned by";
+const NO_ATTITUDE: &str = "row without the attitude that rotates its vectors";
 
 /// A cell of a row.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

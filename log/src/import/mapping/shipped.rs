@@ -26,7 +26,8 @@ pub(super) fn text(path: &Path) -> Result<Cow<'static, str>, ImportError> {
         (Err(error), _) if error.kind() == ErrorKind::NotFound => {
             let names: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
             let message = format!(
-                "there is no such file, and no shipped mapping of that name; shipped are {}",
+                "there is no such file, and no shipped mapping of that name; shipped mappings are \
+                 {}",
                 names.join(", ")
             );
             Err(ImportError::Mapping { path: path.to_owned(), message })

@@ -96,7 +96,7 @@ impl Head {
         if let Some(stated) = stated {
             let byte = u8::try_from(stated).ok().filter(u8::is_ascii);
             let byte = byte.ok_or_else(|| {
-                format!("separator: expected a character of ASCII, found {stated:?}")
+                format!("separator: expected an ASCII character, found {stated:?}")
             })?;
             return Ok(vec![byte]);
         }
@@ -283,8 +283,8 @@ fn expected(mapping: &Mapping, above: &[Vec<String>]) -> Result<(), String> {
     for (name, expected) in &mapping.expect {
         if let Some(said) = heading.after(name).filter(|said| said != expected) {
             return Err(format!(
-                "expect: the table says {name:?} is {said:?}, the mapping is for {expected:?}; copy \
-                 the mapping, change it to what the table is, and what it says there"
+                "expect: the table has {name:?} = {said:?}, the mapping is for {expected:?}; copy \
+                 the mapping, and change it and this value to fit the table"
             ));
         }
     }

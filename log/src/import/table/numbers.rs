@@ -53,7 +53,7 @@ impl Numbers {
             return None;
         };
         Some(format!(
-            "decimal is not said, and cells have both marks, as {point:?} and {comma:?}: write \
+            "decimal is missing, and cells have both marks, as {point:?} and {comma:?}: write \
              decimal = \".\" or decimal = \",\""
         ))
     }

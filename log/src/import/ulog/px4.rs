@@ -124,7 +124,7 @@ impl Contents {
             kinds: self.kinds(),
             frame: parameter("CA_AIRFRAME").map(|class| match class {
                 0.0 => "multirotor".to_owned(),
-                class => format!("airframe class {class}, no multirotor"),
+                class => format!("airframe class {class}, not a multirotor"),
             }),
             motors,
             rotors: stated.rotors(),

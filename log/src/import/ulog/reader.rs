@@ -141,7 +141,7 @@ impl<R: Read> Reader<R> {
         };
         reader.fill(FILE_HEAD)?;
         if !reader.rest().starts_with(&MAGIC) {
-            return Err(UlogError::Foreign("no ULog's first bytes".into()));
+            return Err(UlogError::Foreign("no ULog header".into()));
         }
         if reader.rest().len() < FILE_HEAD {
             reader.damage.cut = reader.rest().len() as u64;
@@ -190,7 +190,7 @@ impl<R: Read> Reader<R> {
     }
 
     fn record<'a>(&'a self, kind: u8, body: &'a [u8]) -> Record<'a> {
-        let text = |bytes| std::str::from_utf8(bytes).unwrap_or("(text that is no UTF-8)");
+        let text = |bytes| std::str::from_utf8(bytes).unwrap_or("(text that is not UTF-8)");
         match (kind, body) {
             (b'I', body) => match keyed(body) {
                 Some((key, value)) => Record::Info { key, value },
@@ -245,7 +245,7 @@ impl<R: Read> Reader<R> {
                     (0..8).any(|at| flag(8 + at) & !(if at == 0 { APPENDED } else { 0 }) != 0);
                 if unknown {
                     let found =
-                        "a ULog of a newer kind, whose flags forbid to read it as an old one";
+                        "a ULog of a newer kind, whose flags forbid reading it as an old one";
                     return Err(UlogError::Foreign(found.into()));
                 }
                 if flag(8) & APPENDED != 0 {

@@ -33,7 +33,8 @@ impl Contents {
             }
             Stated::Nothing => {
                 facts.notes.push(
-                    "motors 1 to 4 are taken to be outputs 1, 2, 3, 4 of RCOU: no SERVOn_FUNCTION is logged"
+                    "motors 1 to 4 are assumed to be outputs 1, 2, 3, 4 of RCOU: no \
+                     SERVOn_FUNCTION is logged"
                         .to_owned(),
                 );
                 [0, 1, 2, 3]
@@ -50,7 +51,7 @@ impl Contents {
         let names: Option<Vec<&str>> =
             channels.iter().map(|channel| CHANNELS.get(*channel).copied()).collect();
         let Some([a, b, c, d]) = names.as_deref() else {
-            facts.notes.push("no motor outputs: RCOU has none of outputs beyond 14".to_owned());
+            facts.notes.push("no motor outputs: RCOU lacks outputs beyond 14".to_owned());
             return;
         };
         let names = [*a, *b, *c, *d];
@@ -72,8 +73,8 @@ impl Contents {
         let rate = flight.outputs.rate();
         if rate < SLOW_HZ && !flight.outputs.is_empty() {
             facts.notes.push(format!(
-                "outputs come at {rate:.0} Hz only: lag, delay and inertia do not show; record \
-                 SERVO_OUTPUT_RAW over telemetry at 50 Hz or more"
+                "outputs update at only {rate:.0} Hz: too slow to show lag, delay and inertia; \
+                 record SERVO_OUTPUT_RAW over telemetry at 50 Hz or more"
             ));
         }
     }
