@@ -230,7 +230,7 @@ fn a_log_that_holds_another_vehicle_file_is_refused_by_its_difference() {
         .expect("the command runs");
     let told = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{told}");
-    assert!(told.contains("of another vehicle: inertia"), "{told}");
+    assert!(told.contains("from another vehicle: inertia"), "{told}");
 }
 
 #[test]

@@ -59,7 +59,7 @@ fn words(records: &[Record]) -> Vec<&str> {
 fn payload_and_weak_rotor_are_made_up_for_and_told_around_both_laws() {
     let payload = (Foreign::Payload { share: 0.3 }, "mass +", 0.06, 0.012);
     let wear = Foreign::RotorWear { rotor: 0, loss: 0.25, torque_share: 1.0 };
-    let rotor = (wear, "less thrust front right", 0.09, 0.012);
+    let rotor = (wear, "less thrust at the front right rotor", 0.09, 0.012);
     for (change, told, peak_m, late_m) in [payload, rotor] {
         for law in [Law::LQR, Law::GEOMETRIC] {
             let (end, records) = changed(with(law, true, 9.0), &change, 1);

@@ -352,7 +352,7 @@ fn an_export_of_motive_is_read_by_the_shipped_mapping() {
     assert!(message.contains("after \"Length Units\", found \"Feet\""), "{message}");
     fs::write(&file, motive("Meters").replace("Quaternion", "XYZ")).unwrap();
     let message = open(&file, Some(Path::new("motive"))).unwrap_err().to_string();
-    assert!(message.contains("\"Rotation Type\" is \"XYZ\""), "{message}");
+    assert!(message.contains("\"Rotation Type\" = \"XYZ\""), "{message}");
     // By the words above them, of the one body that has these.
     let columns = |group: &str, axes: &[&str]| {
         let words: Vec<_> =

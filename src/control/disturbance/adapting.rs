@@ -357,6 +357,6 @@ mod tests {
         let sent = Setpoint { attitude: Euler::new(-0.1, 0.1, -0.02), ..hover(1.066) };
         let notices = watch(&mut observer, 0..500, &sent, resting);
         let words = notices.iter().map(|notice| format!("{notice}\n")).collect::<String>();
-        assert!(words.contains("less thrust front right"), "{words}");
+        assert!(words.contains("less thrust at the front right rotor"), "{words}");
     }
 }
