@@ -410,7 +410,10 @@ mod tests {
         let words = |best| best_in_words(best, ModelKind::Hybrid);
         assert_eq!(words(Best::Better), "best on validation: hybrid\n");
         let poor = words(Best::NoBetterThanHolding);
-        assert!(poor.starts_with("none is good: no model predicts the validation flights better"), "{poor}");
+        assert!(
+            poor.starts_with("none is good: no model predicts the validation flights better"),
+            "{poor}"
+        );
         assert!(poor.ends_with("; using hybrid\n"), "{poor}");
     }
 }

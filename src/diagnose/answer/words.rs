@@ -112,7 +112,8 @@ fn effect(answer: &Answer) -> String {
     if let Some(gap) = &answer.gap {
         text += &shrinks([gap.before, gap.after].map(|value| gap.times(value)), gap.closure);
         if gap.with_file {
-            text += " That is with the vehicle file's numbers refitted; its errors hide the effects.";
+            text +=
+                " That is with the vehicle file's numbers refitted; its errors hide the effects.";
         }
     }
     if answer.finding.verdict == FullVerdict::OtherLaw {
