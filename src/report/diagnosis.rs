@@ -201,7 +201,7 @@ fn which(answer: &Answer) -> String {
             let intervals: Vec<String> = effect
                 .intervals
                 .iter()
-                .map(|(name, interval)| bounded(effect.id, name, *interval))
+                .map(|(name, interval)| bounded(effect.id.name(), name, *interval))
                 .collect();
             table.row(
                 Mood::Plain,

@@ -3,8 +3,9 @@
 use super::bars::{self, Bar};
 use super::page::{Mood, Page};
 use super::table::Table;
+use crate::diagnose::answer::quantities::short;
 use crate::diagnose::fleet::answer::{CauseAnswer, FleetAnswer, FleetNumber, State};
-use crate::diagnose::fleet::words::{four, told};
+use crate::diagnose::fleet::words::{told, with_unit};
 
 /// 90 % of a normal distribution lie within so many standard deviations.
 const Z90: f64 = 1.645;
@@ -47,10 +48,10 @@ pub fn html(answer: &FleetAnswer, vehicle: &str) -> String {
                 Mood::Plain,
                 &[
                     number.name.clone(),
-                    four(number.mean),
-                    four(number.expected),
+                    short(number.mean),
+                    short(number.expected),
                     format!("{:+.1}", number.tolerances),
-                    four(number.spread),
+                    short(number.spread),
                 ],
             );
         }
@@ -70,12 +71,12 @@ fn pictures(cause: &CauseAnswer) -> String {
 fn picture(cause: &CauseAnswer, number: &FleetNumber) -> String {
     let off = |value: f64| value - number.file;
     let mut bars = vec![Bar {
-        label: format!("fleet, {}", number.name),
+        label: format!("fleet, {}", with_unit(cause, number)),
         from: off(number.value - Z90 * number.spread),
         to: off(number.value + Z90 * number.spread),
         mark: Some(off(number.value)),
         class: "c2",
-        text: format!("{} of {}", four(number.value), cause.vehicles.len()),
+        text: format!("{}, {} vehicles", short(number.value), cause.vehicles.len()),
     }];
     bars.extend(number.vehicles.iter().map(|vehicle| Bar {
         label: vehicle.vehicle.clone(),
@@ -83,7 +84,7 @@ fn picture(cause: &CauseAnswer, number: &FleetNumber) -> String {
         to: off(vehicle.interval[1]),
         mark: Some(off(vehicle.value)),
         class: if vehicle.has > 0.5 { "c1" } else { "c3" },
-        text: format!("{}{}", four(vehicle.value), if vehicle.has > 0.5 { "" } else { " !" }),
+        text: format!("{}{}", short(vehicle.value), if vehicle.has > 0.5 { "" } else { " !" }),
     }));
     bars::to_html(&bars)
 }

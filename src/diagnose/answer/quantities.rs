@@ -15,7 +15,7 @@ pub fn one(effect: &EffectAnswer) -> String {
             Parameter::Number(number) => short(*number),
             Parameter::Vector(numbers) => list(numbers),
         };
-        quantity(Some(effect.id), name, value)
+        quantity(effect.id.name(), name, value)
     });
     with_numbers(effect.id, numbers)
 }
@@ -23,16 +23,15 @@ pub fn one(effect: &EffectAnswer) -> String {
 /// The effects of an explanation with their fitted numbers.
 pub fn numbered(explanation: &ExplanationAnswer) -> String {
     let effect = |name: &String| {
-        let id = name.parse().ok();
         let parameters = explanation.parameters.get(name).into_iter().flatten();
-        let numbers = parameters.map(|(name, value)| {
+        let numbers = parameters.map(|(parameter, value)| {
             let value = match value {
                 // An index, such as a rotor's, or a number at its neutral value.
                 ParameterValue::Number(number) if number.fract() == 0.0 => number.to_string(),
                 ParameterValue::Number(number) => short(*number),
                 ParameterValue::Vector(numbers) => list(numbers),
             };
-            quantity(id, name, value)
+            quantity(name, parameter, value)
         });
         with_numbers(name, numbers)
     };
@@ -40,8 +39,8 @@ pub fn numbered(explanation: &ExplanationAnswer) -> String {
 }
 
 /// The interval of a parameter, or of a component such as `scale[0]`.
-pub fn bounded(effect: EffectId, name: &str, [low, high]: [f64; 2]) -> String {
-    quantity(Some(effect), name, format!("{} .. {}", short(low), short(high)))
+pub fn bounded(effect: &str, name: &str, [low, high]: [f64; 2]) -> String {
+    quantity(effect, name, format!("{} .. {}", short(low), short(high)))
 }
 
 /// A number to four significant digits.
@@ -61,14 +60,21 @@ fn list(numbers: &[f64]) -> String {
     format!("[{}]", numbers.iter().map(|n| short(*n)).collect::<Vec<_>>().join(", "))
 }
 
-/// A parameter with its value and unit. A law from a file has parameters without a unit here.
-fn quantity(effect: Option<EffectId>, name: &str, value: String) -> String {
-    let parameter = name.split('[').next().unwrap_or(name);
-    let parameters = effect.map_or(&[][..], |id| id.spec().parameters);
-    match parameters.iter().find(|known| known.name == parameter) {
-        Some(known) if known.unit != "-" => format!("{name} {value} {}", known.unit),
-        _ => format!("{name} {value}"),
-    }
+/// A parameter of an effect, or a component such as `scale[0]`, with its value and unit.
+pub fn quantity(effect: &str, name: &str, value: impl Display) -> String {
+    format!(
+        "{name} {value}{}",
+        unit(effect, name).map(|unit| format!(" {unit}")).unwrap_or_default()
+    )
+}
+
+/// The unit of an effect's parameter or component; `None` for a dimensionless one and for those of
+/// a law from a file.
+pub fn unit(effect: &str, name: &str) -> Option<&'static str> {
+    let parameter = name.split('[').next()?;
+    let id: EffectId = effect.parse().ok()?;
+    let known = id.spec().parameters.iter().find(|known| known.name == parameter)?;
+    (known.unit != "-").then_some(known.unit)
 }
 
 #[cfg(test)]
@@ -77,8 +83,8 @@ mod tests {
 
     #[test]
     fn numbers_have_their_units() {
-        let drag = bounded(EffectId::RotorDrag, "d_xy", [0.019, 0.021]);
+        let drag = bounded("rotor_drag", "d_xy", [0.019, 0.021]);
         assert_eq!(drag, "d_xy 0.01900 .. 0.02100 kg/s");
-        assert_eq!(bounded(EffectId::Inertia, "scale[2]", [1.0, 2.0]), "scale[2] 1.000 .. 2.000");
+        assert_eq!(bounded("inertia", "scale[2]", [1.0, 2.0]), "scale[2] 1.000 .. 2.000");
     }
 }

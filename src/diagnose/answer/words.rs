@@ -299,7 +299,7 @@ pub fn report(answer: &Answer) -> String {
         };
         text += &format!("{head:10} {:18} {:3.0} %", effect.id, 100.0 * effect.probability);
         for (name, [low, high]) in &effect.intervals {
-            text += &format!("  {}", bounded(effect.id, name, [*low, *high]));
+            text += &format!("  {}", bounded(effect.id.name(), name, [*low, *high]));
         }
         text += "\n";
     }

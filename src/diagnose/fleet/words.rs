@@ -1,15 +1,9 @@
 //! The answer on a fleet as text.
 
-use crate::diagnose::fleet::answer::{CauseAnswer, FleetAnswer, OwnEffect, State, VehicleAnswer};
-
-/// A number to four significant digits.
-pub fn four(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return format!("{value}");
-    }
-    let decimals = (3 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
-    format!("{value:.decimals$}")
-}
+use crate::diagnose::answer::quantities::{bounded, quantity, short, unit};
+use crate::diagnose::fleet::answer::{
+    CauseAnswer, FleetAnswer, FleetNumber, OwnEffect, State, VehicleAnswer,
+};
 
 fn counted(count: usize, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
@@ -17,7 +11,7 @@ fn counted(count: usize, what: &str) -> String {
 
 fn values(cause: &CauseAnswer) -> String {
     let numbers =
-        cause.numbers.iter().map(|number| format!("{} {}", number.name, four(number.value)));
+        cause.numbers.iter().map(|number| quantity(&cause.id, &number.name, short(number.value)));
     format!("{} ({})", cause.id, numbers.collect::<Vec<_>>().join(", "))
 }
 
@@ -59,6 +53,14 @@ pub fn sentence(answer: &FleetAnswer) -> String {
     text
 }
 
+/// The name of a cause's number, with its unit in brackets.
+pub fn with_unit(cause: &CauseAnswer, number: &FleetNumber) -> String {
+    match unit(&cause.id, &number.name) {
+        Some(unit) => format!("{} ({unit})", number.name),
+        None => number.name.clone(),
+    }
+}
+
 fn cause_lines(title: &str, cause: &CauseAnswer) -> String {
     let percent = |p: f64| format!("{:.0} %", 100.0 * p);
     let mut text = format!(
@@ -69,13 +71,13 @@ fn cause_lines(title: &str, cause: &CauseAnswer) -> String {
         cause.vehicles.len()
     );
     for number in &cause.numbers {
-        let [low, high] = number.interval.map(four);
+        let [low, high] = number.interval.map(short);
         text += &format!(
             "           {:18} {} ({low} .. {high}), file {}, spread between vehicles {}\n",
-            number.name,
-            four(number.value),
-            four(number.file),
-            four(number.spread)
+            with_unit(cause, number),
+            short(number.value),
+            short(number.file),
+            short(number.spread)
         );
     }
     if !cause.ambiguous_with.is_empty() {
@@ -85,10 +87,8 @@ fn cause_lines(title: &str, cause: &CauseAnswer) -> String {
 }
 
 fn effect(effect: &OwnEffect) -> String {
-    let numbers = effect
-        .intervals
-        .iter()
-        .map(|(name, [low, high])| format!("{name} {} .. {}", four(*low), four(*high)));
+    let numbers =
+        effect.intervals.iter().map(|(name, interval)| bounded(&effect.id, name, *interval));
     let numbers: Vec<String> = numbers.collect();
     format!("{} {:.0} %  {}", effect.id, 100.0 * effect.probability, numbers.join("  "))
 }
@@ -126,10 +126,10 @@ pub fn report(answer: &FleetAnswer) -> String {
         text += &format!(
             "file       {:18} {} instead of {} on average ({:+.1} tolerances), spread {}\n",
             number.name,
-            four(number.mean),
-            four(number.expected),
+            short(number.mean),
+            short(number.expected),
             number.tolerances,
-            four(number.spread)
+            short(number.spread)
         );
     }
     for vehicle in answer.vehicles.iter().filter(|vehicle| vehicle.state != State::AsType) {
