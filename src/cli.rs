@@ -13,6 +13,7 @@ mod schema;
 mod signing;
 mod simulate;
 mod sweep;
+mod tube;
 mod vehicle;
 mod view;
 
@@ -36,6 +37,7 @@ pub use self::schema::SchemaArgs;
 pub use self::signing::{SetupArgs, SigningCommand};
 pub use self::simulate::SimulateArgs;
 pub use self::sweep::{Shard, SweepArgs};
+pub use self::tube::{TubeCheckArgs, TubeCommand, TubeFitArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
 pub use self::view::{
     FlightViewArgs, ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs,
@@ -122,6 +124,9 @@ pub enum Command {
     Model(ModelCommand),
     /// Plans a trajectory through a model: a reference that `fly` takes.
     Plan(PlanArgs),
+    /// Says how far from a plan flights stay, with a stated probability, and checks it.
+    #[command(subcommand)]
+    Tube(TubeCommand),
     /// Says where a simulator and flights part, which effect causes it, and how far it shrinks.
     Diagnose(DiagnoseArgs),
     /// Says when something of the vehicle changed, in a flight or between flights, and what.

@@ -208,6 +208,12 @@ pub struct PlanArgs {
     /// Folder for report.html and report.json; made if missing.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
+    /// A tube of `tube fit`: the plan then keeps as far from keep-out regions as flights are off.
+    #[arg(long, value_name = "FILE")]
+    pub tube: Option<PathBuf>,
+    /// Probability with which a whole flight is to stay within the tube, at least.
+    #[arg(long, default_value_t = 0.95, value_parser = confidence, requires = "tube")]
+    pub confidence: f64,
     /// What solves the subproblems.
     #[arg(long, value_enum)]
     pub solver: Option<SolverChoice>,
@@ -220,6 +226,15 @@ pub struct PlanArgs {
     /// Prints the summary as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// A probability strictly between 0 and 1.
+fn confidence(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("expected a number, found {text:?}"))?;
+    let is_one = value > 0.0 && value < 1.0;
+    is_one
+        .then_some(value)
+        .ok_or_else(|| format!("expected more than 0 and less than 1, found {text}"))
 }
 
 #[cfg(test)]

@@ -1,0 +1,126 @@
+//! A plan with a tube: what `--tube` names, and what is said of it.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::anyhow;
+use schemars::JsonSchema;
+use serde::Serialize;
+use vehicle::VehicleParams;
+
+use crate::command::{Exit, ExitContext, say};
+use crate::plan::desire::Desire;
+use crate::plan::planned::PlannedThrough;
+use crate::plan::planner::Planner;
+use crate::plan::problem::StateVector;
+use crate::plan::scp::{Outcome, Record};
+use crate::plan::tube::Tube;
+use crate::plan::tube::search::plan_within;
+use crate::plan::{PlannedTube, PositionSource};
+
+/// A tube's file and a confidence.
+pub(super) struct ChosenTube {
+    path: PathBuf,
+    tube: Tube,
+    confidence: f64,
+}
+
+impl ChosenTube {
+    pub fn load(path: &Path, confidence: f64) -> anyhow::Result<Self> {
+        let tube = Tube::load(path).or_exit(Exit::Usage)?;
+        Ok(Self { path: path.to_owned(), tube, confidence })
+    }
+
+    /// Refuses a tube that says nothing of this vehicle and model.
+    pub fn check(&self, vehicle: &VehicleParams, model: &PlannedThrough) -> anyhow::Result<()> {
+        let Tube { vehicle: of, model: made, .. } = &self.tube;
+        let path = self.path.display();
+        if *of != vehicle.name {
+            return Err(anyhow!(
+                "tube {path}: it is of the vehicle {of:?}, this is {:?}; make one for this vehicle",
+                vehicle.name
+            ))
+            .or_exit(Exit::Usage);
+        }
+        if made != model {
+            return Err(anyhow!(
+                "tube {path}: it is of flights planned through the {} model{}, not through this one; \
+                 make it again with the same --model and --kind",
+                made.kind,
+                made.sha256.as_ref().map_or(String::new(), |hash| format!(
+                    " of the file with SHA-256 {hash}"
+                ))
+            ))
+            .or_exit(Exit::Usage);
+        }
+        Ok(())
+    }
+
+    /// Plans with the tube's radius as the margin.
+    pub fn plan(
+        &self,
+        planner: &Planner,
+        desire: &Desire,
+        start: StateVector,
+        watch: &dyn Fn(&[Record]) -> bool,
+    ) -> anyhow::Result<(Outcome<7>, Option<PlannedTube>)> {
+        let radius = self.tube.radius(self.confidence).or_exit(Exit::Usage)?;
+        let tubed = plan_within(planner, desire, start, &radius, watch);
+        if !tubed.holds {
+            say(format_args!(
+                "the plan became faster than the margin was made for: its tube may reach into what it \
+                 avoids; give it more time with --time-limit"
+            ));
+        }
+        let tube = PlannedTube {
+            confidence: self.confidence,
+            position: self.tube.position,
+            flights: self.tube.flights,
+            multiplier: radius.multiplier,
+            radius_m: tubed.radius_m,
+        };
+        Ok((tubed.outcome, Some(tube)))
+    }
+}
+
+/// What is said of a plan's tube.
+#[derive(Clone, Copy, Debug, JsonSchema, Serialize)]
+pub(super) struct TubeOfPlan {
+    /// Probability with which a whole flight stays within, at least.
+    confidence: f64,
+    /// The position that it bounds.
+    position: PositionSource,
+    /// Calibration flights behind it.
+    flights: usize,
+    /// Radius over standard deviation.
+    multiplier: f64,
+    radius_mean_m: f64,
+    radius_max_m: f64,
+}
+
+impl From<&PlannedTube> for TubeOfPlan {
+    fn from(tube: &PlannedTube) -> Self {
+        let PlannedTube { confidence, position, flights, multiplier, ref radius_m } = *tube;
+        Self {
+            confidence,
+            position,
+            flights,
+            multiplier,
+            radius_mean_m: radius_m.iter().sum::<f64>() / radius_m.len() as f64,
+            radius_max_m: radius_m.iter().copied().fold(0.0, f64::max),
+        }
+    }
+}
+
+impl TubeOfPlan {
+    /// For people, a whole line.
+    pub fn in_words(&self) -> String {
+        format!(
+            "tube        {} %: {:.3} m on average, {:.3} m at most, around {}, from {} flights\n",
+            100.0 * self.confidence,
+            self.radius_mean_m,
+            self.radius_max_m,
+            self.position.in_words(),
+            self.flights
+        )
+    }
+}

@@ -1,0 +1,54 @@
+//! A plan that keeps its whole tube out of the regions to avoid.
+
+use super::super::desire::Desire;
+use super::super::planner::Planner;
+use super::super::problem::StateVector;
+use super::super::scp::{Outcome, Record};
+use super::Radius;
+
+/// Most searches. The radius depends on the plan's speed, and the plan on the radius.
+const SEARCHES: usize = 5;
+/// What the margin exceeds the radius by, m: what a plan may be inside of a region, and the bulge
+/// of the path between two states.
+const ROOM_M: f64 = 2e-3;
+
+/// A plan and its tube.
+#[derive(Clone, Debug)]
+pub struct Tubed {
+    /// How its search ended. Violations are those of the regions with the tube's margin.
+    pub outcome: Outcome<7>,
+    /// The tube's radius at each state, m.
+    pub radius_m: Vec<f64>,
+    /// Whether the margin that the plan keeps is that radius or more, everywhere.
+    pub holds: bool,
+}
+
+/// Searches as [`Planner::plan`] for a plan whose tube stays out of the regions and within the box.
+/// The margin is that of the desired speeds first, then the larger of it and the last plan's: it
+/// only grows, so the searches end.
+pub fn plan_within(
+    planner: &Planner,
+    desire: &Desire,
+    start: StateVector,
+    radius: &Radius<'_>,
+    stop: &dyn Fn(&[Record]) -> bool,
+) -> Tubed {
+    let period_s = planner.period_s();
+    let with_room = |radii: &[f64]| radii.iter().map(|r| r + ROOM_M).collect::<Vec<f64>>();
+    let mut margin = with_room(&radius.along(period_s, &desire.states));
+    let mut guess = None;
+    let mut number = 0;
+    loop {
+        number += 1;
+        let outcome = planner.clone().within(margin.clone()).plan(desire, start, guess, stop);
+        let radius_m = radius.along(period_s, &outcome.iterate.states);
+        let holds = radius_m.iter().zip(&margin).all(|(radius, margin)| radius <= margin);
+        if holds || number == SEARCHES || stop(&outcome.records) {
+            return Tubed { outcome, radius_m, holds };
+        }
+        for (margin, needed) in margin.iter_mut().zip(with_room(&radius_m)) {
+            *margin = margin.max(needed);
+        }
+        guess = Some(outcome.iterate);
+    }
+}
