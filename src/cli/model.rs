@@ -214,6 +214,10 @@ pub struct PlanArgs {
     /// Probability with which a whole flight is to stay within the tube, at least.
     #[arg(long, default_value_t = 0.95, value_parser = confidence, requires = "tube")]
     pub confidence: f64,
+    /// Probability with which a flight is to stay as near to the plan as the margin to keep-out regions
+    /// [default: that of the tube's worst calibration flight, n of n + 1].
+    #[arg(long, value_parser = confidence, requires = "tube")]
+    pub keep_out_confidence: Option<f64>,
     /// What solves the subproblems.
     #[arg(long, value_enum)]
     pub solver: Option<SolverChoice>,

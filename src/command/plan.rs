@@ -339,7 +339,8 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
                 through.note.kind
             ));
             let tube = args.tube.as_deref();
-            let tube = tube.map(|path| ChosenTube::load(path, args.confidence)).transpose()?;
+            let load = |path| ChosenTube::load(path, args.confidence, args.keep_out_confidence);
+            let tube = tube.map(load).transpose()?;
             if let Some(tube) = &tube {
                 tube.check(&vehicle, &through.note)?;
             }

@@ -29,6 +29,8 @@ impl PositionSource {
 pub struct PlannedTube {
     /// Probability with which a whole flight stays within, at least.
     pub confidence: f64,
+    /// Probability with which a whole flight stays as near to the plan as the margin to what it avoids.
+    pub margin_confidence: f64,
     /// The position that it bounds.
     pub position: PositionSource,
     /// Calibration flights behind it.
@@ -49,7 +51,9 @@ impl PlannedTube {
             ));
         }
         let is_sound = self.radius_m.iter().all(|r| r.is_finite() && *r >= 0.0);
-        if !(is_sound && self.confidence > 0.0 && self.confidence < 1.0) {
+        let are_probabilities =
+            [self.confidence, self.margin_confidence].iter().all(|c| *c > 0.0 && *c < 1.0);
+        if !(is_sound && are_probabilities) {
             return Err("the tube's confidence or a radius is out of range".to_owned());
         }
         Ok(())

@@ -230,6 +230,11 @@ impl Tube {
         Ok(())
     }
 
+    /// The highest confidence that the flights support: that of the worst of them.
+    pub fn confidence_max(&self) -> f64 {
+        self.scores.len() as f64 / (self.flights as f64 + 1.0)
+    }
+
     /// The radius within which a new flight stays from beginning to end with a probability of at
     /// least `confidence`, in 0..1.
     ///
@@ -274,13 +279,18 @@ mod tests {
         let said = few.radius(0.95).expect_err("too few").to_string();
         assert!(said.contains("18 calibration flights") && said.contains("at least 19"), "{said}");
         let mut scores: Vec<_> = (1..=19).rev().map(score).collect();
-        assert_eq!(tube(&scores).radius(0.95).expect("a radius").multiplier, 19.0);
+        let nineteen = tube(&scores);
+        assert_eq!(nineteen.radius(0.95).expect("a radius").multiplier, 19.0);
+        let most = nineteen.confidence_max();
+        assert_eq!(nineteen.radius(most).expect("a radius").multiplier, 19.0);
         scores[0] = None;
         assert!(matches!(
             tube(&scores).radius(0.95),
             Err(TubeError::EndedEarly { ended: 1, flights: 19, .. })
         ));
-        assert_eq!(tube(&scores).radius(0.9).expect("a radius").multiplier, 18.0);
+        let one_ended = tube(&scores);
+        assert_eq!(one_ended.radius(0.9).expect("a radius").multiplier, 18.0);
+        assert_eq!(one_ended.radius(one_ended.confidence_max()).expect("one").multiplier, 18.0);
     }
 
     #[test]
@@ -304,7 +314,7 @@ mod tests {
     fn a_file_is_read_as_written_and_a_damaged_one_is_refused() {
         let tube = tube(&[Some(1.0), Some(3.0), None]);
         let path = std::env::temp_dir().join(format!("downwash-tube-{}.json", std::process::id()));
-        let mut read = |tube: &Tube| {
+        let read = |tube: &Tube| {
             std::fs::write(&path, tube.to_json().expect("JSON")).expect("a file");
             Tube::load(&path)
         };

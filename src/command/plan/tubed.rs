@@ -14,7 +14,7 @@ use crate::plan::planner::Planner;
 use crate::plan::problem::StateVector;
 use crate::plan::scp::{Outcome, Record};
 use crate::plan::tube::Tube;
-use crate::plan::tube::search::plan_within;
+use crate::plan::tube::search::{Radii, plan_within};
 use crate::plan::{PlannedTube, PositionSource};
 
 /// A tube's file and a confidence.
@@ -22,12 +22,15 @@ pub(super) struct ChosenTube {
     path: PathBuf,
     tube: Tube,
     confidence: f64,
+    margin_confidence: f64,
 }
 
 impl ChosenTube {
-    pub fn load(path: &Path, confidence: f64) -> anyhow::Result<Self> {
+    /// The margin's confidence is that of the worst calibration flight where none is given.
+    pub fn load(path: &Path, confidence: f64, margin: Option<f64>) -> anyhow::Result<Self> {
         let tube = Tube::load(path).or_exit(Exit::Usage)?;
-        Ok(Self { path: path.to_owned(), tube, confidence })
+        let margin_confidence = margin.unwrap_or(tube.confidence_max()).max(confidence);
+        Ok(Self { path: path.to_owned(), tube, confidence, margin_confidence })
     }
 
     /// Refuses a tube that says nothing of this vehicle and model.
@@ -63,22 +66,24 @@ impl ChosenTube {
         start: StateVector,
         watch: &dyn Fn(&[Record]) -> bool,
     ) -> anyhow::Result<(Outcome<7>, Option<PlannedTube>)> {
-        let radius = self.tube.radius(self.confidence).or_exit(Exit::Usage)?;
-        let tubed = plan_within(planner, desire, start, &radius, watch);
+        let radius = |confidence| self.tube.radius(confidence).or_exit(Exit::Usage);
+        let (tube, margin) = (radius(self.confidence)?, radius(self.margin_confidence)?);
+        let tubed = plan_within(planner, desire, start, &Radii { tube, margin }, watch);
         if !tubed.holds {
             say(format_args!(
                 "the plan became faster than the margin was made for: its tube may reach into what it \
                  avoids; give it more time with --time-limit"
             ));
         }
-        let tube = PlannedTube {
+        let planned = PlannedTube {
             confidence: self.confidence,
+            margin_confidence: self.margin_confidence,
             position: self.tube.position,
             flights: self.tube.flights,
-            multiplier: radius.multiplier,
+            multiplier: tube.multiplier,
             radius_m: tubed.radius_m,
         };
-        Ok((tubed.outcome, Some(tube)))
+        Ok((tubed.outcome, Some(planned)))
     }
 }
 
@@ -87,6 +92,8 @@ impl ChosenTube {
 pub(super) struct TubeOfPlan {
     /// Probability with which a whole flight stays within, at least.
     confidence: f64,
+    /// The same for the margin to keep-out regions.
+    margin_confidence: f64,
     /// The position that it bounds.
     position: PositionSource,
     /// Calibration flights behind it.
@@ -99,9 +106,17 @@ pub(super) struct TubeOfPlan {
 
 impl From<&PlannedTube> for TubeOfPlan {
     fn from(tube: &PlannedTube) -> Self {
-        let PlannedTube { confidence, position, flights, multiplier, ref radius_m } = *tube;
+        let PlannedTube {
+            confidence,
+            margin_confidence,
+            position,
+            flights,
+            multiplier,
+            ref radius_m,
+        } = *tube;
         Self {
             confidence,
+            margin_confidence,
             position,
             flights,
             multiplier,
@@ -115,12 +130,14 @@ impl TubeOfPlan {
     /// For people, a whole line.
     pub fn in_words(&self) -> String {
         format!(
-            "tube        {} %: {:.3} m on average, {:.3} m at most, around {}, from {} flights\n",
+            "tube        {} %: {:.3} m on average, {:.3} m at most, around {}, from {} flights\n\
+             margin      to what it avoids: that of {:.2} %\n",
             100.0 * self.confidence,
             self.radius_mean_m,
             self.radius_max_m,
             self.position.in_words(),
-            self.flights
+            self.flights,
+            100.0 * self.margin_confidence
         )
     }
 }

@@ -181,11 +181,14 @@ impl FlownGatherer {
 }
 
 impl Flown {
-    /// The largest distance from the plan over the tube's radius there. `None` without a tube.
+    /// The largest distance from the plan over the tube's radius there. `None` without a tube, or
+    /// where a position is no number.
     pub fn share_of_radius(&self) -> Option<f64> {
         let pairs = self.points.iter().zip(&self.radius_m);
         pairs
             .map(|(point, radius)| Some((point.flown - point.planned).norm() / (*radius)?))
-            .try_fold(0.0, |most: f64, share| share.map(|share| most.max(share)))
+            .try_fold(0.0, |most: f64, share| {
+                share.filter(|share| share.is_finite()).map(|share| most.max(share))
+            })
     }
 }

@@ -42,18 +42,17 @@ pub(super) fn on_grid(rows: impl Iterator<Item = [f64; 2]>) -> Vec<f64> {
 }
 
 impl Shape {
-    /// The largest distance from the plan over the scale there. `None` if the flight has no finite
-    /// point.
+    /// The largest distance from the plan over the scale there. `None` if the flight has no point,
+    /// or one that is not finite.
     pub fn score(&self, points: &[FlownPoint]) -> Option<f64> {
         let scale = self.scale(points.iter().map(|point| [point.time_s, point.speed_m_s]));
         let last = scale.len().checked_sub(1)?;
-        let scores = points.iter().map(|point| {
+        let mut scores = points.iter().map(|point| {
             let index = ((point.time_s / PERIOD_S).max(0.0) as usize).min(last);
             (point.flown - point.planned).norm() / scale[index]
         });
         // A position that is no number is no position within the tube.
-        let most = scores.fold(0.0, |most: f64, score| if score <= most { most } else { score });
-        most.is_finite().then_some(most)
+        scores.try_fold(0.0, |most: f64, score| score.is_finite().then(|| most.max(score)))
     }
 }
 

@@ -12,41 +12,51 @@ const SEARCHES: usize = 5;
 /// of the path between two states.
 const ROOM_M: f64 = 2e-3;
 
+/// Two radii of a tube.
+#[derive(Clone, Copy, Debug)]
+pub struct Radii<'a> {
+    /// That of the plan's tube.
+    pub tube: Radius<'a>,
+    /// That which is kept away from what the plan avoids, at a confidence that is higher or the same.
+    pub margin: Radius<'a>,
+}
+
 /// A plan and its tube.
 #[derive(Clone, Debug)]
 pub struct Tubed {
-    /// How its search ended. Violations are those of the regions with the tube's margin.
+    /// How its search ended. Violations are those of the regions with the margin.
     pub outcome: Outcome<7>,
     /// The tube's radius at each state, m.
     pub radius_m: Vec<f64>,
-    /// Whether the margin that the plan keeps is that radius or more, everywhere.
+    /// Whether the plan keeps the margin's radius away, everywhere.
     pub holds: bool,
 }
 
-/// Searches as [`Planner::plan`] for a plan whose tube stays out of the regions and within the box.
-/// The margin is that of the desired speeds first, then the larger of it and the last plan's: it
+/// Searches as [`Planner::plan`] for a plan that stays the margin's radius out of the regions and
+/// within the box. That is the radius of the desired speeds first, then the larger of it and the last plan's: it
 /// only grows, so the searches end.
 pub fn plan_within(
     planner: &Planner,
     desire: &Desire,
     start: StateVector,
-    radius: &Radius<'_>,
+    radii: &Radii<'_>,
     stop: &dyn Fn(&[Record]) -> bool,
 ) -> Tubed {
     let period_s = planner.period_s();
     let with_room = |radii: &[f64]| radii.iter().map(|r| r + ROOM_M).collect::<Vec<f64>>();
-    let mut margin = with_room(&radius.along(period_s, &desire.states));
+    let mut margin = with_room(&radii.margin.along(period_s, &desire.states));
     let mut guess = None;
     let mut number = 0;
     loop {
         number += 1;
         let outcome = planner.clone().within(margin.clone()).plan(desire, start, guess, stop);
-        let radius_m = radius.along(period_s, &outcome.iterate.states);
-        let holds = radius_m.iter().zip(&margin).all(|(radius, margin)| radius <= margin);
+        let needed_m = radii.margin.along(period_s, &outcome.iterate.states);
+        let holds = needed_m.iter().zip(&margin).all(|(needed, margin)| needed <= margin);
         if holds || number == SEARCHES || stop(&outcome.records) {
+            let radius_m = radii.tube.along(period_s, &outcome.iterate.states);
             return Tubed { outcome, radius_m, holds };
         }
-        for (margin, needed) in margin.iter_mut().zip(with_room(&radius_m)) {
+        for (margin, needed) in margin.iter_mut().zip(with_room(&needed_m)) {
             *margin = margin.max(needed);
         }
         guess = Some(outcome.iterate);
