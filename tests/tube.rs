@@ -52,11 +52,11 @@ fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-const WAY: &str = "family = 'waypoints'\npace = { speed_m_s = 1.0, acceleration_m_s2 = 2.0 }\n\
+const WAY: &str = "family = 'waypoints'\npace = { speed_m_s = 0.6, acceleration_m_s2 = 1.0 }\n\
     points = [{ north_m = 0, east_m = 0, altitude_m = 1 }, \
     { north_m = 2, east_m = 0, altitude_m = 1 }]";
-const BALL: &str =
-    "[plan]\nkeep_out = [{ sphere = { centre_m = [1.0, 0.05, -1.0], radius_m = 0.2 } }]\n";
+const BALL: &str = "[plan]\ninput_weight = 0.05\n\
+    keep_out = [{ sphere = { centre_m = [1.0, 0.15, -1.0], radius_m = 0.15 } }]\n";
 
 /// A tube of `flights`, and a plan round the ball in it, in a folder.
 fn planned(name: &str, flights: u32, confidence: f64) -> Folder {
@@ -72,6 +72,7 @@ fn planned(name: &str, flights: u32, confidence: f64) -> Folder {
          -o plan.json --report report --json"
     ));
     assert_eq!(plan["not_flyable"], Value::Null, "{plan}");
+    assert_eq!(plan["tube"]["margin_confidence"], f64::from(flights) / f64::from(flights + 1));
     folder
 }
 
@@ -83,12 +84,15 @@ fn keeps_away(plan: &Value) {
     let mut nearest = f64::INFINITY;
     for (radius, state) in radii.iter().zip(states) {
         let at = |i: usize| state[i].as_f64().expect("a number");
-        let off = (at(0) - 1.0).hypot(at(1) - 0.05).hypot(at(2) + 1.0);
+        let off = (at(0) - 1.0).hypot(at(1) - 0.15).hypot(at(2) + 1.0);
         let radius = radius.as_f64().expect("a radius");
         assert!(radius > 0.005, "{radius}");
-        nearest = nearest.min(off - 0.2 - radius);
+        nearest = nearest.min(off - 0.15 - radius);
     }
-    assert!((0.0..0.05).contains(&nearest), "{nearest} m between the tube and the ball");
+    // The margin is that of the worst calibration flight, and wider than the tube.
+    assert!((0.0..0.3).contains(&nearest), "{nearest} m between the tube and the ball");
+    let confidence = |name: &str| plan["tube"][name].as_f64().expect("a probability");
+    assert!(confidence("margin_confidence") > confidence("confidence"));
 }
 
 #[test]
@@ -97,8 +101,8 @@ fn a_plan_keeps_its_tube_out_of_a_region_and_flights_stay_within() {
     let plan = folder.read("plan.json");
     keeps_away(&plan);
     let check = folder.json("tube check plan.json --config ball.toml --flights 24 --seed 7 --json");
-    // Of 24 flights as many as 18 stay within a tube of 90 % with a probability of 99.8 %, also
-    // where the calibration drew a narrow one.
+    // Of 24 flights fewer than 16 stay within a tube of 90 % from 24 flights by a chance of 0.5 %;
+    // the seeds are fixed.
     let whole = check["whole"]["count"].as_u64().expect("a count");
     assert!(whole >= 16, "{check}");
     assert_eq!(check["touched"]["count"], 0, "{check}");

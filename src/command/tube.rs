@@ -5,6 +5,7 @@ mod ensemble;
 mod flown;
 mod shape;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -63,7 +64,7 @@ pub(super) struct TubeSummary<'a> {
     shape: &'a Shape,
     position: PositionSource,
     /// Calibration flights of each trajectory.
-    missions: &'a std::collections::BTreeMap<String, usize>,
+    missions: &'a BTreeMap<String, usize>,
     /// Radius over standard deviation by confidence.
     widths: Vec<Width>,
     tube: &'a Path,

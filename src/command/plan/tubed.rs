@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 
-use crate::command::{Exit, ExitContext, say};
+use crate::command::{Exit, ExitContext};
 use crate::plan::desire::Desire;
 use crate::plan::planned::PlannedThrough;
 use crate::plan::planner::Planner;
@@ -69,12 +69,6 @@ impl ChosenTube {
         let radius = |confidence| self.tube.radius(confidence).or_exit(Exit::Usage);
         let (tube, margin) = (radius(self.confidence)?, radius(self.margin_confidence)?);
         let tubed = plan_within(planner, desire, start, &Radii { tube, margin }, watch);
-        if !tubed.holds {
-            say(format_args!(
-                "the plan became faster than the margin was made for: its tube may reach into what it \
-                 avoids; give it more time with --time-limit"
-            ));
-        }
         let planned = PlannedTube {
             confidence: self.confidence,
             margin_confidence: self.margin_confidence,

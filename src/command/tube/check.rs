@@ -23,6 +23,9 @@ use crate::plan::keep_out::KeepOut;
 use crate::plan::planned::{Plan, PlannedReference};
 use crate::plan::reference::ReferenceSource;
 
+/// Standard deviations below the promise that chance is believed to explain: one check in a hundred
+/// has more.
+const DEVIATIONS: f64 = 2.33;
 /// Parts by the drawn wind in which the flights are counted, too.
 const PARTS: usize = 3;
 
@@ -147,7 +150,7 @@ pub(super) fn run(args: &TubeCheckArgs, stop: &AtomicBool) -> anyhow::Result<Exi
     if stop.load(Ordering::Relaxed) {
         return Ok(Exit::Interrupted);
     }
-    let is_short = check.whole.interval[1] < check.confidence;
+    let is_short = check.is_short();
     if is_short {
         say(format_args!("fewer flights stayed within the tube than it promises"));
     }
@@ -170,6 +173,17 @@ fn clearance(flown: &Flown, reference: &PlannedReference, regions: &[KeepOut]) -
 }
 
 impl TubeCheck {
+    /// Whether fewer flights stayed within the tube than chance explains: that of these flights and,
+    /// as large, that of the flights behind the tube. At a confidence c the count of N flights varies
+    /// about c N with a variance of c (1 - c) (N + N^2 / (n + 2)), n the calibration flights.
+    fn is_short(&self) -> bool {
+        let flights = self.whole.of as f64;
+        let calibrated = self.calibration_flights as f64 + 2.0;
+        let single = self.confidence * (1.0 - self.confidence);
+        let deviation = (single * (1.0 / flights + 1.0 / calibrated)).sqrt();
+        self.whole.rate.is_some_and(|rate| rate < self.confidence - DEVIATIONS * deviation)
+    }
+
     fn in_words(&self) -> String {
         let rate = |rate: &Rate| {
             let [low, high] = rate.interval.map(|bound| 100.0 * bound);

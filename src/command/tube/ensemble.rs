@@ -1,5 +1,6 @@
 //! Simulated flights of one kind: a vehicle under disturbances that each flight draws.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use vehicle::effects::{EffectId, EffectSet, Mass, RotorDrag};
@@ -7,6 +8,7 @@ use vehicle::effects::{EffectId, EffectSet, Mass, RotorDrag};
 use super::flown::{Flown, FlownGatherer};
 use crate::command::course::Course;
 use crate::command::simulation::{SimulatedFlight, Truth};
+use crate::command::summary::end_in_words;
 use crate::command::vehicle_file::VehicleFile;
 use crate::command::{Exit, ExitContext};
 use crate::config::Config;
@@ -119,7 +121,7 @@ impl Ensemble<'_> {
             course,
             run: course.name(),
             seed,
-            extra: Default::default(),
+            extra: BTreeMap::new(),
         };
         let mut gatherer = FlownGatherer::default();
         let (end, log) = match folder {
@@ -129,7 +131,7 @@ impl Ensemble<'_> {
             }
             None => (flight.fly_unlogged(|record| gatherer.hear(&record), |_| {})?.0, None),
         };
-        let is_done = crate::command::summary::end_in_words(Some(&end), None).1 == Exit::Ok;
+        let is_done = end_in_words(Some(&end), None).1 == Exit::Ok;
         let flown = gatherer.flown();
         let flown =
             Flown { mission: course.name().to_owned(), wind_m_s, is_complete: is_done, ..flown };

@@ -24,12 +24,11 @@ pub struct Radii<'a> {
 /// A plan and its tube.
 #[derive(Clone, Debug)]
 pub struct Tubed {
-    /// How its search ended. Violations are those of the regions with the margin.
+    /// How its search ended. Its violations are those of the regions with the margin's radius at this
+    /// plan's speeds, also where the searches ended before the two agreed.
     pub outcome: Outcome<7>,
     /// The tube's radius at each state, m.
     pub radius_m: Vec<f64>,
-    /// Whether the plan keeps the margin's radius away, everywhere.
-    pub holds: bool,
 }
 
 /// Searches as [`Planner::plan`] for a plan that stays the margin's radius out of the regions and
@@ -49,12 +48,14 @@ pub fn plan_within(
     let mut number = 0;
     loop {
         number += 1;
-        let outcome = planner.clone().within(margin.clone()).plan(desire, start, guess, stop);
+        let mut outcome = planner.clone().within(margin.clone()).plan(desire, start, guess, stop);
         let needed_m = radii.margin.along(period_s, &outcome.iterate.states);
         let holds = needed_m.iter().zip(&margin).all(|(needed, margin)| needed <= margin);
         if holds || number == SEARCHES || stop(&outcome.records) {
             let radius_m = radii.tube.along(period_s, &outcome.iterate.states);
-            return Tubed { outcome, radius_m, holds };
+            let problem = planner.clone().within(needed_m).problem(desire, start);
+            outcome.violation = outcome.iterate.violation(&problem, outcome.violation.defect);
+            return Tubed { outcome, radius_m };
         }
         for (margin, needed) in margin.iter_mut().zip(with_room(&needed_m)) {
             *margin = margin.max(needed);
