@@ -68,7 +68,7 @@ pub fn html(plan: &Plan, not_flyable: Option<&str>, limits: &Limits) -> String {
             "A flight stays within the tube from beginning to end with a probability of {} % or more, \
              as far as it is of the same kind as the {} flights that the tube was calibrated on. It \
              bounds {}.",
-            significant(100.0 * tube.confidence),
+            100.0 * tube.confidence,
             tube.flights,
             tube.position.in_words()
         );
