@@ -13,6 +13,7 @@ mod schema;
 mod signing;
 mod simulate;
 mod sweep;
+mod tube;
 mod vehicle;
 mod view;
 
@@ -36,6 +37,7 @@ pub use self::schema::SchemaArgs;
 pub use self::signing::{SetupArgs, SigningCommand};
 pub use self::simulate::SimulateArgs;
 pub use self::sweep::{Shard, SweepArgs};
+pub use self::tube::{TubeCheckArgs, TubeCommand, TubeFitArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
 pub use self::view::{
     FlightViewArgs, ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs,
@@ -123,6 +125,9 @@ pub enum Command {
     Model(ModelCommand),
     /// Plans a trajectory through a model: a reference that `fly` takes.
     Plan(PlanArgs),
+    /// Calibrates how far flights stay from their plan, with a stated probability, and checks it.
+    #[command(subcommand)]
+    Tube(TubeCommand),
     /// Finds where a simulator and flights differ, which effect causes it, and how far the gap
     /// closes.
     Diagnose(DiagnoseArgs),

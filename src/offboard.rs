@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 pub use self::adjustment::{Adjusted, Adjustment, AdjustmentSettings};
 pub use self::effective_vehicle::{EffectiveVehicle, Uncontrollable};
 use self::guidance::Guidance;
-pub use self::guidance::GuidanceSettings;
+pub use self::guidance::{GuidanceSettings, TRAJECTORY_DONE};
 pub use self::tick::Tick;
 
 use crate::clock::HostTime;
@@ -217,6 +217,7 @@ impl OffboardController {
             state: sample.state,
             reference,
             desired: guided.desired,
+            tube_radius_m: guided.tube_radius_m,
             feedforward: reference.feedforward,
             feedback: command.feedback,
             setpoint: sent.map(|(setpoint, _)| setpoint),

@@ -321,7 +321,8 @@ proptest! {
         };
         let setpoint = Setpoint { thrust_n, attitude: Euler::new(0.1, 0.2, 0.3), body_rate: Frd::from(rate) };
         let tick = Tick {
-            stamp: Stamp::host(host), state, reference: None, desired: None, feedback: Setpoint::default(),
+            stamp: Stamp::host(host), state, reference: None, desired: None, tube_radius_m: None,
+            feedback: Setpoint::default(),
             setpoint: Some(setpoint), saturation, phase: "track", trajectory_time: None, sample_age: 0.001,
         };
         let event = Record::Event {

@@ -68,6 +68,7 @@ mod plan_time_optimal;
 mod receding;
 mod report_flight;
 mod telemetry;
+mod tube;
 mod view;
 mod view_playback;
 mod view_write;

@@ -51,6 +51,7 @@ fn wrench_problem() -> Problem<4> {
         preference: None,
         limits: StateLimits::default(),
         keep_out: vec![],
+        margin_m: vec![],
     }
 }
 

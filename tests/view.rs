@@ -129,7 +129,7 @@ fn a_viewer_is_told_the_server_its_schemas_the_time_and_the_parameters() {
 
 #[test]
 fn who_comes_late_is_shown_the_vehicle_the_plan_the_trail_and_the_events() {
-    let course = CoursePath { period_s: 1.0, points: vec![Ned::zero(); 20] };
+    let course = CoursePath { period_s: 1.0, points: vec![Ned::zero(); 20], tube: Vec::new() };
     let (view, mut feed) = start(course);
     let mut flight = records(10.0);
     for record in &mut flight {

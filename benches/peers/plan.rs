@@ -306,6 +306,7 @@ fn main() {
                 preference: None,
                 limits: StateLimits::default(),
                 keep_out: vec![],
+                margin_m: vec![],
             };
             let dynamics = WrenchDynamics::new(model, course.dt);
             let guess = Iterate::desired(&problem, physics.u_hover);

@@ -248,7 +248,7 @@ impl Encoder {
         let times = Times { log: tick.stamp.host, publish: tick.stamp.sampled };
         out.put(Topic::State, times, &StateMessage::new(tick.stamp, &tick.state))?;
         if let Some(reference) = &tick.reference {
-            let message = ReferenceMessage::new(tick.trajectory_time, reference);
+            let message = ReferenceMessage::new(tick, reference);
             out.put(Topic::Reference, times, &message)?;
         }
         if let Some(setpoint) = &tick.setpoint {

@@ -146,6 +146,8 @@ pub struct Tick {
     pub reference: Option<Reference>,
     /// Desired position, m; replaces the reference's position in the error.
     pub desired: Option<Ned>,
+    /// Radius of the tube around the reference, m, if its plan has one.
+    pub tube_radius_m: Option<f64>,
     /// The feedback's part of `u_hat`, which adds to the reference's feed-forward.
     pub feedback: Setpoint,
     /// The setpoint sent, after limits; `None` if the tick sent none.

@@ -153,7 +153,8 @@ flat_messages! {
         double r_radps = 17;
     }
 
-    /// `/reference`: the point of the trajectory that the controller tracks.
+    /// `/reference`: the point of the trajectory that the controller tracks, and the radius of the
+    /// tube around it; 0 without a tube.
     ReferenceMessage = "downwash.Reference" {
         double trajectory_time_s = 1;
         double p_n_m = 2;
@@ -168,6 +169,7 @@ flat_messages! {
         double p_radps = 11;
         double q_radps = 12;
         double r_radps = 13;
+        double tube_radius_m = 14;
     }
 
     /// `/setpoint`: the setpoint as sent.

@@ -208,6 +208,16 @@ pub struct PlanArgs {
     /// Folder for report.html and report.json; created if missing.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
+    /// A tube from `tube fit`: the plan keeps as far from keep-out regions as flights stray.
+    #[arg(long, value_name = "FILE")]
+    pub tube: Option<PathBuf>,
+    /// Least probability that a whole flight stays within the tube.
+    #[arg(long, default_value_t = 0.95, value_parser = confidence, requires = "tube")]
+    pub confidence: f64,
+    /// Probability that a flight stays within the margin to keep-out regions [default: that of the
+    /// tube's worst calibration flight, n of n + 1].
+    #[arg(long, value_parser = confidence, requires = "tube")]
+    pub keep_out_confidence: Option<f64>,
     /// Solver of the subproblems.
     #[arg(long, value_enum)]
     pub solver: Option<SolverChoice>,
@@ -221,6 +231,15 @@ pub struct PlanArgs {
     /// Prints the summary as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// A probability strictly between 0 and 1.
+fn confidence(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("expected a number, found {text:?}"))?;
+    let is_one = value > 0.0 && value < 1.0;
+    is_one
+        .then_some(value)
+        .ok_or_else(|| format!("expected more than 0 and less than 1, found {text}"))
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::IsTerminal;
 
 use vehicle::VehicleParams;
+use vehicle::frame::Ned;
 
 use super::course::Course;
 use super::screen::Screen;
@@ -20,6 +21,7 @@ use crate::health::{HealthView, Monitor};
 use crate::log::RunInfo;
 use crate::log::sink::Listeners;
 use crate::onset::detector::Settings;
+use crate::plan::outline;
 use crate::service::Service;
 use crate::station::Status;
 use crate::view::{Changes, CoursePath, LiveView, ViewSettings};
@@ -222,8 +224,11 @@ fn path(course: &Course) -> CoursePath {
     let count = (reference.duration() / COURSE_PERIOD_S).ceil();
     let period_s = COURSE_PERIOD_S * (count / COURSE_POINTS as f64).max(1.0);
     let count = (count as usize).min(COURSE_POINTS);
-    let points = (0..=count).map(|index| reference.desired(index as f64 * period_s)).collect();
-    CoursePath { period_s, points }
+    let times = || (0..=count).map(|index| index as f64 * period_s);
+    let points: Vec<Ned> = times().map(|t| reference.desired(t)).collect();
+    let radii: Option<Vec<f64>> = times().map(|t| reference.tube_radius_m(t)).collect();
+    let tube = radii.map_or(Vec::new(), |radii| outline(&points, &radii));
+    CoursePath { period_s, points, tube }
 }
 
 #[cfg(test)]

@@ -52,6 +52,7 @@ mod stop;
 mod summary;
 mod sweep;
 mod train;
+mod tube;
 mod vehicle;
 mod vehicle_file;
 
@@ -179,6 +180,7 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
         Command::Sweep(args) => sweep::run(&args, &Interruption::watch()?),
         Command::Train(args) => train::run(&args, &Interruption::watch()?),
         Command::Plan(args) => plan::run(&args, &Interruption::watch()?),
+        Command::Tube(command) => tube::run(&command, &Interruption::watch()?),
         Command::Exam(args) => exam::run(&args, &Interruption::watch()?),
         Command::Onset(args) => {
             Interruption::watch()?;

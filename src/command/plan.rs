@@ -2,6 +2,7 @@
 //! way through a course.
 
 mod fastest;
+mod tubed;
 
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
@@ -17,6 +18,7 @@ use vehicle::VehicleParams;
 use vehicle::effects::BatterySag;
 
 pub use self::fastest::Fastest;
+use self::tubed::{ChosenTube, TubeOfPlan};
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::sent_thrust::behind_the_map;
 use super::vehicle_file::VehicleFile;
@@ -153,13 +155,28 @@ pub fn plan_trajectory(
     config: &Config,
     watch: &dyn Fn(&[Record]) -> bool,
 ) -> anyhow::Result<Plan> {
+    plan_within(trajectory, vehicle, through, config, None, watch)
+}
+
+/// As [`plan_trajectory`], with the tube's radius as the margin to what the plan is to avoid.
+fn plan_within(
+    trajectory: &Trajectory,
+    vehicle: &VehicleParams,
+    through: &PlanModel,
+    config: &Config,
+    tube: Option<&ChosenTube>,
+    watch: &dyn Fn(&[Record]) -> bool,
+) -> anyhow::Result<Plan> {
     let (planner, answer) = planner(vehicle, through, config)?;
     let desire = planner.desire(trajectory).or_exit(Exit::Usage)?;
     let mut start = desire.states[0];
     // The vehicle begins at rest, where the desired trajectory does.
     start[3..8].fill(0.0);
     start[9..].fill(0.0);
-    let outcome = planner.plan(&desire, start, None, watch);
+    let (outcome, tube) = match tube {
+        Some(tube) => tube.plan(&planner, &desire, start, watch)?,
+        None => (planner.plan(&desire, start, None, watch), None),
+    };
     let found = Found {
         trajectory: trajectory.name().to_owned(),
         vehicle: vehicle.name.clone(),
@@ -169,7 +186,7 @@ pub fn plan_trajectory(
         answer,
         desired: desire.states,
     };
-    Ok(Plan::new(found, outcome))
+    Ok(Plan::new(found, outcome).with_tube(tube))
 }
 
 /// Plans the fastest way through a course for a vehicle, by its own physics.
@@ -208,6 +225,8 @@ pub(super) struct PlanSummary<'a> {
     feasibility: Option<Feasibility>,
     /// Of a plan that takes the least time; null of others.
     time_optimal: Option<Fastest>,
+    /// Of a plan with a tube; null of others.
+    tube: Option<TubeOfPlan>,
     plan: &'a Path,
 }
 
@@ -221,11 +240,12 @@ impl PlanSummary<'_> {
                 self.position_rms_m, self.position_max_m
             ),
         };
+        let tube = self.tube.as_ref().map_or(String::new(), TubeOfPlan::in_words);
         format!(
             "plan        {:.2} s through the {} model: {}\n\
              cost        {:.4} after {} subproblems in {:.2} s\n\
              violation   dynamics {:.1e}, bounds {:.1e}\n\
-             {wish}\
+             {wish}{tube}\
              plan        {}\n",
             self.seconds,
             plan.model.kind,
@@ -289,7 +309,7 @@ impl Watch {
 }
 
 pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
-    let given = [&args.model, &args.vehicle, &args.config].into_iter().flatten();
+    let given = [&args.model, &args.vehicle, &args.config, &args.tube].into_iter().flatten();
     refuse_input(&args.out, given.chain([&args.trajectory]).map(PathBuf::as_path))?;
     create_report_folder(args.report.as_deref())?;
     let mut config = config::load(args.config.as_deref(), vec![])?;
@@ -318,12 +338,27 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
                 trajectory.duration(),
                 through.note.kind
             ));
-            let plan = plan_trajectory(&trajectory, &vehicle, &through, &config, &|records| {
-                watch.is_over(records)
-            })?;
+            let tube = args.tube.as_deref();
+            let load = |path| ChosenTube::load(path, args.confidence, args.keep_out_confidence);
+            let tube = tube.map(load).transpose()?;
+            if let Some(tube) = &tube {
+                tube.check(&vehicle, &through.note)?;
+            }
+            let watched = |records: &[Record]| watch.is_over(records);
+            let plan =
+                plan_within(&trajectory, &vehicle, &through, &config, tube.as_ref(), &watched)?;
             (plan, None)
         }
         TrajectoryFile::Task(task) => {
+            if let Some(tube) = &args.tube {
+                return Err(anyhow!(
+                    "{}: the fastest way is planned without a tube; leave --tube {} away, or plan a \
+                     trajectory with times",
+                    args.trajectory.display(),
+                    tube.display()
+                ))
+                .or_exit(Exit::Usage);
+            }
             if let Some(model) = &args.model {
                 return Err(anyhow!(
                     "{}: a fastest plan uses the vehicle file's own physics; omit --model {}",
@@ -380,6 +415,7 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
         position_max_m: distances.iter().copied().fold(0.0, f64::max),
         feasibility: demands.ok(),
         time_optimal: fastest,
+        tube: plan.tube.as_ref().map(TubeOfPlan::from),
         plan: &args.out,
     };
     if let Some(folder) = &args.report {

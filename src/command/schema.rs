@@ -10,7 +10,7 @@ use super::{
     Exit, ExitContext, audit, campaign, collect, config, demo, demo_diagnose, diagnose, doctor,
 };
 use super::{
-    exam, fleet, fly, import, inspect, mocap, model, onset, plan, simulate, sweep, vehicle,
+    exam, fleet, fly, import, inspect, mocap, model, onset, plan, simulate, sweep, tube, vehicle,
 };
 use super::{print_json, print_text};
 use crate::cli::SchemaArgs;
@@ -31,7 +31,7 @@ pub(super) struct Output {
 }
 
 /// All of them, in the order of a table.
-pub(super) const OUTPUTS: [Output; 40] = [
+pub(super) const OUTPUTS: [Output; 42] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
         "downwash.campaign.flight",
@@ -90,6 +90,8 @@ pub(super) const OUTPUTS: [Output; 40] = [
         "sweep, a line of rows-*.jsonl for each point",
     ),
     Output::new::<TrainingSummary>("downwash.training", "train --json"),
+    Output::new::<tube::TubeCheck>("downwash.tube.check", "tube check --json"),
+    Output::new::<tube::TubeSummary<'_>>("downwash.tube.fit", "tube fit --json"),
     Output::new::<vehicle::Checked<'_>>("downwash.vehicle.check", "vehicle check --json"),
     Output::new::<vehicle::Made>("downwash.vehicle.init", "vehicle init --json"),
     Output::new::<vehicle::Listed>("downwash.vehicle.list", "vehicle list --json"),

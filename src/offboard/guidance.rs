@@ -67,6 +67,8 @@ pub(super) struct Guided {
     pub reference: Reference,
     /// Where the vehicle is wanted.
     pub desired: Ned,
+    /// Radius of the tube around the reference, m, if its plan has one.
+    pub tube_radius_m: Option<f64>,
     /// Whether feedback acts; on the ground only the feed-forward does.
     pub feedback: bool,
     /// Whether the vehicle is off the ground, where only its setpoints move it.
@@ -89,6 +91,9 @@ pub(super) struct Extent {
     /// Least height, m.
     pub lowest_m: f64,
 }
+
+/// The event at the end of a trajectory.
+pub const TRAJECTORY_DONE: &str = "the trajectory is done";
 
 /// Chooses the reference. The trajectory's origin is the anchor: the place where the vehicle took
 /// off or last stood, or else the point of the local frame's floor below it. Its axes are those of
@@ -399,9 +404,10 @@ impl Guidance {
         let over = t >= self.trajectory.duration();
         Guided {
             desired: self.trajectory.desired(t) + anchor,
+            tube_radius_m: self.trajectory.tube_radius_m(t),
             expected: self.trajectory.expected(t),
             trajectory_time: Some(t),
-            reached: over.then_some((Trigger::TrajectoryDone, "the trajectory is done")),
+            reached: over.then_some((Trigger::TrajectoryDone, TRAJECTORY_DONE)),
             ..Guided::fly(reference)
         }
     }
@@ -444,6 +450,7 @@ impl Guided {
     fn fly(reference: Reference) -> Self {
         Self {
             desired: reference.position,
+            tube_radius_m: None,
             reference,
             feedback: true,
             aloft: true,

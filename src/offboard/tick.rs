@@ -20,6 +20,8 @@ pub struct Tick {
     pub reference: Reference,
     /// Where the vehicle is wanted. A plan that is remade in flight leads there.
     pub desired: Ned,
+    /// Radius of the tube around the reference, m, if its plan has one.
+    pub tube_radius_m: Option<f64>,
     /// The reference's input.
     pub feedforward: Setpoint,
     /// What the control law adds to the feed-forward; zero on the ground.

@@ -69,7 +69,9 @@ impl<const INPUTS: usize> Iterate<INPUTS> {
         // The states' own bounds cover the steps after them; the step from the start is checked
         // here.
         let first = self.states.get(..2).unwrap_or_default();
-        let entered = problem.keep_out.iter().map(|region| entry(first, region));
+        let margin_m = problem.margin_of_step(0);
+        let entered =
+            problem.keep_out.iter().map(|region| entry(first, &region.inflated(margin_m)));
         Violation { defect, overrun: most, trespass_m: entered.fold(trespass_m, f64::max) }
     }
 

@@ -80,7 +80,7 @@ impl KeepOut {
 
     /// Depth (m) of the deepest position between `from` and `to` (m), ends included; negative if
     /// all are outside.
-    pub(super) fn depth_between(&self, from: [f64; 3], to: [f64; 3]) -> f64 {
+    pub fn depth_between(&self, from: [f64; 3], to: [f64; 3]) -> f64 {
         self.deepest(from, std::array::from_fn(|i| to[i] - from[i])).depth
     }
 
@@ -88,7 +88,8 @@ impl KeepOut {
     /// must stay outside between states too. The gradient is that of the deepest point, at its
     /// fraction of the segment: between two faces, the depth itself may have no gradient that leads
     /// out.
-    pub(super) fn row(&self, state: &StateVector, ahead_s: f64) -> StateRow {
+    /// The vehicle must be `margin_m` or more away.
+    pub(super) fn row(&self, state: &StateVector, ahead_s: f64, margin_m: f64) -> StateRow {
         let way = [3, 4, 5].map(|i| state[i] * ahead_s);
         let Deepest { share, depth, gradient: slopes } = self.deepest(position(state), way);
         let mut gradient = [0.0; STATES];
@@ -96,7 +97,18 @@ impl KeepOut {
             gradient[i] = slope;
             gradient[3 + i] = share * ahead_s * slope;
         }
-        StateRow { excess: depth, gradient }
+        StateRow { excess: depth + margin_m, gradient }
+    }
+
+    /// A region of the same kind that contains all within `margin_m` of this one.
+    pub(super) fn inflated(&self, margin_m: f64) -> Self {
+        match *self {
+            Self::Sphere { centre, radius } => Self::Sphere { centre, radius: radius + margin_m },
+            Self::Box { lower, upper } => {
+                let out = Ned::new(margin_m, margin_m, margin_m);
+                Self::Box { lower: lower - out, upper: upper + out }
+            }
+        }
     }
 
     /// Depth (m) of a position (m) inside the region, negative outside, and its gradient
@@ -257,7 +269,8 @@ mod tests {
                 let share = region.deepest(position(&state), way(&state)).share;
                 let depth =
                     |state: &StateVector| region.depth(along(position(state), way(state), share)).0;
-                let row = region.row(&state, 0.1);
+                let row = region.row(&state, 0.1, 0.0);
+                prop_assert_eq!(region.row(&state, 0.1, 0.25).excess, row.excess + 0.25);
                 prop_assert_eq!(row.excess, depth(&state));
                 prop_assert_ne!(row.is_slope_of(depth, &state), Some(false));
             }

@@ -10,6 +10,7 @@ use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 
 use super::flyable::{NotFlyable, check_led, check_violation};
 use super::iterate::Violation;
+use super::planned_tube::PlannedTube;
 use super::problem::{ANGLE, RATE, StateVector, VELOCITY};
 use super::reference::ReferenceSource;
 use super::scp::{Outcome, Record, Status};
@@ -61,6 +62,9 @@ pub struct Plan {
     pub states: Vec<StateVector>,
     /// The planned inputs.
     pub inputs: Vec<CommandedInput>,
+    /// The tube within which flights of it stay, if it was planned with one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tube: Option<PlannedTube>,
 }
 
 /// The vehicle parameters that a plan's inputs hold for, with the modelled effects applied.
@@ -162,7 +166,14 @@ impl Plan {
             desired,
             states: outcome.iterate.states,
             inputs: outcome.iterate.inputs,
+            tube: None,
         }
+    }
+
+    /// The plan with the tube around it.
+    #[must_use]
+    pub fn with_tube(self, tube: Option<PlannedTube>) -> Self {
+        Self { tube, ..self }
     }
 
     /// Whether a file counts as a plan, by its name alone: no trajectory is JSON.
@@ -222,7 +233,7 @@ impl Plan {
         if !numbers.chain(gains).all(|number| number.is_finite()) {
             return Err("a number is not finite".to_owned());
         }
-        Ok(())
+        self.tube.as_ref().map_or(Ok(()), |tube| tube.check(states))
     }
 
     /// Whether this is a minimum-time plan: its desired states are the planned ones.
@@ -270,6 +281,8 @@ pub struct PlannedReference {
     expected: Vec<[f64; 6]>,
     start_thrust_n: f64,
     voltage_exponent: f64,
+    /// The tube's radius at each state, m; empty without a tube.
+    tube_radius_m: Vec<[f64; 1]>,
 }
 
 /// Periods whose mean thrust is the thrust at the start.
@@ -332,7 +345,11 @@ impl PlannedReference {
     /// applied: the loop's moments M become `M* + lag dM*/dt`, which takes a shift of the attitude
     /// setpoint by `lag Kp^-1 dM*/dt`, and thrust likewise.
     pub fn new(plan: &Plan) -> Self {
-        Self::of(&plan.states, &plan.inputs, plan.period_s, &plan.answer, &plan.body)
+        let radii = plan.tube.iter().flat_map(|tube| &tube.radius_m);
+        Self {
+            tube_radius_m: radii.map(|radius| [*radius]).collect(),
+            ..Self::of(&plan.states, &plan.inputs, plan.period_s, &plan.answer, &plan.body)
+        }
     }
 
     /// The same from states and inputs, `period` seconds apart.
@@ -382,6 +399,7 @@ impl PlannedReference {
             expected,
             start_thrust_n,
             voltage_exponent,
+            tube_radius_m: Vec::new(),
         }
     }
 }
@@ -417,6 +435,11 @@ impl ReferenceSource for PlannedReference {
     fn expected(&self, t: f64) -> Option<Expected> {
         let [north, east, down, attitude @ ..] = between(&self.expected, t / self.period_s);
         Some(Expected { acceleration: Ned::new(north, east, down), attitude })
+    }
+
+    fn tube_radius_m(&self, t: f64) -> Option<f64> {
+        let index = t / self.period_s;
+        (!self.tube_radius_m.is_empty()).then(|| between(&self.tube_radius_m, index)[0])
     }
 
     fn start_thrust_n(&self) -> f64 {

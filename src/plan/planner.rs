@@ -244,6 +244,8 @@ pub struct Planner {
     knee: f64,
     change_weight: f64,
     damping: f64,
+    /// Distance from regions and bounds of the position at each state, m.
+    margin_m: Vec<f64>,
 }
 
 /// Initial trust region of a plan that continues another.
@@ -270,7 +272,8 @@ impl Planner {
         settings: PlanSettings,
     ) -> Result<Self, PlannerError> {
         settings.check()?;
-        Ok(Self { model, vehicle, settings, knee: 0.0, change_weight: 0.0, damping: 0.0 })
+        let margin_m = Vec::new();
+        Ok(Self { model, vehicle, settings, knee: 0.0, change_weight: 0.0, damping: 0.0, margin_m })
     }
 
     /// The same planner with the knee of these settings, if they are cautious.
@@ -278,6 +281,13 @@ impl Planner {
     pub fn cautious(mut self, receding: &RecedingSettings) -> Self {
         self.knee = receding.caution().map_or(0.0, |(knee, _)| knee);
         self
+    }
+
+    /// The same planner for a plan that keeps this distance (m) from regions and from the bounds of
+    /// the position at each of its states.
+    #[must_use]
+    pub fn within(self, margin_m: Vec<f64>) -> Self {
+        Self { margin_m, ..self }
     }
 
     /// The same planner for plans that continue the previous one: a small trust region, because
@@ -404,7 +414,12 @@ impl Planner {
     /// avoid, those of a path around it.
     fn guess(&self, desire: &Desire, problem: &Problem<7>) -> Iterate<7> {
         let (mut states, period_s) = (desire.states.clone(), self.period_s());
-        if !bend(&mut states, period_s, &problem.keep_out, &problem.limits) {
+        // The path is bent round each region and the widest margin; the search then uses each
+        // state's own.
+        let widest_m = self.margin_m.iter().copied().fold(0.0, f64::max);
+        let regions: Vec<KeepOut> =
+            problem.keep_out.iter().map(|region| region.inflated(widest_m)).collect();
+        if !bend(&mut states, period_s, &regions, &problem.limits) {
             return Iterate { states, inputs: desire.inputs.clone() };
         }
         let velocity = |n: usize| Ned::new(states[n][3], states[n][4], states[n][5]);
@@ -442,6 +457,7 @@ impl Planner {
                 position: self.settings.room(),
             },
             keep_out: self.keep_out().collect(),
+            margin_m: self.margin_m.clone(),
         }
     }
 

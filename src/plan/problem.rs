@@ -32,6 +32,9 @@ pub struct Problem<const INPUTS: usize> {
     pub limits: StateLimits,
     /// Regions that the position must avoid.
     pub keep_out: Vec<KeepOut>,
+    /// Distance that the position keeps from regions and from the bounds of the position at each
+    /// state, `s_0 .. s_N`, m; empty for none.
+    pub margin_m: Vec<f64>,
 }
 
 /// Bounds and sizes of the inputs.
@@ -113,8 +116,8 @@ impl StateLimits {
         })
     }
 
-    /// Calls `visit` with each bound at `state`.
-    fn visit(&self, state: &StateVector, mut visit: impl FnMut(StateRow)) {
+    /// Calls `visit` with each bound at `state`, those of the position tighter by a margin.
+    fn visit(&self, state: &StateVector, margin_m: f64, mut visit: impl FnMut(StateRow)) {
         if let Some(tilt_max) = self.tilt_max_rad {
             // cos(tilt) = cos(roll) cos(pitch); divided by sin(tilt_max), the bound is in rad near
             // the limit, and smooth where the vehicle is level.
@@ -142,7 +145,7 @@ impl StateLimits {
             for (axis, (lower, upper)) in
                 lower.to_array().into_iter().zip(upper.to_array()).enumerate()
             {
-                between(axis, lower, upper);
+                between(axis, lower + margin_m, upper - margin_m);
             }
         }
     }
@@ -181,11 +184,18 @@ impl<const INPUTS: usize> Problem<INPUTS> {
         state: &StateVector,
         mut visit: impl FnMut(StateRow),
     ) {
-        self.limits.visit(state, &mut visit);
+        let here_m = self.margin_m.get(n + 1).copied().unwrap_or_default();
+        self.limits.visit(state, here_m, &mut visit);
         let ahead_s = if n + 1 < self.horizon() { self.period_s } else { 0.0 };
         for region in &self.keep_out {
-            visit(region.row(state, ahead_s));
+            visit(region.row(state, ahead_s, self.margin_of_step(n + 1)));
         }
+    }
+
+    /// Distance that the step from state `n` on keeps from regions, m.
+    pub(super) fn margin_of_step(&self, n: usize) -> f64 {
+        let either = self.margin_m.iter().skip(n).take(2);
+        either.copied().fold(0.0, f64::max)
     }
 
     /// By how much the state at the end of period `n` violates its bounds.
@@ -255,6 +265,7 @@ mod tests {
             preference: None,
             limits,
             keep_out,
+            margin_m: Vec::new(),
         }
     }
 

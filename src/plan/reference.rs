@@ -37,6 +37,12 @@ pub trait ReferenceSource {
         self.sample(t).position
     }
 
+    /// Radius around the reference within which the vehicle stays during the whole flight with the
+    /// plan's confidence, m; `None` without a tube.
+    fn tube_radius_m(&self, _t: f64) -> Option<f64> {
+        None
+    }
+
     /// What the model expects of the vehicle at `t` seconds beyond thrust, weight and the attitude
     /// loop; `None` while no model leads.
     fn expected(&self, _t: f64) -> Option<Expected> {
@@ -79,6 +85,10 @@ impl<S: ReferenceSource + ?Sized> ReferenceSource for Arc<S> {
 
     fn desired(&self, t: f64) -> Ned {
         self.as_ref().desired(t)
+    }
+
+    fn tube_radius_m(&self, t: f64) -> Option<f64> {
+        self.as_ref().tube_radius_m(t)
     }
 
     fn expected(&self, t: f64) -> Option<Expected> {

@@ -15,6 +15,7 @@ use crate::log::info::EventInfo;
 use crate::log::schema::{
     ControlMessage, LinkStatsMessage, ReferenceMessage, SetpointMessage, StateMessage,
 };
+use crate::plan::outline;
 
 /// Events that the page lists.
 const EVENTS_LISTED: usize = 200;
@@ -148,8 +149,20 @@ fn path(report: &FlightReport) -> String {
         None => Ned::new(f64::NAN, f64::NAN, f64::NAN),
     };
     let flown: Vec<Ned> = report.rows.iter().map(flown).collect();
+    let (ways, radii): (Vec<Ned>, Vec<f64>) =
+        report.rows.iter().filter_map(|row| Some((desired(row), tube_radius_m(row)?))).unzip();
+    let around = outline(&ways, &radii);
+    let mut paths: Vec<(&str, &[Ned])> = vec![("flown", &flown)];
+    if !around.is_empty() {
+        paths.push(("tube", &around));
+    }
     let desired: Vec<Ned> = report.rows.iter().map(desired).collect();
-    Scene { paths: &[("flown", &flown)], desired: &desired }.to_html()
+    Scene { paths: &paths, desired: &desired }.to_html()
+}
+
+/// Radius of the tube around what the tick followed, m, if that has one.
+fn tube_radius_m(row: &Row) -> Option<f64> {
+    row.followed().map(|reference| reference.tube_radius_m).filter(|radius| *radius > 0.0)
 }
 
 /// What the charts over time share.
@@ -218,6 +231,10 @@ impl<'a> Figure<'a> {
             axis("down (m)", 1, |c| c.error_d_m),
             axis("distance (m)", 1, |c| c.error_3d_m),
         ];
+        if self.report.rows.iter().any(|row| tube_radius_m(row).is_some()) {
+            let radius = |row: &Row| tube_radius_m(row).unwrap_or(f64::NAN);
+            panels[3].curves.push(self.curve("tube", Style::Reference, radius));
+        }
         let yaw = self
             .angle("error", Style::Colour(1), |r| r.share().map_or(f64::NAN, |c| c.error_yaw_rad));
         panels.push(Panel { name: "yaw (deg)".into(), curves: vec![yaw] });

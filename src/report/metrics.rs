@@ -199,6 +199,7 @@ mod tests {
             state: at(north),
             reference: Some(Reference::default()),
             desired: None,
+            tube_radius_m: None,
             feedback: Setpoint::default(),
             setpoint: Some(Setpoint { thrust_n, ..Setpoint::default() }),
             saturation: 0,

@@ -11,6 +11,7 @@ use super::words::{length, smallness};
 use crate::control::Limits;
 use crate::plan::planned::Plan;
 use crate::plan::problem::StateVector;
+use crate::plan::{PlannedTube, outline};
 
 const STATES: [&str; 12] = [
     "north (m)",
@@ -57,8 +58,22 @@ pub fn html(plan: &Plan, not_flyable: Option<&str>, limits: &Limits) -> String {
             "World axes: north, east, down. Desired attitude and rates are those of a vehicle without drag.",
         )
     };
-    let scene = Scene { paths: &[("planned", &planned)], desired: &desired };
+    let around = plan.tube.as_ref().map(|tube| outline(&planned, &tube.radius_m));
+    let mut paths: Vec<(&str, &[Ned])> = vec![("planned", &planned)];
+    paths.extend(around.as_ref().map(|around| ("tube", &around[..])));
+    let scene = Scene { paths: &paths, desired: &desired };
     page.section("Path", path, &scene.to_html());
+    if let Some(tube) = &plan.tube {
+        let said = format!(
+            "A flight stays within the tube from beginning to end with a probability of {} % or more, \
+             as far as it is of the same kind as the {} flights that the tube was calibrated on. It \
+             bounds {}.",
+            100.0 * tube.confidence,
+            tube.flights,
+            tube.position.in_words()
+        );
+        page.section("Tube", &said, &radius(plan, tube));
+    }
     page.section(title, axes, &states(plan));
     page.section(
         "Inputs",
@@ -123,6 +138,14 @@ fn states(plan: &Plan) -> String {
     });
     let panels = panels.collect();
     Chart::new(TIME, &time, 80.0, panels).to_html()
+}
+
+fn radius(plan: &Plan, tube: &PlannedTube) -> String {
+    let time: Vec<f64> = (0..tube.radius_m.len()).map(|n| n as f64 * plan.period_s).collect();
+    let y = tube.radius_m.clone();
+    let curve = Curve { name: "radius".into(), style: Style::Colour(2), y };
+    let panel = Panel { name: "radius (m)".to_owned(), curves: vec![curve] };
+    Chart::new(TIME, &time, 80.0, vec![panel]).to_html()
 }
 
 fn inputs(plan: &Plan) -> String {

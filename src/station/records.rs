@@ -43,6 +43,7 @@ pub(super) fn tick_record(tick: &Tick, sampled: HostTime) -> record::Tick {
         state: tick.state,
         reference: Some(tick.reference),
         desired: Some(tick.desired),
+        tube_radius_m: tick.tube_radius_m,
         feedback: tick.feedback,
         setpoint: tick.setpoint,
         saturation: tick.saturation.bits(),

@@ -31,6 +31,7 @@ const EVENTS: usize = 100;
 
 pub(super) const TRAIL_COLOUR: [f64; 4] = [0.85, 0.37, 0.05, 0.9];
 pub(super) const PLAN_COLOUR: [f64; 4] = [0.12, 0.47, 0.71, 0.7];
+const TUBE_COLOUR: [f64; 4] = [0.12, 0.47, 0.71, 0.25];
 
 /// The path to fly: positions relative to the trajectory's origin, at a fixed period from its
 /// beginning.
@@ -40,6 +41,8 @@ pub struct CoursePath {
     pub period_s: f64,
     /// The points, m.
     pub points: Vec<Ned>,
+    /// A line around them at the radius of the plan's tube, m; empty without one.
+    pub tube: Vec<Ned>,
 }
 
 impl CoursePath {
@@ -268,6 +271,11 @@ impl LiveFeed {
             let points = course.points.iter().map(|point| *point + origin);
             let plan = viewer::line(now, "plan", PLAN_COLOUR, 1.5, points);
             let _ = out.put(Topic::Scene, Times::host(now), &plan);
+            if !course.tube.is_empty() {
+                let points = course.tube.iter().map(|point| *point + origin);
+                let tube = viewer::line(now, "tube", TUBE_COLOUR, 1.0, points);
+                let _ = out.put(Topic::Scene, Times::host(now), &tube);
+            }
         }
     }
 }
@@ -279,7 +287,7 @@ mod tests {
     #[test]
     fn the_origin_is_what_the_path_is_moved_by() {
         let points = [0.0, 1.0, 3.0].map(|north| Ned::new(north, 0.0, -1.0)).to_vec();
-        let course = CoursePath { period_s: 0.5, points };
+        let course = CoursePath { period_s: 0.5, points, ..CoursePath::default() };
         let origin = course.origin(0.75, Ned::new(12.0, 5.0, -3.0));
         assert_eq!(origin, Some(Ned::new(10.0, 5.0, -2.0)));
         for outside in [-0.1, 1.1, f64::NAN, f64::INFINITY, 1e300] {

@@ -142,6 +142,7 @@ pub fn records(duration: f64) -> Vec<Record> {
             state,
             reference: Some(reference),
             desired: None,
+            tube_radius_m: None,
             feedback,
             setpoint: (phase != "land" || t < duration - 0.5).then_some(setpoint),
             saturation: u32::from(ms % 5000 == 0) << 1,

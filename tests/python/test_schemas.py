@@ -130,6 +130,12 @@ def test_models_and_plans(schemas, flights, vehicle, tmp_path):
     check(schemas, "downwash.model_info", run("model", "info", model, "--json"))
     check(schemas, "downwash.model_eval", run("model", "eval", logs[0], "--model", model, "--json"))
     check(schemas, "downwash.plan.summary", run("plan", "hover", "-o", tmp_path / "p.json", "--json"))
+    tube, plan = tmp_path / "tube.json", tmp_path / "tubed.json"
+    fitted = run("tube", "fit", "--along", tmp_path / "p.json", "--flights", 19, "-o", tube, "--json")
+    check(schemas, "downwash.tube.fit", fitted)
+    check(schemas, "downwash.plan.summary", run("plan", "hover", "--tube", tube, "-o", plan, "--json"))
+    # One of two flights may leave the tube, which is exit code 0 all the same.
+    check(schemas, "downwash.tube.check", run("tube", "check", plan, "--flights", 2, "--json"))
 
 
 @pytest.mark.computes

@@ -51,13 +51,13 @@ impl StateMessage {
 }
 
 impl ReferenceMessage {
-    pub(crate) fn new(trajectory_time: Option<f64>, reference: &Reference) -> Self {
+    pub(crate) fn new(tick: &Tick, reference: &Reference) -> Self {
         let [p_n_m, p_e_m, p_d_m] = reference.position.to_array();
         let [v_n_mps, v_e_mps, v_d_mps] = reference.velocity.to_array();
         let [p_radps, q_radps, r_radps] = reference.body_rate.to_array();
         let Euler { roll, pitch, yaw } = reference.attitude;
         Self {
-            trajectory_time_s: trajectory_time.unwrap_or(f64::NAN),
+            trajectory_time_s: tick.trajectory_time.unwrap_or(f64::NAN),
             p_n_m,
             p_e_m,
             p_d_m,
@@ -70,6 +70,7 @@ impl ReferenceMessage {
             p_radps,
             q_radps,
             r_radps,
+            tube_radius_m: tick.tube_radius_m.unwrap_or_default(),
         }
     }
 }

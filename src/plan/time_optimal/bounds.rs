@@ -98,7 +98,7 @@ impl Bounds<'_> {
             vector[VELOCITY..ANGLE].copy_from_slice(&state.velocity.to_array());
             for region in &self.course.keep_out {
                 // On the segment from the previous state to this one.
-                let mut bound = region.row(&vector, -period.length_s);
+                let mut bound = region.row(&vector, -period.length_s, 0.0);
                 bound.excess += bulge + self.clearance_m;
                 visit(bound);
             }

@@ -1,0 +1,311 @@
+//! `downwash tube`: makes tubes around plans, and checks them.
+
+mod check;
+mod ensemble;
+mod flown;
+mod shape;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use anyhow::{Context, anyhow};
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Serialize;
+
+pub(super) use self::check::TubeCheck;
+use self::ensemble::{Ensemble, Purpose};
+use self::flown::{Flown, FlownGatherer};
+use self::shape::{JudgedModel, tracking_loop};
+use super::course::Course;
+use super::output::refuse_input;
+use super::plan::{model_for, plan_trajectory};
+use super::progress::count_bar;
+use super::simulation::Truth;
+use super::vehicle_file::VehicleFile;
+use super::{
+    Exit, ExitContext, Interruption, config, in_words, print_json, print_text, say, write_file,
+};
+use crate::cli::{TubeCommand, TubeFitArgs};
+use crate::config::Config;
+use crate::exam::draw::Draw;
+use crate::plan::planned::Plan;
+use crate::plan::tube::{Calibration, Shape, Tube, TubeError};
+use crate::plan::{PositionSource, TimeLimit, Trajectory};
+
+/// Simulated flights that give a tube its shape.
+const SHAPE_FLIGHTS: u64 = 12;
+/// Of the logs, one in so many gives the tube its shape.
+const SHAPE_SHARE: usize = 5;
+/// Confidences of which the summary has the widths.
+const CONFIDENCES: [f64; 4] = [0.5, 0.9, 0.95, 0.99];
+
+pub(super) fn run(command: &TubeCommand, interruption: &Interruption) -> anyhow::Result<Exit> {
+    match command {
+        TubeCommand::Fit(args) => fit(args, &interruption.flag()),
+        TubeCommand::Check(args) => check::run(args, &interruption.flag()),
+    }
+}
+
+/// A calibrated tube: the JSON of `tube fit`.
+#[derive(JsonSchema, Serialize)]
+pub(super) struct TubeSummary<'a> {
+    schema: &'static str,
+    schema_version: u32,
+    vehicle: &'a str,
+    /// Calibration flights.
+    flights: usize,
+    /// Of these, flights that ended early.
+    ended_early: usize,
+    /// Flights that gave the shape.
+    shape_flights: usize,
+    shape: &'a Shape,
+    position: PositionSource,
+    /// Calibration flights of each trajectory.
+    missions: &'a BTreeMap<String, usize>,
+    /// Radius over standard deviation by confidence.
+    widths: Vec<Width>,
+    tube: &'a Path,
+}
+
+#[derive(JsonSchema, Serialize)]
+struct Width {
+    confidence: f64,
+    /// Null where the flights do not support it.
+    multiplier: Option<f64>,
+    /// The fewest flights that do.
+    flights_needed: usize,
+}
+
+/// Flights for a tube.
+struct Gathered {
+    shape: Shape,
+    shape_flights: usize,
+    /// The others.
+    flights: Vec<Flown>,
+}
+
+fn fit(args: &TubeFitArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
+    let given = [&args.model, &args.vehicle, &args.config].into_iter().flatten();
+    let files = given.chain(&args.logs).chain(&args.along);
+    refuse_input(&args.out, files.map(PathBuf::as_path))?;
+    let config = config::load(args.config.as_deref(), vec![])?;
+    let vehicle = match &args.vehicle {
+        Some(path) => VehicleFile::load(path)?,
+        None => VehicleFile::built_in()?,
+    };
+    let model = JudgedModel::new(&vehicle.params, args.model.as_deref(), args.kind)?;
+    let gathered = if args.along.is_empty() {
+        of_logs(args, &config, &vehicle, &model)?
+    } else {
+        simulated(args, &config, &vehicle, &model, stop)?
+    };
+    if stop.load(Ordering::Relaxed) {
+        return Ok(Exit::Interrupted);
+    }
+    let Gathered { shape, shape_flights, flights } = gathered;
+    let calibration = Calibration {
+        vehicle: vehicle.params.name.clone(),
+        model: model.note.clone(),
+        position: position_of(&flights)?,
+        flights: flights
+            .into_iter()
+            .map(|flown| {
+                let score = flown.is_complete.then(|| shape.score(&flown.points)).flatten();
+                (flown.mission, score)
+            })
+            .collect(),
+    };
+    let tube = Tube::new(shape, calibration);
+    write_file(&args.out, tube.to_json().context("the tube")?.as_bytes())?;
+    let summary = TubeSummary {
+        schema: "downwash.tube.fit",
+        schema_version: 1,
+        vehicle: &tube.vehicle,
+        flights: tube.flights,
+        ended_early: tube.flights - tube.scores.len(),
+        shape_flights,
+        shape: &tube.shape,
+        position: tube.position,
+        missions: &tube.missions,
+        widths: CONFIDENCES
+            .map(|confidence| Width {
+                confidence,
+                multiplier: tube.radius(confidence).ok().map(|radius| radius.multiplier),
+                flights_needed: crate::plan::tube::conformal::flights_needed(confidence),
+            })
+            .into(),
+        tube: &args.out,
+    };
+    if args.json {
+        print_json(&summary)?;
+    } else {
+        print_text(&summary.in_words())?;
+    }
+    if let Err(error @ TubeError::TooFew { .. }) = tube.radius(0.95) {
+        say(format_args!("{error}"));
+    }
+    Ok(Exit::Ok)
+}
+
+/// The position that all flights' points are.
+fn position_of(flights: &[Flown]) -> anyhow::Result<PositionSource> {
+    let Some(first) = flights.first() else {
+        return Err(anyhow!("no flight is left to calibrate the tube on")).or_exit(Exit::Usage);
+    };
+    if flights.iter().any(|flown| flown.position != first.position) {
+        return Err(anyhow!(
+            "some flights have the simulator's true position and some have none; their errors differ: \
+             make a tube for each kind"
+        ))
+        .or_exit(Exit::Usage);
+    }
+    Ok(first.position)
+}
+
+/// Flights from logs: some give the shape, drawn by the seed, the others calibrate.
+fn of_logs(
+    args: &TubeFitArgs,
+    config: &Config,
+    vehicle: &VehicleFile,
+    model: &JudgedModel,
+) -> anyhow::Result<Gathered> {
+    let mut logs = args.logs.clone();
+    logs.sort();
+    logs.dedup();
+    Draw::new(args.seed, 0).shuffle(&mut logs);
+    let (for_shape, rest) = logs.split_at(logs.len().div_ceil(SHAPE_SHARE));
+    let feedback = tracking_loop(&vehicle.params, config)?;
+    let shape = Shape { feedback, error: model.errors(for_shape)? };
+    let read: Vec<anyhow::Result<Flown>> =
+        rest.par_iter().map(|path| FlownGatherer::read(path)).collect();
+    let mut flights = Vec::new();
+    for (path, flown) in rest.iter().zip(read) {
+        match flown {
+            Ok(flown) => flights.push(flown),
+            Err(error) => {
+                say(format_args!("{}: left out: {}", path.display(), in_words(&error)));
+            }
+        }
+    }
+    Ok(Gathered { shape, shape_flights: for_shape.len(), flights })
+}
+
+/// The plans that flights are simulated along.
+fn courses(
+    args: &TubeFitArgs,
+    config: &Config,
+    vehicle: &VehicleFile,
+) -> anyhow::Result<Vec<Course>> {
+    let load = |path: &PathBuf| {
+        let plan = if Plan::is_plan(path) {
+            Plan::load(path).or_exit(Exit::Usage)?
+        } else {
+            let trajectory = Trajectory::load(path).or_exit(Exit::Usage)?;
+            let through = model_for(&vehicle.params, args.model.as_deref(), args.kind)?;
+            say(format_args!("planning {}", trajectory.name()));
+            let (began, limit) =
+                (std::time::Instant::now(), TimeLimit::new(config.settings.plan.time_limit_s));
+            plan_trajectory(&trajectory, &vehicle.params, &through, config, &|_| {
+                limit.is_over(began.elapsed())
+            })?
+        };
+        let course = Course::Planned(Arc::new(plan));
+        course.check(vehicle, config).with_context(|| path.display().to_string())?;
+        Ok(course)
+    };
+    args.along.iter().map(load).collect()
+}
+
+/// Simulated flights along the courses, under drawn disturbances.
+fn simulated(
+    args: &TubeFitArgs,
+    config: &Config,
+    vehicle: &VehicleFile,
+    model: &JudgedModel,
+    stop: &AtomicBool,
+) -> anyhow::Result<Gathered> {
+    let base = Truth::load(&args.simulation, &vehicle.params)?;
+    let courses = courses(args, config, vehicle)?;
+    let ensemble = Ensemble { config, vehicle, base: &base, seed: args.seed };
+    let count = u64::from(args.flights);
+    let bar = count_bar(SHAPE_FLIGHTS + count);
+    let done = AtomicU64::new(0);
+    let fly = |purpose, number, folder: Option<&Path>| {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        let flown = ensemble.fly(purpose, number, &courses, folder)?;
+        bar.set_position(done.fetch_add(1, Ordering::Relaxed) + 1);
+        anyhow::Ok(Some(flown))
+    };
+    let desk = Desk::new()?;
+    let logged: Vec<_> = (0..SHAPE_FLIGHTS)
+        .into_par_iter()
+        .map(|number| fly(Purpose::Shape, number, Some(&desk.0.join(number.to_string()))))
+        .collect::<anyhow::Result<_>>()?;
+    let logs: Vec<PathBuf> = logged.into_iter().flatten().filter_map(|(_, log)| log).collect();
+    let flights: Vec<_> = (0..count)
+        .into_par_iter()
+        .map(|number| fly(Purpose::Calibration, number, None))
+        .collect::<anyhow::Result<_>>()?;
+    bar.finish_and_clear();
+    let feedback = tracking_loop(&vehicle.params, config)?;
+    let shape = Shape { feedback, error: model.errors(&logs)? };
+    let flights = flights.into_iter().flatten().map(|(flown, _)| flown).collect();
+    Ok(Gathered { shape, shape_flights: logs.len(), flights })
+}
+
+/// A folder for logs that are read once.
+struct Desk(PathBuf);
+
+impl Desk {
+    fn new() -> anyhow::Result<Self> {
+        let folder = std::env::temp_dir().join(format!("downwash-tube-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        Ok(Self(folder))
+    }
+}
+
+impl Drop for Desk {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+impl TubeSummary<'_> {
+    fn in_words(&self) -> String {
+        let Shape { feedback, error } = self.shape;
+        let axis = |name: &str, axis: &crate::plan::tube::error::AxisError| {
+            format!(
+                "{name:12}{:.3} m/s^2 at rest, {:.3} 1/s of the speed, over {:.2} s\n",
+                axis.at_rest_m_s2, axis.per_speed_s, axis.correlation_s
+            )
+        };
+        let mut text = format!(
+            "model's errors on {} flights that it was not fitted on (standard deviation)\n{}{}\
+             feedback    stiffness {:.2} and {:.2} 1/s^2, damping {:.2} and {:.2} 1/s\n\
+             calibrated  on {} flights, {} of which ended early, by {}\n",
+            self.shape_flights,
+            axis("across", &error.horizontal),
+            axis("down", &error.vertical),
+            feedback.stiffness_s2[0],
+            feedback.stiffness_s2[1],
+            feedback.damping_s[0],
+            feedback.damping_s[1],
+            self.flights,
+            self.ended_early,
+            self.position.in_words()
+        );
+        for Width { confidence, multiplier, flights_needed } in &self.widths {
+            let width = match multiplier {
+                Some(multiplier) => format!("{multiplier:.2} standard deviations"),
+                None => format!("not from these; it takes {flights_needed} flights or more"),
+            };
+            text += &format!("{:<12}{width}\n", format!("{:.0} %", 100.0 * confidence));
+        }
+        text + &format!("tube        {}\n", self.tube.display())
+    }
+}
