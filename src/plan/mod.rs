@@ -39,4 +39,4 @@ pub use file::{TrajectoryError, TrajectoryFile};
 pub use model_free::ModelFreeReference;
 pub use shipped::{SHIPPED_TRAJECTORIES, ShippedTrajectory};
 pub use time_limit::TimeLimit;
-pub use trajectory::{DesiredPoint, Trajectory};
+pub use trajectory::{DesiredPoint, NotClosed, Trajectory};
