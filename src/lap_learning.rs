@@ -228,12 +228,16 @@ impl LapLearner {
     }
 
     fn learn(&mut self, now: HostTime) {
-        let Some(prepared) = self.prepared.take() else { return };
         let spent = |pace: &Pace| match pace {
             Pace::Stated(_) => Spent::default(),
             Pace::Measured(stopwatch) => stopwatch(),
         };
         let before = spent(&self.pace);
+        if self.prepared.is_none() {
+            // There was too little in the middle of the lap. Now this takes its time.
+            self.prepare(now);
+        }
+        let Some(prepared) = self.prepared.take() else { return };
         let flight = self.collected.flight("this flight");
         let learned = self.learner.learn(flight, &self.cuts, &prepared, self.present.as_ref());
         let after = spent(&self.pace);

@@ -116,8 +116,6 @@ pub struct Learned {
     pub held_out: HeldOutErrors,
     /// Those of the vehicle file's physics.
     pub nominal: HeldOutErrors,
-    /// The physics, from which the next one may start.
-    pub prepared: Prepared,
 }
 
 /// Learns models of one vehicle in flight.
@@ -205,8 +203,7 @@ impl InFlight {
                 });
             }
         }
-        let (actuation, prepared) = (set.actuation, set.prepared());
-        Ok(Learned { model, actuation, flown_s, held_out, nominal, prepared })
+        Ok(Learned { model, actuation: set.actuation, flown_s, held_out, nominal })
     }
 
     fn observed(&self, flight: Flight, cuts: &[Cut]) -> Result<ObservedFlight, Discarded> {
