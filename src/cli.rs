@@ -27,7 +27,9 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 pub use self::campaign::CampaignArgs;
 pub use self::compare::{AlignChoice, CompareArgs, PairChoice};
 pub use self::demo::{Contestant, DemoArgs};
-pub use self::flight::{CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, ListenArgs, SimulationArgs};
+pub use self::flight::{
+    CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, LearnArgs, ListenArgs, SimulationArgs,
+};
 pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
 pub use self::mocap::{MocapArgs, UpChoice};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};

@@ -30,6 +30,7 @@ pub mod daemon;
 pub mod forward;
 pub mod health;
 mod http;
+pub mod lap_learning;
 pub mod lockstep;
 pub mod service;
 pub mod view;

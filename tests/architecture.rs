@@ -20,6 +20,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
         ("offboard", &["guard", "link", "telemetry", "control", "plan", "supervisor"]),
         ("onset", &[]),
         ("health", &["onset"]),
+        ("lap_learning", &["audit", "learn", "model", "plan"]),
         ("model", &[]),
         ("learn", &["model"]),
         ("audit", &["learn"]),

@@ -33,6 +33,7 @@ mod effects_everywhere;
 mod exam;
 mod examples;
 mod fuzz_targets;
+mod lap_learning;
 mod learn_arguments;
 mod learn_bad_logs;
 mod learn_dataset;

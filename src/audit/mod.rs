@@ -23,6 +23,7 @@ mod weak;
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use crate::learn::segments::Cut;
 use crate::log::import::{Flight, RotorFact};
 pub use agreement::{Agreement, Estimate};
 pub use finding::{Finding, Severity};
@@ -118,6 +119,22 @@ impl Audit {
     /// Whether the data are at fault: the log supports no conclusion until they are repaired.
     pub fn is_faulty(&self) -> bool {
         self.findings.iter().any(|finding| finding.severity == Severity::Fault)
+    }
+
+    /// The times that must not be used. Gaps are left to what reads the streams.
+    pub fn cuts(&self) -> Vec<Cut> {
+        let spans = self.unusable.iter().filter(|span| span.reason != NO_SAMPLES);
+        let cut = |span: &UnusableSpan| Cut {
+            stream: span.stream,
+            reason: span.reason,
+            times: span.from_s..span.to_s,
+        };
+        spans.map(cut).collect()
+    }
+
+    /// The first fault of the data that were kept. What the importer left out is gone, and counted.
+    pub fn fault_of_data(&self) -> Option<&Finding> {
+        self.faults().find(|fault| fault.check != LEFT_OUT)
     }
 
     /// Faults that exclude the whole log, rather than some times of it.

@@ -1,5 +1,6 @@
 //! Flags of what flies: one flight, a programme of flights, the daemon.
 
+use std::num::NonZeroU32;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -29,6 +30,9 @@ pub struct FlyArgs {
     /// Which of its models [default: the one that predicted best].
     #[arg(long, value_enum, requires = "model")]
     pub kind: Option<ModelKind>,
+    /// Learning on the way.
+    #[command(flatten)]
+    pub learning: LearnArgs,
     /// Control law [default: control.law of the configuration].
     #[arg(long, value_parser = super::law())]
     pub law: Option<Law>,
@@ -45,7 +49,7 @@ pub struct FlyArgs {
     #[arg(long, value_name = "ID")]
     pub system: Option<u8>,
     /// Runs the preflight checks and flies nothing; exit code 4 if one fails.
-    #[arg(long, conflicts_with_all = ["replan", "tlog", "view", "forward", "metrics", "tui"])]
+    #[arg(long, conflicts_with_all = ["replan", "learn", "tlog", "view", "forward", "metrics", "tui"])]
     pub check: bool,
     /// The live view.
     #[command(flatten)]
@@ -65,6 +69,19 @@ pub struct FlyArgs {
     /// Prints the flight's summary as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Flags of a flight in laps that learns on the way.
+#[derive(Clone, Debug, Default, Args)]
+pub struct LearnArgs {
+    /// Flies the closed course lap after lap, planned in flight. At the end of each lap learns the
+    /// dynamics from the newest SECONDS of this flight [60 where left away], and plans the next
+    /// laps through what was learned.
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "60")]
+    pub learn: Option<f64>,
+    /// Laps to fly [default: 4].
+    #[arg(long, value_name = "COUNT", requires = "learn")]
+    pub laps: Option<NonZeroU32>,
 }
 
 /// Flags of `collect`.

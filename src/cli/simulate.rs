@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{SimulationArgs, ViewArgs};
+use super::{LearnArgs, SimulationArgs, ViewArgs};
 
 /// Flags of `simulate`.
 #[derive(Debug, Args)]
@@ -17,6 +17,9 @@ pub struct SimulateArgs {
     /// The simulated vehicle.
     #[command(flatten)]
     pub simulation: SimulationArgs,
+    /// Learning on the way; it takes `learn.simulated_latency_s` of simulated time.
+    #[command(flatten)]
+    pub learning: LearnArgs,
     /// Overrides a setting of the configuration, such as control.thrust=0.5; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,

@@ -7,6 +7,7 @@ use vehicle::VehicleParams;
 use vehicle::frame::Ned;
 
 use super::course::Course;
+use super::lap_course::{self, Lines};
 use super::screen::Screen;
 use super::status_line::StatusLine;
 use super::stop::Stop;
@@ -18,6 +19,7 @@ use crate::clock::HostTime;
 use crate::config::Config;
 use crate::forward::{AllowList, Forward, Guests};
 use crate::health::{HealthView, Monitor};
+use crate::lap_learning::LapLearner;
 use crate::log::RunInfo;
 use crate::log::sink::Listeners;
 use crate::onset::detector::Settings;
@@ -42,6 +44,8 @@ pub(super) struct Audience {
     health: Option<HealthView>,
     /// Changes of the vehicle that were said.
     said: u64,
+    /// What a learner says.
+    lines: Option<Lines>,
 }
 
 impl Audience {
@@ -103,6 +107,16 @@ impl Audience {
         Ok(self)
     }
 
+    /// The same, learning from lap to lap, where there is a learner.
+    pub fn learning(mut self, learner: Option<LapLearner>) -> anyhow::Result<Self> {
+        if let Some(learner) = learner {
+            let (ear, lines) = lap_course::start(learner)?;
+            self.listeners.push(Box::new(ear));
+            self.lines = Some(lines);
+        }
+        Ok(self)
+    }
+
     /// The same, with what monitors ask.
     pub fn served(mut self, args: &ServiceArgs) -> anyhow::Result<Self> {
         if let Some(asked) = &args.metrics {
@@ -159,6 +173,9 @@ impl Audience {
             if self.screen.is_none() {
                 say(format_args!("{}", health.latest.unwrap_or_default()));
             }
+        }
+        if let Some(lines) = self.lines.as_ref().filter(|_| self.screen.is_none()) {
+            lines.try_iter().for_each(|line| say(format_args!("{line}")));
         }
         if let Some(service) = &self.service {
             service.show(now, status, self.health.as_ref());

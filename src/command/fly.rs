@@ -14,6 +14,7 @@ use wire::Endpoint;
 use super::audience::Audience;
 use super::course::Course;
 use super::goal_file::GoalFile;
+use super::lap_course::{Clock, lap_course};
 use super::setup::{endpoint, law_flag, path_flag, required, run_info, station_settings};
 use super::signing_state::SigningState;
 use super::stop::StopSignals;
@@ -22,6 +23,7 @@ use super::{Exit, ExitContext, Interruption, config, plan, print_json, print_tex
 use crate::cli::FlyArgs;
 use crate::config::Config;
 use crate::daemon::{self, Finished, HostClock, Outlets, Running};
+use crate::lap_learning::LapLearner;
 use crate::link::connection::Connection;
 use crate::link::tee::TeeThread;
 use crate::log::partial::is_special;
@@ -64,11 +66,17 @@ pub(super) fn run(args: &FlyArgs, preparation: Interruption) -> anyhow::Result<E
     let settings = &config.settings;
     let vehicle = VehicleFile::load(&required(&settings.vehicle, "--vehicle", "vehicle")?)?;
     let endpoint = endpoint(&required(&settings.connect, "--connect", "connect")?)?;
-    let (course, _goal_file) = if args.replan {
+    let (mut learner, mut _goal_file) = (None, None);
+    let course = if args.learning.learn.is_some() {
+        let (course, own) = learned(args, &vehicle, &config)?;
+        learner = Some(own);
+        course
+    } else if args.replan {
         let (course, file) = replanned(args, &vehicle, &config)?;
-        (course, Some(file))
+        _goal_file = Some(file);
+        course
     } else {
-        (Course::load(&args.trajectory, &vehicle, &config)?, None)
+        Course::load(&args.trajectory, &vehicle, &config)?
     };
     let name = course.name().to_owned();
     let policy = EngagePolicy::Command;
@@ -87,7 +95,7 @@ pub(super) fn run(args: &FlyArgs, preparation: Interruption) -> anyhow::Result<E
     let mut signals = StopSignals::after(Some(preparation))?;
     let audience = Audience::start_for_flight(&args.view, &config, &info, &course)?
         .forwarding(&args.forward, &config)?;
-    let audience = audience.monitored(&vehicle.params, &config)?;
+    let audience = audience.monitored(&vehicle.params, &config)?.learning(learner)?;
     let audience = audience.served(&args.service)?.on_screen(args.tui, &info)?;
     let run = Run { settings: station_settings, endpoint, tee, audience };
     let Flown { end, exit, log } = run.fly(&log_dir, &info, &mut signals)?;
@@ -151,6 +159,17 @@ fn check(
         print_text(&format!("{end}\n"))?;
     }
     Ok(exit)
+}
+
+/// The trajectory in laps, planned in flight, and who learns from lap to lap.
+fn learned(
+    args: &FlyArgs,
+    vehicle: &VehicleFile,
+    config: &Config,
+) -> anyhow::Result<(Course, LapLearner)> {
+    let lap = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
+    let through = plan::model_for(&vehicle.params, args.model.as_deref(), args.kind)?;
+    lap_course(&args.learning, lap, &through, vehicle, config, Clock::Wall)
 }
 
 /// The trajectory as a goal that is planned to in flight, and that its file moves.

@@ -9,10 +9,9 @@ use rayon::prelude::*;
 use vehicle::VehicleParams;
 
 use super::{in_words, say};
-use crate::audit::{Audit, LEFT_OUT, NO_SAMPLES, UnusableSpan};
+use crate::audit::Audit;
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
-use crate::learn::segments::Cut;
 use crate::learn::summary::RefusedLog;
 use crate::log::import::{self, Flight, RotorFact};
 
@@ -132,17 +131,6 @@ fn check_rotor_order(flight: &Flight, vehicle: &VehicleParams) -> anyhow::Result
     )
 }
 
-/// The times that the audit calls unusable. Gaps are cut by what is learned from.
-fn cuts(audit: &Audit) -> Vec<Cut> {
-    let spans = audit.unusable.iter().filter(|span| span.reason != NO_SAMPLES);
-    let cut = |span: &UnusableSpan| Cut {
-        stream: span.stream,
-        reason: span.reason,
-        times: span.from_s..span.to_s,
-    };
-    spans.map(cut).collect()
-}
-
 /// Reads and observes a flight. One whose data are at fault is refused; times of it that the audit
 /// calls unusable are cut out.
 fn observe(
@@ -155,9 +143,8 @@ fn observe(
     let flight = open_for(path, mapping, vehicle)?;
     let audit = Audit::of(&flight);
     // Too little to learn from is said before what may be wrong with it.
-    let observed = ObservedFlight::new(flight, vehicle, onboard, windows, &cuts(&audit))?;
-    // What the importer left out is gone, and counted.
-    if let Some(fault) = audit.faults().find(|fault| fault.check != LEFT_OUT) {
+    let observed = ObservedFlight::new(flight, vehicle, onboard, windows, &audit.cuts())?;
+    if let Some(fault) = audit.fault_of_data() {
         return Err(anyhow!("{fault}"));
     }
     observed.check_vehicle(vehicle, onboard)?;

@@ -21,6 +21,7 @@ mod import;
 mod improved;
 mod inspect;
 mod interruption;
+mod lap_course;
 mod link_parameters;
 mod listen;
 mod log;

@@ -27,6 +27,7 @@ use super::{Exit, ExitContext, Interruption, config, print_json, print_text, say
 use crate::cli::PlanArgs;
 use crate::config::Config;
 use crate::model::Model;
+use crate::model::actuation::Actuation;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 use crate::offboard::EffectiveVehicle;
@@ -37,6 +38,9 @@ use crate::plan::scp::{Record, Status};
 use crate::plan::time_optimal::{Stop, Task};
 use crate::plan::{Feasibility, TimeLimit, Trajectory, TrajectoryFile};
 use crate::report::plan as page;
+
+/// What plans through the vehicle file's own physics say that they go through.
+const NOMINAL: &str = "nominal";
 
 /// A model to plan through, with what a plan says about it.
 pub struct PlanModel {
@@ -59,7 +63,7 @@ impl PlanModel {
             PhysicsModel::new(vehicle, &PhysicsParameters::default()).or_exit(Exit::Usage)?;
         Ok(Self {
             model: behind_the_map(Arc::new(model), vehicle, &effective).or_exit(Exit::Usage)?,
-            note: PlannedThrough { kind: "nominal".to_owned(), sha256: None },
+            note: PlannedThrough { kind: NOMINAL.to_owned(), sha256: None },
             delay_s: effective.actuation.command_delay_s,
             lag_s: effective.actuation.motor_time_constant_s,
             voltage_exponent: vehicle
@@ -74,14 +78,33 @@ impl PlanModel {
     /// # Errors
     /// A model that the file does not hold whole.
     pub fn learned(file: &ModelFile, kind: ModelKind, sha256: &str) -> anyhow::Result<Self> {
-        let effective = EffectiveVehicle::new(&file.vehicle).or_exit(Exit::Usage)?;
         let model = file.model(kind).or_exit(Exit::Usage)?.into();
+        let note = PlannedThrough { kind: kind.name().to_owned(), sha256: Some(sha256.to_owned()) };
+        Self::of(model, &file.actuation, &file.vehicle, note)
+    }
+
+    /// Whether this is the vehicle file's own physics.
+    pub(super) fn is_nominal(&self) -> bool {
+        self.note.kind == NOMINAL
+    }
+
+    /// Accelerations and the rotors' response, as learned for a vehicle.
+    ///
+    /// # Errors
+    /// A vehicle whose effects make no vehicle.
+    pub fn of(
+        model: Arc<dyn Model>,
+        actuation: &Actuation,
+        vehicle: &VehicleParams,
+        note: PlannedThrough,
+    ) -> anyhow::Result<Self> {
+        let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
         Ok(Self {
-            model: behind_the_map(model, &file.vehicle, &effective).or_exit(Exit::Usage)?,
-            note: PlannedThrough { kind: kind.name().to_owned(), sha256: Some(sha256.to_owned()) },
-            delay_s: file.actuation.delay_s,
-            lag_s: file.actuation.lag_s,
-            voltage_exponent: file.actuation.voltage_exponent,
+            model: behind_the_map(model, vehicle, &effective).or_exit(Exit::Usage)?,
+            note,
+            delay_s: actuation.delay_s,
+            lag_s: actuation.lag_s,
+            voltage_exponent: actuation.voltage_exponent,
         })
     }
 }

@@ -15,6 +15,7 @@ use vehicle::effects::{EffectSet, Onset, Schedule};
 
 use super::audience::Audience;
 use super::course::Course;
+use super::lap_course::simulated;
 use super::progress::flight_bar;
 use super::setup::{built_in_trajectory, run_info};
 use super::simulation::{Simulated, SimulatedFlight, Truth};
@@ -22,6 +23,7 @@ use super::vehicle_file::VehicleFile;
 use super::{Exit, ExitContext, config, print_json, print_text, say, summary, write_file};
 use crate::cli::{SimulateArgs, ViewArgs};
 use crate::config::Config;
+use crate::lap_learning::Lap;
 use crate::lockstep;
 use crate::log::record::Record;
 use crate::report::metrics::{Metrics, MetricsGatherer};
@@ -101,6 +103,9 @@ pub struct Row {
     /// The numbers.
     #[serde(flatten)]
     pub metrics: Metrics,
+    /// The laps of a flight that learned on the way.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub laps: Vec<Lap>,
     /// The log, if one was kept.
     pub log: Option<PathBuf>,
     /// The report, if one was made.
@@ -112,7 +117,7 @@ pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
     let Schedule { effects, onsets } =
         Schedule::requested(args.simulation.effects.as_deref(), &args.simulation.effect)
             .or_exit(Exit::Usage)?;
-    let simulation = Simulation::load(&Inputs {
+    let mut simulation = Simulation::load(&Inputs {
         vehicle: args.vehicle.clone(),
         trajectory: args.trajectory.clone(),
         effects,
@@ -128,11 +133,27 @@ pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
         bar.set_position((status.progress.map_or(0.0, |(t, _)| t) * 10.0) as u64);
     };
     let folder = (!args.no_log).then_some(args.out.as_path());
-    let (mut row, exit) = if args.view.view.is_some() {
-        simulation.fly_seen(folder, &args.view, watch)?
-    } else {
-        simulation.fly_heard(folder, |_| {}, watch)?
+    let mut learner = None;
+    if args.learning.learn.is_some() {
+        let Simulation { course, vehicle, config, .. } = &simulation;
+        let (laps, own) = simulated(&args.learning, course, vehicle, config)?;
+        (simulation.course, learner) = (laps, Some(own));
+    }
+    let learn = |record: &Record| {
+        let learner = learner.as_mut()?;
+        learner.hear(record);
+        let event = learner.take_event()?;
+        if let Record::Event { text, .. } = &event {
+            say(format_args!("{text}"));
+        }
+        Some(event)
     };
+    let (mut row, exit) = if args.view.view.is_some() {
+        simulation.fly_seen(folder, &args.view, learn, watch)?
+    } else {
+        simulation.fly_heard(folder, learn, watch)?
+    };
+    row.laps = learner.map(|learner| learner.laps().to_vec()).unwrap_or_default();
     bar.finish_and_clear();
     if let Some(log) = row.log.as_ref().filter(|_| !args.no_report) {
         let path = log.with_extension("html");
@@ -186,7 +207,7 @@ impl Simulation {
     /// # Errors
     /// A vehicle that cannot be simulated, or a flight without an end.
     pub fn fly(&self, watch: impl FnMut(&Status)) -> anyhow::Result<(Row, Exit)> {
-        self.fly_heard(None, |_| {}, watch)
+        self.fly_heard(None, |_| None, watch)
     }
 
     /// Flies, and writes a log into `folder`.
@@ -198,7 +219,7 @@ impl Simulation {
         folder: &Path,
         watch: impl FnMut(&Status),
     ) -> anyhow::Result<(Row, Exit)> {
-        self.fly_heard(Some(folder), |_| {}, watch)
+        self.fly_heard(Some(folder), |_| None, watch)
     }
 
     /// Flies, and writes a log into `folder`; `hear` hears each record.
@@ -208,22 +229,26 @@ impl Simulation {
     pub fn fly_recorded(
         &self,
         folder: &Path,
-        hear: impl FnMut(&Record),
+        mut hear: impl FnMut(&Record),
     ) -> anyhow::Result<(Row, Exit)> {
+        let hear = |record: &Record| {
+            hear(record);
+            None
+        };
         self.fly_heard(Some(folder), hear, |_| {})
     }
 
-    /// Flies, with a log where there is a folder for it. `hear` hears each record.
+    /// Flies, with a log where there is a folder for it. `hear` hears each record, and may add one.
     fn fly_heard(
         &self,
         folder: Option<&Path>,
-        mut hear: impl FnMut(&Record),
+        mut hear: impl FnMut(&Record) -> Option<Record>,
         watch: impl FnMut(&Status),
     ) -> anyhow::Result<(Row, Exit)> {
         let mut gatherer = MetricsGatherer::default();
         let mut take = |record: &Record| {
             gatherer.add(record);
-            hear(record);
+            hear(record)
         };
         let (end, simulated_s, log) = match folder {
             Some(folder) => {
@@ -233,7 +258,7 @@ impl Simulation {
             }
             None => {
                 let (end, simulated_s) =
-                    self.flight().fly_unlogged(|record| take(&record), watch)?;
+                    self.flight().fly_unlogged(|record| drop(take(&record)), watch)?;
                 (end, simulated_s, None)
             }
         };
@@ -246,6 +271,7 @@ impl Simulation {
         &self,
         folder: Option<&Path>,
         view: &ViewArgs,
+        mut hear: impl FnMut(&Record) -> Option<Record>,
         mut watch: impl FnMut(&Status),
     ) -> anyhow::Result<(Row, Exit)> {
         let info = run_info(&self.config, &self.vehicle, self.course.name(), true, Some(self.seed));
@@ -254,6 +280,7 @@ impl Simulation {
         let (began, start) = (Instant::now(), lockstep::host_time(0));
         let now = Cell::new(start);
         let hear = |record: &Record| {
+            let more = hear(record);
             listeners.iter_mut().for_each(|listener| listener.hear(record));
             // Of the simulated vehicle there is one every 10 ms.
             if let Record::Truth { stamp, .. } = record {
@@ -261,6 +288,7 @@ impl Simulation {
                 let due = began + stamp.host.since(start);
                 std::thread::sleep(due.saturating_duration_since(Instant::now()));
             }
+            more
         };
         self.fly_heard(folder, hear, |status| {
             let _ = audience.show(now.get(), status);
@@ -302,6 +330,7 @@ impl Simulation {
             exit: exit.code(),
             simulated_s,
             metrics: gatherer.metrics(self.config.settings.control.rate_hz),
+            laps: Vec::new(),
             log: None,
             report: None,
         };

@@ -102,14 +102,14 @@ impl SimulatedFlight<'_> {
     /// Flies from connecting to disarming, and writes a log into `folder`. `watch` sees the status
     /// about every 10 ms of simulated time.
     pub fn fly(self, folder: &Path, watch: impl FnMut(&Status)) -> anyhow::Result<Simulated> {
-        self.fly_logged(folder, |_| {}, watch)
+        self.fly_logged(folder, |_| None, watch)
     }
 
-    /// As [`fly`](Self::fly); `record` sees what is logged.
+    /// As [`fly`](Self::fly); `record` sees what is logged, and may add a record after it.
     pub fn fly_logged(
         self,
         folder: &Path,
-        mut record: impl FnMut(&Record),
+        mut record: impl FnMut(&Record) -> Option<Record>,
         watch: impl FnMut(&Status),
     ) -> anyhow::Result<Simulated> {
         let mut info = run_info(self.config, self.vehicle, self.run, true, Some(self.seed));
@@ -127,9 +127,12 @@ impl SimulatedFlight<'_> {
         let log = writer.path().to_owned();
         let flown = self.fly_unlogged(
             |next| {
-                record(&next);
-                if failure.is_none() {
-                    failure = writer.write(&next).err();
+                let mut next = Some(next);
+                while let Some(written) = next {
+                    next = record(&written);
+                    if failure.is_none() {
+                        failure = writer.write(&written).err();
+                    }
                 }
             },
             watch,

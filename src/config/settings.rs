@@ -35,6 +35,8 @@ pub struct Settings {
     pub mocap: MocapSettings,
     /// The monitor of the vehicle's health.
     pub health: HealthSettings,
+    /// Learning in flight.
+    pub learn: LearnSettings,
     /// The limits that a trajectory must keep.
     pub envelope: FlightEnvelope,
     /// Flights for learning a model.
@@ -69,6 +71,20 @@ pub struct HealthSettings {
 impl Default for HealthSettings {
     fn default() -> Self {
         Self { monitor: true, false_alarm_h: 1000.0 }
+    }
+}
+
+/// Settings of `--learn`.
+#[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearnSettings {
+    /// Time that learning takes in simulated flights, s. Real flights take what it takes.
+    pub simulated_latency_s: f64,
+}
+
+impl Default for LearnSettings {
+    fn default() -> Self {
+        Self { simulated_latency_s: 1.0 }
     }
 }
 
@@ -172,6 +188,7 @@ impl Default for Settings {
             forward: ForwardSettings::default(),
             mocap: MocapSettings::default(),
             health: HealthSettings::default(),
+            learn: LearnSettings::default(),
             envelope: FlightEnvelope::default(),
             collect: ProgrammeSettings::default(),
             plan: PlanSettings::default(),

@@ -7,6 +7,7 @@ pub mod error;
 pub mod evaluation;
 pub mod gaps;
 pub mod identify;
+pub mod in_flight;
 pub mod judgement;
 pub mod networks;
 pub mod physics_fit;

@@ -15,6 +15,8 @@ use crate::model::{ACCELERATIONS, Model};
 
 /// Most rows in the fit of the physics.
 const FIT_ROWS: usize = 8_000;
+/// Most rows in a fit that continues another.
+const CONTINUED_ROWS: usize = 2_000;
 /// Number of fitted parameters.
 pub(super) const PARAMETERS: usize = 14;
 
@@ -24,7 +26,27 @@ pub(super) const PARAMETERS: usize = 14;
 ///
 /// The vehicle does not allow the physics.
 pub fn fit(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, VehicleError> {
-    let stride = rows.len().div_ceil(FIT_ROWS).max(1);
+    search(rows, vehicle, Parameters::shipped(vehicle), FIT_ROWS)
+}
+
+/// As [`fit`], searched for from physics that was fitted to some of these rows.
+///
+/// The vehicle does not allow the physics.
+pub(super) fn fit_from(
+    rows: &[&Row],
+    vehicle: &VehicleParams,
+    from: &PhysicsParameters,
+) -> Result<PhysicsParameters, VehicleError> {
+    search(rows, vehicle, Parameters::fitted(from, vehicle), CONTINUED_ROWS)
+}
+
+fn search(
+    rows: &[&Row],
+    vehicle: &VehicleParams,
+    from: Parameters,
+    most: usize,
+) -> Result<PhysicsParameters, VehicleError> {
+    let stride = rows.len().div_ceil(most).max(1);
     let rows: Vec<&Row> = rows.iter().step_by(stride).copied().collect();
     let start = Parameters::shipped(vehicle);
     if rows.is_empty() {
@@ -50,7 +72,7 @@ pub fn fit(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, 
         Ok(DVector::from_vec(out))
     };
 
-    let fitted = least_squares(start.0, &prior, |numbers| {
+    let fitted = least_squares(from.0, &prior, |numbers| {
         let mut bounded = Parameters(*numbers);
         bounded.bound(vehicle);
         (bounded.0, residuals(&bounded).ok())

@@ -6,7 +6,7 @@ use super::judgement::{deviation, judge, label_error};
 use super::networks::{Lesson, NETWORKS, Progress, Target, Watch, models};
 use super::split::Part;
 use super::summary::{DataSummary, RefusedLog, TrainSettings, TrainingSummary};
-use super::training_set::TrainingSet;
+use super::training_set::{CHOICE_WINDOWS_MAX, TrainingSet};
 use crate::model::Model;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::physics::PhysicsModel;
@@ -77,7 +77,8 @@ pub fn train(
     if watch.interrupted() {
         return Ok(Outcome::Interrupted(reached));
     }
-    let residual = dataset.shrink(residual, &physics_model, watch);
+    let residual =
+        dataset.shrink(residual, &physics_model, CHOICE_WINDOWS_MAX, &mut |note| watch.step(note));
     if watch.interrupted() {
         return Ok(Outcome::Interrupted(reached));
     }

@@ -11,7 +11,6 @@ use super::error_ratio::score;
 use super::evaluation::{OneStep, Predictor, window_starts};
 use super::gaps::intersection;
 use super::identify;
-use super::networks::Watch;
 use super::physics_fit;
 use super::prediction::RecordedInputs;
 use super::refine;
@@ -30,9 +29,22 @@ const REFINED_MIN: f64 = 0.97;
 /// Fractions of the learned correction that a hybrid may use.
 const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 /// Approximate largest number of windows for selections.
-const CHOICE_WINDOWS_MAX: usize = 500;
+pub(super) const CHOICE_WINDOWS_MAX: usize = 500;
 /// Least number of training rows.
 pub const ROWS_MIN: usize = 500;
+
+/// Most windows in the choice between a physics and its predecessor.
+const CONTINUED_WINDOWS: usize = 32;
+
+/// What the long searches of a training found: a start for one on more of the same flights.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prepared {
+    actuation: Actuation,
+    acceleration: AccelerationSource,
+    physics: PhysicsParameters,
+    /// Of the first flight, s.
+    command_shift_s: f64,
+}
 
 /// Flights prepared for training.
 pub struct TrainingSet<'a> {
@@ -105,14 +117,67 @@ impl<'a> TrainingSet<'a> {
             }
         }
         dataset.refine()?;
-        let rows = Part::ALL.map(|part| dataset.part(part).len());
+        dataset.check_parts()?;
+        Ok(dataset)
+    }
+
+    /// As [`new`](Self::new), with the rotors' response from an earlier part of the same flights.
+    /// The physics is fitted from that of the earlier part, which remains if it predicts the
+    /// validation part better in open loop.
+    ///
+    /// # Errors
+    /// [`TrainError::TooFewRows`], [`TrainError::EmptyPart`], [`TrainError::Vehicle`].
+    pub fn continued(
+        vehicle: &'a VehicleParams,
+        onboard: &'a Onboard,
+        flights: &'a mut [ObservedFlight],
+        prepared: &Prepared,
+    ) -> Result<Self, TrainError> {
+        let Prepared { actuation, acceleration, command_shift_s, .. } = *prepared;
+        for flight in flights.iter_mut() {
+            flight.command_shift_s = command_shift_s;
+        }
+        let flights: &'a [ObservedFlight] = flights;
+        let split = Split::of(&flights.iter().map(ObservedFlight::traits).collect::<Vec<_>>());
+        let rows = flights.iter().map(|f| f.rows(onboard, &actuation, acceleration)).collect();
+        let physics = prepared.physics.clone();
+        let mut dataset =
+            Self { vehicle, onboard, flights, split, actuation, acceleration, physics, rows };
+        dataset.check_parts()?;
+        let fitted =
+            physics_fit::fit_from(&dataset.part(Part::Training), vehicle, &dataset.physics)?;
+        let windows = dataset.some_windows(Part::Validation, &actuation, CONTINUED_WINDOWS);
+        let score = |physics: &PhysicsParameters| {
+            let model = PhysicsModel::new(vehicle, physics)?;
+            Ok::<_, VehicleError>(score(&windows, &Predictor::Model(&model)))
+        };
+        let is_better = score(&fitted)? < score(&dataset.physics)?;
+        drop(windows);
+        if is_better {
+            dataset.physics = fitted;
+        }
+        Ok(dataset)
+    }
+
+    /// What a training on a later part of the same flights may start from.
+    pub fn prepared(&self) -> Prepared {
+        Prepared {
+            actuation: self.actuation,
+            acceleration: self.acceleration,
+            physics: self.physics.clone(),
+            command_shift_s: self.flights.first().map_or(0.0, |flight| flight.command_shift_s),
+        }
+    }
+
+    fn check_parts(&self) -> Result<(), TrainError> {
+        let rows = Part::ALL.map(|part| self.part(part).len());
         if rows[0] < ROWS_MIN {
             return Err(TrainError::TooFewRows { found: rows[0], least: ROWS_MIN });
         }
         if let Some((part, _)) = Part::ALL.into_iter().zip(rows).find(|(_, rows)| *rows == 0) {
             return Err(TrainError::EmptyPart { part: part.name(), border_s: BORDER_S });
         }
-        Ok(dataset)
+        Ok(())
     }
 
     /// Accepts the actuation and physics with the best open-loop predictions on the training part,
@@ -198,15 +263,24 @@ impl<'a> TrainingSet<'a> {
         part: Part,
         actuation: &'b Actuation,
     ) -> Vec<(RecordedInputs<'b>, Vec<f64>)> {
+        // Selections need fewer windows than evaluations.
+        let most = if part == Part::Test { usize::MAX } else { CHOICE_WINDOWS_MAX };
+        self.some_windows(part, actuation, most)
+    }
+
+    /// At most about `most` of them.
+    fn some_windows<'b>(
+        &'b self,
+        part: Part,
+        actuation: &'b Actuation,
+        most: usize,
+    ) -> Vec<(RecordedInputs<'b>, Vec<f64>)> {
         let mut starts: Vec<Vec<f64>> =
             (0..self.flights.len()).map(|index| window_starts(&self.blocks(index, part))).collect();
-        if part != Part::Test {
-            // Selections need fewer windows than evaluations.
-            let total: usize = starts.iter().map(Vec::len).sum();
-            let stride = total.div_ceil(CHOICE_WINDOWS_MAX).max(1);
-            for starts in &mut starts {
-                *starts = starts.iter().copied().step_by(stride).collect();
-            }
+        let total: usize = starts.iter().map(Vec::len).sum();
+        let stride = total.div_ceil(most).max(1);
+        for starts in &mut starts {
+            *starts = starts.iter().copied().step_by(stride).collect();
         }
         let mut windows = Vec::new();
         for (flight, starts) in self.flights.iter().zip(starts) {
@@ -220,14 +294,16 @@ impl<'a> TrainingSet<'a> {
 
 impl TrainingSet<'_> {
     /// Scales the learned corrections, linear and angular, by the fractions with which the hybrid
-    /// predicts the validation part best: this removes what a network learned from noise.
+    /// predicts at most `most` windows of the validation part best: this removes what a network
+    /// learned from noise. `step` is called after each fraction tried.
     pub(super) fn shrink(
         &self,
         residual: NetworkModel,
         physics: &PhysicsModel,
-        watch: &mut dyn Watch,
+        most: usize,
+        step: &mut dyn FnMut(&str),
     ) -> NetworkModel {
-        let windows = self.windows(Part::Validation, &self.actuation);
+        let windows = self.some_windows(Part::Validation, &self.actuation, most);
         let mut best = (f64::INFINITY, [1.0, 1.0]);
         for head in Head::BOTH {
             for share in SHARES {
@@ -239,7 +315,7 @@ impl TrainingSet<'_> {
                 if score < best.0 {
                     best = (score, shares);
                 }
-                watch.step("share of the correction");
+                step("share of the correction");
             }
         }
         residual.scaled(best.1)

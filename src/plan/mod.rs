@@ -44,4 +44,4 @@ pub use outline::outline;
 pub use planned_tube::{PlannedTube, PositionSource};
 pub use shipped::{SHIPPED_TRAJECTORIES, ShippedTrajectory};
 pub use time_limit::TimeLimit;
-pub use trajectory::{DesiredPoint, Trajectory};
+pub use trajectory::{DesiredPoint, NotClosed, Trajectory};

@@ -4,7 +4,9 @@
 //! never waits. A late plan is used as far as it still reaches, a failed plan is discarded, and
 //! where no plan reaches, the desired trajectory itself is the reference.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+mod board;
+mod exchange;
+
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread;
@@ -12,6 +14,9 @@ use std::thread;
 use vehicle::frame::Ned;
 use vehicle::rigid_body::State;
 
+pub use self::board::Verdict;
+use self::board::{Board, Candidate, ON_THE_GRID, Stretch};
+pub use self::exchange::Exchange;
 use super::desire::Desire;
 use super::discretisation::{CommandedDynamics, Dynamics};
 use super::flyable::{NotFlyable, check_in_flight};
@@ -26,135 +31,46 @@ use super::scp::Outcome;
 use super::trajectory::Trajectory;
 use crate::setpoint::{Expected, Reference};
 
-/// A plan and the time at which it starts.
-#[derive(Clone, Debug)]
-struct Stretch {
-    /// Seconds into the trajectory at which it starts.
-    from_s: f64,
-    reference: PlannedReference,
-    iterate: Iterate<7>,
-}
-
-impl Stretch {
-    fn reaches(&self, t: f64) -> bool {
-        (self.from_s..self.from_s + self.reference.duration()).contains(&t)
-    }
-
-    /// The planned state at a time, interpolated linearly.
-    fn state(&self, t: f64, period: f64) -> Option<StateVector> {
-        let (first, share) = self.place(t, period);
-        let (before, after) = (self.iterate.states.get(first)?, self.iterate.states.get(first + 1));
-        Some(between(before, after.unwrap_or(before), share))
-    }
-
-    /// `of` from a time on, replaced by this plan as far as it reaches. A plan that is renewed more
-    /// often than it has states starts between two states of its predecessor.
-    fn carried_into(&self, of: &Desire, from_s: f64, period: f64) -> Iterate<7> {
-        let mut guess = Iterate { states: of.states.clone(), inputs: of.inputs.clone() };
-        let at = |n: usize| from_s + n as f64 * period;
-        for (n, state) in guess.states.iter_mut().enumerate() {
-            *state = self.state(at(n), period).unwrap_or(*state);
-        }
-        for (n, input) in guess.inputs.iter_mut().enumerate() {
-            let (first, share) = self.place(at(n), period);
-            let Some(before) = self.iterate.inputs.get(first) else { break };
-            let after = self.iterate.inputs.get(first + 1).unwrap_or(before);
-            *input = between(before, after, share);
-        }
-        guess
-    }
-
-    /// The index of the last state up to a time, and the fraction of the way to the next.
-    fn place(&self, t: f64, period: f64) -> (usize, f64) {
-        let periods = ((t - self.from_s) / period).max(0.0) + ON_THE_GRID;
-        (periods as usize, (periods.fract() - ON_THE_GRID).max(0.0))
-    }
-}
-
-/// Tolerance for times on a state, in periods: rounding puts them before or after it.
-const ON_THE_GRID: f64 = 1e-6;
-
-/// Linear interpolation from `a` to `b` at `share`.
-fn between<const N: usize>(a: &[f64; N], b: &[f64; N], share: f64) -> [f64; N] {
-    std::array::from_fn(|i| a[i] + share * (b[i] - a[i]))
-}
-
-/// Number of stretches kept.
-const SLOTS: usize = 8;
-
-/// The trajectory to follow, and the planned stretches.
-struct Board {
-    goal: Mutex<Arc<Trajectory>>,
-    /// Ring buffer: the newest stretch is at `newest`, the older ones in the slots before it. While
-    /// the vehicle responds slowly, several are in use. A reader never waits for a writer: while
-    /// one slot is being written, the others can be read.
-    slots: [Mutex<Option<Arc<Stretch>>>; SLOTS],
-    newest: AtomicUsize,
-}
-
-impl Board {
-    /// The newest stretch that reaches `t`.
-    fn at(&self, t: f64) -> Option<Arc<Stretch>> {
-        let newest = self.newest.load(Ordering::Acquire);
-        (0..SLOTS).find_map(|back| {
-            let slot = &self.slots[(newest + SLOTS - back) % SLOTS];
-            let stretch = slot.try_lock().ok()?.clone()?;
-            stretch.reaches(t).then_some(stretch)
-        })
-    }
-
-    /// The newest stretch that reaches `t` and has a state there, or the newest that reaches it:
-    /// plans that are renewed more often than they have states interleave, and each continues a
-    /// plan on its own time grid.
-    fn going_on(&self, t: f64, period: f64) -> Option<Arc<Stretch>> {
-        let newest = self.newest.load(Ordering::Acquire);
-        let reaching = |back: usize| {
-            let slot = &self.slots[(newest + SLOTS - back) % SLOTS];
-            slot.try_lock().ok()?.clone().filter(|stretch| stretch.reaches(t))
-        };
-        let is_on_a_state = |stretch: &Arc<Stretch>| stretch.place(t, period).1 < 2.0 * ON_THE_GRID;
-        (0..SLOTS).filter_map(reaching).find(is_on_a_state).or_else(|| self.at(t))
-    }
-
-    /// The reference at `t`, with the setpoint that acts `delay_s` later.
-    fn reference(&self, t: f64, delay_s: f64) -> Option<Reference> {
-        let state = self.at(t)?;
-        let mut reference = state.reference.sample(t - state.from_s);
-        if let Some(acting) = self.at(t + delay_s) {
-            reference.feedforward = acting.reference.sent(t - acting.from_s);
-        }
-        Some(reference)
-    }
-
-    fn publish(&self, stretch: Stretch) {
-        let oldest = (self.newest.load(Ordering::Acquire) + 1) % SLOTS;
-        if let Ok(mut slot) = self.slots[oldest].lock() {
-            *slot = Some(Arc::new(stretch));
-        }
-        self.newest.store(oldest, Ordering::Release);
-    }
-
-    fn clear(&self) {
-        for slot in &self.slots {
-            if let Ok(mut slot) = slot.lock() {
-                *slot = None;
-            }
-        }
-    }
-
-    fn goal(&self) -> Option<Arc<Trajectory>> {
-        self.goal.lock().ok().map(|goal| Arc::clone(&goal))
-    }
-}
-
 /// Plans from the vehicle's states; the worker behind a [`RecedingReference`].
 struct Replanner {
+    through: Through,
+    /// The model before the present one, in case plans through that fail.
+    before: Option<Through>,
+    /// Plans in a row that could not be flown.
+    failures: u32,
+    /// Number of models taken so far.
+    models: u64,
+    settings: RecedingSettings,
+    board: Arc<Board>,
+}
+
+/// After so many failed plans in a row through a model that was handed over, the one before it is
+/// planned through again.
+const FAILURES_MAX: u32 = 3;
+
+/// A model, as what plans through it.
+struct Through {
     planner: Planner,
     /// For a plan without a predecessor.
     first: Planner,
+    /// Searches to the end.
+    whole: Planner,
     answer: Answer,
-    settings: RecedingSettings,
-    board: Arc<Board>,
+    /// Its number.
+    model: u64,
+}
+
+impl Through {
+    fn new(candidate: Candidate, settings: &RecedingSettings, model: u64) -> Self {
+        let Candidate { planner, answer } = candidate;
+        Self {
+            first: planner.clone().first_of_replanning(settings),
+            planner: planner.clone().replanning(settings),
+            whole: planner.cautious(settings),
+            answer,
+            model,
+        }
+    }
 }
 
 /// A state of the vehicle and its time.
@@ -191,7 +107,7 @@ impl Due {
             self.next_s = t;
         }
         self.last_s = t;
-        let is_due = t >= self.next_s;
+        let is_due = t >= self.next_s || replanner.board.is_offered();
         if is_due {
             self.next_s = t + replanner.settings.period_s;
         }
@@ -212,26 +128,22 @@ enum ReplanError {
 
 impl Replanner {
     fn new(goal: Trajectory, planner: Planner, answer: Answer, settings: RecedingSettings) -> Self {
-        let board = Arc::new(Board {
-            goal: Mutex::new(Arc::new(goal)),
-            slots: std::array::from_fn(|_| Mutex::new(None)),
-            newest: AtomicUsize::new(0),
-        });
-        let first = planner.clone().first_of_replanning(&settings);
-        let planner = planner.replanning(&settings);
-        Self { planner, first, answer, settings, board }
+        let board = Arc::new(Board::new(goal, answer.voltage_exponent));
+        let through = Through::new(Candidate { planner, answer }, &settings, 0);
+        Self { through, before: None, failures: 0, models: 0, settings, board }
     }
 
     /// The planning task from a state.
-    fn task(&self, seen: &Sighting) -> Result<Task, ReplanError> {
+    fn task(&self, through: &Through, seen: &Sighting) -> Result<Task, ReplanError> {
         let goal = self.board.goal().ok_or(ReplanError::NoGoal)?;
-        let period = self.planner.period_s();
-        let from_s = self.beginning(seen.t);
+        let planner = &through.planner;
+        let period = planner.period_s();
+        let from_s = self.beginning(through, seen.t);
         let periods = (self.settings.horizon_s / period).round().max(1.0) as usize;
-        let desire = self.planner.desire_from(&goal, from_s, periods)?;
+        let desire = planner.desire_from(&goal, from_s, periods)?;
 
         let before = self.board.going_on(from_s, period);
-        let mut start = self.foreseen(seen, from_s, &desire.states[0]);
+        let mut start = self.foreseen(through, seen, from_s, &desire.states[0]);
         if let Some((knee, _)) = self.settings.caution() {
             // Without a predecessor, the plan starts near the desired state.
             let planned = match &before {
@@ -239,46 +151,110 @@ impl Replanner {
                 Some(stretch) => stretch.state(from_s, period),
             };
             if let Some(planned) = planned {
-                start = self.planner.beyond(&planned, &start, knee);
+                start = planner.beyond(&planned, &start, knee);
             }
         }
         let guess = before.map(|stretch| stretch.carried_into(&desire, from_s, period));
         Ok(Task { from_s, desire, start, guess })
     }
 
-    /// Plans from a state, and publishes the plan if it passes the checks.
-    fn replan(&self, seen: &Sighting) -> Result<(), ReplanError> {
-        let Task { from_s, desire, start, guess } = self.task(seen)?;
+    /// Plans from a state, and publishes the plan if it passes the checks. A model that was handed
+    /// over is tried first.
+    fn replan(&mut self, seen: &Sighting) -> Result<(), ReplanError> {
+        let offered = self.board.offered.lock().ok().and_then(|mut offered| offered.take());
+        if let Some(candidate) = offered {
+            let candidate = Through::new(*candidate, &self.settings, self.models + 1);
+            match self.tried(&candidate, seen) {
+                Ok(stretch) => {
+                    self.models += 1;
+                    self.failures = 0;
+                    self.say(Verdict::Taken { model: candidate.model });
+                    self.before = Some(std::mem::replace(&mut self.through, candidate));
+                    self.board.publish(stretch);
+                    return Ok(());
+                }
+                Err(error) => self.say(Verdict::Refused { reason: error.to_string() }),
+            }
+        }
+        let task = self.task(&self.through, seen)?;
         // The first plan has no predecessor: it is searched to its end.
-        let planner = if guess.is_some() { &self.planner } else { &self.first };
+        let Through { planner, first, .. } = &self.through;
+        let planner = if task.guess.is_some() { planner } else { first };
+        match self.plan(&self.through, planner, task) {
+            Ok(stretch) => {
+                self.failures = 0;
+                self.board.publish(stretch);
+                Ok(())
+            }
+            Err(error) => {
+                self.failures += 1;
+                if self.failures >= FAILURES_MAX
+                    && let Some(before) = self.before.take()
+                {
+                    self.through = before;
+                    self.failures = 0;
+                    self.say(Verdict::Refused { reason: error.to_string() });
+                }
+                Err(error)
+            }
+        }
+    }
+
+    /// The first plan through a model that was handed over. Where a few subproblems from the plan
+    /// before do not give one that may be flown, the search goes on to its end.
+    fn tried(&self, candidate: &Through, seen: &Sighting) -> Result<Stretch, ReplanError> {
+        let task = self.task(candidate, seen)?;
+        let quick = self.plan(candidate, &candidate.planner, task.clone());
+        quick.or_else(|_| self.plan(candidate, &candidate.whole, task))
+    }
+
+    fn plan(
+        &self,
+        through: &Through,
+        planner: &Planner,
+        task: Task,
+    ) -> Result<Stretch, ReplanError> {
+        let Task { from_s, desire, start, guess } = task;
         let outcome = planner.plan(&desire, start, guess, &|_| false);
-        check_in_flight(&outcome, self.planner.keep_out())?;
+        check_in_flight(&outcome, planner.keep_out())?;
         let Outcome { iterate, .. } = outcome;
-        let (Iterate { states, inputs }, period) = (&iterate, self.planner.period_s());
-        let body = self.planner.body();
-        let reference = PlannedReference::of(states, inputs, period, &self.answer, body);
-        self.board.publish(Stretch { from_s, reference, iterate });
-        Ok(())
+        let (Iterate { states, inputs }, period) = (&iterate, planner.period_s());
+        let answer = &through.answer;
+        let reference = PlannedReference::of(states, inputs, period, answer, planner.body());
+        let (model, delay_s) = (through.model, answer.delay_s);
+        Ok(Stretch { from_s, reference, iterate, model, delay_s })
+    }
+
+    fn say(&self, verdict: Verdict) {
+        if let Ok(mut said) = self.board.verdict.lock() {
+            *said = Some(verdict);
+        }
     }
 
     /// Start of the plan made from a state at `t`; until then, the inputs of the last plan act. All
     /// starts are on one time grid, so that a plan shares its states with the one that it
     /// continues.
-    fn beginning(&self, t: f64) -> f64 {
-        let period = self.planner.period_s();
+    fn beginning(&self, through: &Through, t: f64) -> f64 {
+        let period = through.planner.period_s();
         let grid = period / (period / self.settings.period_s).round().max(1.0);
-        let lead = self.settings.lead_s + self.answer.delay_s;
+        let lead = self.settings.lead_s + through.answer.delay_s;
         let earliest = (t / grid - ON_THE_GRID).ceil();
         ((t + lead) / grid).round().max(earliest) * grid
     }
 
     /// The state at `from_s`, predicted by the model under the inputs that act until then. Yaw is
     /// unwrapped to the turn of the desired yaw.
-    fn foreseen(&self, seen: &Sighting, from_s: f64, desired: &StateVector) -> StateVector {
+    fn foreseen(
+        &self,
+        through: &Through,
+        seen: &Sighting,
+        from_s: f64,
+        desired: &StateVector,
+    ) -> StateVector {
         let mut state = seen.state;
         let turn = std::f64::consts::TAU;
         state[YAW] += ((desired[YAW] - state[YAW]) / turn).round() * turn;
-        let period = self.planner.period_s();
+        let period = through.planner.period_s();
         let periods = ((from_s - seen.t) / period).max(0.0);
         let whole = (periods + ON_THE_GRID).floor();
         let part = (periods - whole) * period;
@@ -287,8 +263,8 @@ impl Replanner {
             let stretch = self.board.at(t + 0.5 * length)?;
             let index = ((t + 0.5 * length - stretch.from_s) / period) as usize;
             let input = stretch.iterate.inputs.get(index)?;
-            let model = self.planner.model();
-            let dynamics = CommandedDynamics::new(model, self.answer.attitude_pd, length);
+            let model = through.planner.model();
+            let dynamics = CommandedDynamics::new(model, through.answer.attitude_pd, length);
             (state, t) = (dynamics.step(&state, input), t + length);
             Some(())
         };
@@ -308,7 +284,7 @@ impl Replanner {
 enum Work {
     /// In the caller, when a plan is due: for flights on a virtual clock, where planning takes no
     /// time.
-    Inline { replanner: Box<Replanner>, due: Mutex<Due> },
+    Inline(Box<Mutex<(Replanner, Due)>>),
     /// On a separate thread, which receives the vehicle's states.
     Thread(SyncSender<Sighting>),
 }
@@ -318,8 +294,6 @@ pub struct RecedingReference {
     board: Arc<Board>,
     work: Work,
     hover_thrust_n: f64,
-    voltage_exponent: f64,
-    delay_s: f64,
 }
 
 /// Moves the goal of a [`RecedingReference`] in flight.
@@ -349,15 +323,14 @@ impl RecedingReference {
         settings: RecedingSettings,
     ) -> std::io::Result<Self> {
         let hover_thrust_n = planner.hover_thrust_n();
-        let replanner = Replanner::new(goal, planner, answer, settings);
+        let mut replanner = Replanner::new(goal, planner, answer, settings);
         let board = Arc::clone(&replanner.board);
         // A queue of one: states that arrive while a plan is being made are dropped.
         let (sender, receiver) = sync_channel(1);
         thread::Builder::new()
             .name("replanning".to_owned())
-            .spawn(move || work(&replanner, &receiver))?;
-        let Answer { voltage_exponent, delay_s, .. } = answer;
-        Ok(Self { board, work: Work::Thread(sender), hover_thrust_n, voltage_exponent, delay_s })
+            .spawn(move || work(&mut replanner, &receiver))?;
+        Ok(Self { board, work: Work::Thread(sender), hover_thrust_n })
     }
 
     /// Plans within [`ReferenceSource::observe`], on the clock of the times that it receives.
@@ -368,14 +341,15 @@ impl RecedingReference {
         settings: RecedingSettings,
     ) -> Self {
         let hover_thrust_n = planner.hover_thrust_n();
-        let replanner = Box::new(Replanner::new(goal, planner, answer, settings));
-        Self {
-            board: Arc::clone(&replanner.board),
-            work: Work::Inline { replanner, due: Mutex::new(Due::default()) },
-            hover_thrust_n,
-            voltage_exponent: answer.voltage_exponent,
-            delay_s: answer.delay_s,
-        }
+        let replanner = Replanner::new(goal, planner, answer, settings);
+        let board = Arc::clone(&replanner.board);
+        let work = Work::Inline(Box::new(Mutex::new((replanner, Due::default()))));
+        Self { board, work, hover_thrust_n }
+    }
+
+    /// A handle that exchanges the model in flight.
+    pub fn exchange(&self) -> Exchange {
+        Exchange::new(Arc::clone(&self.board))
     }
 
     /// A handle that moves the goal in flight.
@@ -386,7 +360,7 @@ impl RecedingReference {
 
 /// Plans from the received states until the sender is gone. At least one period of the vehicle's
 /// time passes between two plans.
-fn work(replanner: &Replanner, seen: &Receiver<Sighting>) {
+fn work(replanner: &mut Replanner, seen: &Receiver<Sighting>) {
     let mut due = Due::default();
     while let Ok(sighting) = seen.recv() {
         if !due.is_due(sighting.t, replanner) {
@@ -404,7 +378,7 @@ impl ReferenceSource for RecedingReference {
     }
 
     fn sample(&self, t: f64) -> Reference {
-        if let Some(reference) = self.board.reference(t, self.delay_s) {
+        if let Some(reference) = self.board.reference(t) {
             return reference;
         }
         match self.board.goal() {
@@ -423,14 +397,16 @@ impl ReferenceSource for RecedingReference {
     }
 
     fn voltage_exponent(&self) -> f64 {
-        self.voltage_exponent
+        self.board.voltage_exponent()
     }
 
     fn observe(&self, t: f64, state: &State) {
         let sighting = Sighting { t, state: state_vector(state) };
         match &self.work {
-            Work::Inline { replanner, due } => {
-                if !due.lock().is_ok_and(|mut due| due.is_due(t, replanner)) {
+            Work::Inline(worker) => {
+                let Ok(mut worker) = worker.lock() else { return };
+                let (replanner, due) = &mut *worker;
+                if !due.is_due(t, replanner) {
                     return;
                 }
                 if let Err(error) = replanner.replan(&sighting) {
@@ -503,7 +479,7 @@ mod tests {
     /// The next plans complete what one subproblem leaves, while the vehicle is shaken.
     #[test]
     fn one_subproblem_a_plan_stays_near_the_plan_that_is_searched_to_its_end() {
-        let replanner = quick();
+        let mut replanner = quick();
         let mut random = Pcg64Mcg::seed_from_u64(1);
         let mut state = [0.0; STATES];
         state[2] = -1.0;
@@ -513,13 +489,14 @@ mod tests {
             let seen = Sighting { t, state };
             replanner.replan(&seen).expect("a plan");
             if tick > 20 && tick % 5 == 0 {
-                let Task { desire, start, guess, .. } = replanner.task(&seen).expect("a task");
-                let near = replanner.planner.plan(&desire, start, guess, &|_| false);
+                let Task { desire, start, guess, .. } =
+                    replanner.task(&replanner.through, &seen).expect("a task");
+                let near = replanner.through.planner.plan(&desire, start, guess, &|_| false);
                 let whole = Some(near.iterate.clone());
-                let whole = replanner.first.plan(&desire, start, whole, &|_| false);
+                let whole = replanner.through.first.plan(&desire, start, whole, &|_| false);
                 ratios.push(near.cost / whole.cost);
             }
-            state = replanner.foreseen(&seen, t + 0.005, &state);
+            state = replanner.foreseen(&replanner.through, &seen, t + 0.005, &state);
             for value in &mut state[3..6] {
                 *value += random.random_range(-0.005..0.005);
             }
@@ -536,7 +513,7 @@ mod tests {
     fn plans_begin_on_one_grid_however_the_vehicle_is_seen() {
         let replanner = quick();
         for t in [0.0, 0.0021, 0.005, 1.2349, 3.0 - 1e-9] {
-            let from_s = replanner.beginning(t);
+            let from_s = replanner.beginning(&replanner.through, t);
             assert!(from_s > t - 1e-6 && from_s <= t + 0.0051, "{t} {from_s}");
             let on_the_grid = from_s / 0.005;
             assert!((on_the_grid - on_the_grid.round()).abs() < 1e-6, "{t} {from_s}");

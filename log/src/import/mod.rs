@@ -1,6 +1,7 @@
 //! Imports flight logs of any origin into one representation, [`Flight`].
 
 mod clocks;
+mod collected;
 mod dataflash;
 mod epoch;
 mod error;
@@ -29,6 +30,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
+pub use collected::Collected;
 pub use error::ImportError;
 pub use facts::{RotorFact, VehicleFacts};
 pub use flat::{to_bytes, write};

@@ -126,7 +126,14 @@ impl Ensemble<'_> {
         let mut gatherer = FlownGatherer::default();
         let (end, log) = match folder {
             Some(folder) => {
-                let flown = flight.fly_logged(folder, |record| gatherer.hear(record), |_| {})?;
+                let flown = flight.fly_logged(
+                    folder,
+                    |record| {
+                        gatherer.hear(record);
+                        None
+                    },
+                    |_| {},
+                )?;
                 (flown.end, Some(flown.log))
             }
             None => (flight.fly_unlogged(|record| gatherer.hear(&record), |_| {})?.0, None),

@@ -1,0 +1,71 @@
+//! The newest part of a flight, kept in memory while it is flown.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+use wire::Frame;
+
+use super::flight::{Clock, Flight, Origin};
+use super::frames::Frames;
+use crate::record::{FrameRecord, PARAMETER_FACT, Record};
+
+/// Most frames kept: four minutes at the highest rate of a link, some 160 MB.
+const FRAMES_MAX: usize = 500_000;
+
+/// Collects what [`open`](super::open) would read from the log of the same records.
+#[derive(Debug)]
+pub struct Collected {
+    newest: Duration,
+    frames: VecDeque<FrameRecord>,
+    parameters: BTreeMap<String, f64>,
+}
+
+impl Collected {
+    /// Keeps the frames of the `newest` part of a flight.
+    pub fn new(newest: Duration) -> Self {
+        Self { newest, frames: VecDeque::new(), parameters: BTreeMap::new() }
+    }
+
+    /// Takes a record; only frames and the vehicle's parameters count.
+    pub fn take(&mut self, record: &Record) {
+        match record {
+            Record::Frame(frame) => {
+                self.frames.push_back(*frame);
+                let is_old = |first: &FrameRecord| frame.host.since(first.host) > self.newest;
+                while self.frames.len() > FRAMES_MAX || self.frames.front().is_some_and(is_old) {
+                    self.frames.pop_front();
+                }
+            }
+            Record::Facts(facts) => {
+                let stated = facts.iter().filter_map(|(key, value)| {
+                    let name = key.strip_prefix(PARAMETER_FACT)?;
+                    Some((name.to_owned(), value.parse().ok().filter(|v: &f64| v.is_finite())?))
+                });
+                self.parameters.extend(stated);
+            }
+            _ => {}
+        }
+    }
+
+    /// The flight so far, called `run`. It has no streams before the vehicle has sent any.
+    pub fn flight(&self, run: &str) -> Flight {
+        let origin = Origin {
+            path: run.into(),
+            run: run.to_owned(),
+            sha256: String::new(),
+            format: "memory",
+        };
+        let mut flight = Flight::empty(origin, Clock::Single);
+        flight.facts.parameters.clone_from(&self.parameters);
+        let mut frames = Frames::default();
+        for record in &self.frames {
+            match Frame::parse(record.bytes()) {
+                Some(frame) => frames.add(Some(record.host.as_ns()), &frame),
+                None => frames.left_out("frame that is damaged or unknown to the dialect", 1),
+            }
+        }
+        // Fails only where a boot was asked for.
+        let _ = frames.finish(None, &mut flight);
+        flight
+    }
+}

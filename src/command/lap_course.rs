@@ -1,0 +1,182 @@
+//! A flight in laps that learns on the way: its course, and who learns.
+
+use std::num::NonZeroU32;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, SyncSender, TrySendError, channel, sync_channel};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow};
+use rustix::time::{ClockId, clock_gettime};
+
+use super::course::Course;
+use super::plan::{PlanModel, planner};
+use super::vehicle_file::VehicleFile;
+use super::{Exit, ExitContext, in_words};
+use crate::cli::LearnArgs;
+use crate::config::Config;
+use crate::lap_learning::{LapLearner, LapSettings, Pace, Planning, Spent};
+use crate::learn::in_flight::{InFlight, Learned};
+use crate::log::record::Record;
+use crate::log::sink::Listener;
+use crate::plan::Trajectory;
+use crate::plan::planned::PlannedThrough;
+use crate::plan::receding::RecedingReference;
+
+/// Laps where none are asked for.
+const LAPS: NonZeroU32 = NonZeroU32::new(4).expect("not zero");
+/// Fewest and most seconds to learn from.
+const SECONDS: std::ops::RangeInclusive<f64> = 15.0..=600.0;
+/// Records that wait while a model is being learned: some ten seconds of a fast link.
+const QUEUE: usize = 16_384;
+
+/// Where plans are made, and how long learning takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Clock {
+    /// In threads, by the wall clock.
+    Wall,
+    /// In the flight's own thread, where planning takes no time and learning what is stated.
+    Virtual { learning_s: f64 },
+}
+
+/// The course in laps, planned in flight from `through` on, and what learns from lap to lap.
+pub(super) fn lap_course(
+    args: &LearnArgs,
+    lap: Trajectory,
+    through: &PlanModel,
+    vehicle: &VehicleFile,
+    config: &Config,
+    clock: Clock,
+) -> anyhow::Result<(Course, LapLearner)> {
+    let newest_s = args.learn.unwrap_or_default();
+    if !SECONDS.contains(&newest_s) {
+        let (least, most) = SECONDS.into_inner();
+        return Err(anyhow!("--learn: expected {least} to {most} s, found {newest_s}"))
+            .or_exit(Exit::Usage);
+    }
+    let laps = args.laps.unwrap_or(LAPS).get();
+    let is_nominal_first = through.is_nominal();
+    let settings = LapSettings { lap_s: lap.duration(), laps, newest_s, is_nominal_first };
+    let goal = lap.laps(laps).or_exit(Exit::Usage)?;
+    let params = &vehicle.params;
+    let (first, answer) = planner(params, through, config)?;
+    // Whatever the loop: a plan that starts from each new estimate hides from the laps what the
+    // model lacks, and chases the estimate's noise.
+    let receding = config.settings.plan.receding.for_loop(true);
+    let (reference, pace) = match clock {
+        Clock::Wall => {
+            let reference = RecedingReference::threaded(goal.clone(), first, answer, receding)
+                .context("cannot start the planning thread")?;
+            (reference, Pace::Measured(stopwatch()))
+        }
+        Clock::Virtual { learning_s } => {
+            let latency = Duration::try_from_secs_f64(learning_s)
+                .context("learn.simulated_latency_s")
+                .or_exit(Exit::Usage)?;
+            let reference = RecedingReference::inline(goal.clone(), first, answer, receding);
+            (reference, Pace::Stated(latency))
+        }
+    };
+    let (exchange, reference) = (reference.exchange(), Arc::new(reference));
+    let course = Course::Receding { goal, reference };
+    course.check(vehicle, config)?;
+    let learner = InFlight::new(params.clone()).or_exit(Exit::Usage)?;
+    let planning = planning(vehicle, config);
+    Ok((course, LapLearner::new(settings, learner, planning, exchange, pace)))
+}
+
+/// The same for a simulated flight along `course`, from the vehicle file's physics on.
+pub(super) fn simulated(
+    args: &LearnArgs,
+    course: &Course,
+    vehicle: &VehicleFile,
+    config: &Config,
+) -> anyhow::Result<(Course, LapLearner)> {
+    let Course::Desired(lap) = course.clone() else {
+        return Err(anyhow!("--learn: a plan is not planned again; give a trajectory"))
+            .or_exit(Exit::Usage);
+    };
+    let through = PlanModel::nominal(&vehicle.params)?;
+    let learning_s = config.settings.learn.simulated_latency_s;
+    lap_course(args, lap, &through, vehicle, config, Clock::Virtual { learning_s })
+}
+
+/// Makes planners for the vehicle through what was learned.
+fn planning(vehicle: &VehicleFile, config: &Config) -> Planning {
+    let (params, config) = (vehicle.params.clone(), config.clone());
+    Box::new(move |learned: &Learned| {
+        let note = PlannedThrough { kind: "learned in flight".to_owned(), sha256: None };
+        let model = Arc::new(learned.model.clone());
+        PlanModel::of(model, &learned.actuation, &params, note)
+            .and_then(|through| planner(&params, &through, &config))
+            .map_err(|error| in_words(&error))
+    })
+}
+
+/// The wall's clock and that of this thread.
+fn stopwatch() -> Box<dyn Fn() -> Spent + Send> {
+    let began = Instant::now();
+    Box::new(move || {
+        let own = clock_gettime(ClockId::ThreadCPUTime);
+        let seconds = own.tv_sec.try_into().unwrap_or(0);
+        let processor = Duration::new(seconds, own.tv_nsec.try_into().unwrap_or(0));
+        Spent { wall: began.elapsed(), processor }
+    })
+}
+
+/// Hears a flight in the log's thread for a learner in a thread of its own.
+pub(super) struct Ear {
+    queue: SyncSender<Record>,
+    events: Receiver<Record>,
+}
+
+/// What a learner says for people.
+pub(super) type Lines = Receiver<String>;
+
+/// Starts the learner's thread. It ends with the ear, and takes one core at most.
+pub(super) fn start(mut learner: LapLearner) -> anyhow::Result<(Ear, Lines)> {
+    let (queue, records) = sync_channel(QUEUE);
+    let (events, heard) = channel();
+    let (lines, said) = channel();
+    // One thread: the control line and the planner keep the other cores.
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .thread_name(|_| "learning".to_owned())
+        .build()
+        .context("cannot start the learning thread")?;
+    // What it was given to do it ends after the pool is gone.
+    pool.spawn(move || attend(&mut learner, &records, &events, &lines));
+    Ok((Ear { queue, events: heard }, said))
+}
+
+fn attend(
+    learner: &mut LapLearner,
+    records: &Receiver<Record>,
+    events: &Sender<Record>,
+    lines: &Sender<String>,
+) {
+    while let Ok(record) = records.recv() {
+        learner.hear(&record);
+        while let Some(event) = learner.take_event() {
+            if let Record::Event { text, .. } = &event {
+                // Nobody may be there to read.
+                let _ = lines.send(text.clone());
+            }
+            let _ = events.send(event);
+        }
+    }
+}
+
+impl Listener for Ear {
+    fn hear(&mut self, record: &Record) {
+        if LapLearner::uses(record) {
+            // A full queue leaves a gap in what is learned from.
+            match self.queue.try_send(record.clone()) {
+                Ok(()) | Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {}
+            }
+        }
+    }
+
+    fn remark(&mut self) -> Option<Record> {
+        self.events.try_recv().ok()
+    }
+}

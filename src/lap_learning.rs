@@ -1,0 +1,381 @@
+//! Laps of one course, each through a model learned from those before.
+//!
+//! It hears the records of a flight, off the control line. In the middle of a lap it runs the long
+//! searches of a training, at its end it learns from the newest part of the flight, and offers the
+//! result to the planner in flight. A result that is worse than what flies is discarded, and one
+//! that gives no plan is refused; the flight then goes on with what it had. Nothing here commands
+//! the vehicle: plans reach it as they do without learning, and the supervisor has the last word.
+
+mod lap;
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+pub use self::lap::Lap;
+use self::lap::LapErrors;
+use crate::audit::Audit;
+use crate::clock::HostTime;
+use crate::learn::in_flight::{Discarded, HeldOutErrors, InFlight, Learned};
+use crate::learn::segments::Cut;
+use crate::learn::training_set::Prepared;
+use crate::log::import::{Collected, Flight};
+use crate::log::record::{Record, Severity, Source, Tick};
+use crate::plan::planned::Answer;
+use crate::plan::planner::Planner;
+use crate::plan::receding::{Exchange, Verdict};
+
+/// The state in which the course is flown.
+const ON_COURSE: &str = "track";
+/// Share of a lap after which the long searches run.
+const PREPARED_AT: f64 = 0.5;
+/// Share of a lap from which on it counts.
+const WHOLE: f64 = 0.98;
+/// Share of the squared residual that must last for the model to be what limits the next lap.
+const LASTING_SHARE: f64 = 0.25;
+
+/// What is flown, and what is learned from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LapSettings {
+    /// Length of a lap, s.
+    pub lap_s: f64,
+    /// Number of laps.
+    pub laps: u32,
+    /// Length of the newest part of the flight that is learned from, s.
+    pub newest_s: f64,
+    /// Whether the first lap is planned through the vehicle file's physics.
+    pub is_nominal_first: bool,
+}
+
+/// Time spent: by a clock on the wall and by the processor.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Spent {
+    /// Wall time.
+    pub wall: Duration,
+    /// Processor time of the thread.
+    pub processor: Duration,
+}
+
+/// How long learning takes.
+pub enum Pace {
+    /// As long as stated, on the clock of the records.
+    Stated(Duration),
+    /// As long as this stopwatch shows. It counts from any instant.
+    Measured(Box<dyn Fn() -> Spent + Send>),
+}
+
+/// Makes what plans through a learned model.
+pub type Planning = Box<dyn Fn(&Learned) -> Result<(Planner, Answer), String> + Send>;
+
+/// A model on its way into the flight.
+struct Candidate {
+    learned: Learned,
+    /// The last sample that it was learned from.
+    last_sample: HostTime,
+    /// From then on it may be offered.
+    ready: HostTime,
+    stage: Stage,
+    /// In words.
+    effort: String,
+    /// Foreseen error of the next lap, m.
+    foreseen_m: Option<f64>,
+}
+
+/// How far a candidate is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Stage {
+    Ready,
+    Offered,
+    /// The planner took it under this number.
+    Taken(u64),
+}
+
+/// Learns from lap to lap.
+pub struct LapLearner {
+    settings: LapSettings,
+    learner: InFlight,
+    planning: Planning,
+    exchange: Exchange,
+    pace: Pace,
+    collected: Collected,
+    /// The present lap.
+    on_course: Option<LapErrors>,
+    laps: Vec<Lap>,
+    prepared: Option<Prepared>,
+    cuts: Vec<Cut>,
+    candidate: Option<Candidate>,
+    /// What is flown through.
+    present: Option<Learned>,
+    through: String,
+    foreseen_m: Option<f64>,
+    told: VecDeque<Record>,
+}
+
+impl LapLearner {
+    /// Learns with `learner` from what it will [`hear`](Self::hear), and hands models to
+    /// `exchange` by means of `planning`.
+    pub fn new(
+        settings: LapSettings,
+        learner: InFlight,
+        planning: Planning,
+        exchange: Exchange,
+        pace: Pace,
+    ) -> Self {
+        Self {
+            settings,
+            learner,
+            planning,
+            exchange,
+            pace,
+            collected: Collected::new(Duration::from_secs_f64(settings.newest_s)),
+            on_course: None,
+            laps: Vec::new(),
+            prepared: None,
+            cuts: Vec::new(),
+            candidate: None,
+            present: None,
+            through: match settings.is_nominal_first {
+                true => "the vehicle file's physics".to_owned(),
+                false => "the model of the start".to_owned(),
+            },
+            foreseen_m: None,
+            told: VecDeque::new(),
+        }
+    }
+
+    /// Whether [`hear`](Self::hear) uses such a record.
+    pub fn uses(record: &Record) -> bool {
+        matches!(record, Record::Frame(_) | Record::Tick(_) | Record::Facts(_))
+    }
+
+    /// Hears a record of the flight. Learns before it returns, where that is due.
+    pub fn hear(&mut self, record: &Record) {
+        self.collected.take(record);
+        if let Record::Tick(tick) = record {
+            self.tick(tick);
+        }
+    }
+
+    /// The next event for the log.
+    pub fn take_event(&mut self) -> Option<Record> {
+        self.told.pop_front()
+    }
+
+    /// The laps flown so far.
+    pub fn laps(&self) -> &[Lap] {
+        &self.laps
+    }
+
+    fn tick(&mut self, tick: &Tick) {
+        let now = tick.stamp.host;
+        let time = tick.trajectory_time.filter(|_| tick.phase == ON_COURSE);
+        let lap = time.map(|t| (t / self.settings.lap_s).max(0.0) as u32);
+        let lap = lap.filter(|lap| *lap < self.settings.laps);
+        if self.on_course.as_ref().is_some_and(|errors| Some(errors.number) != lap) {
+            self.end_lap(now);
+        }
+        if let Some((lap, t)) = lap.zip(time) {
+            let errors = self.on_course.get_or_insert_with(|| LapErrors::new(lap));
+            if let Some(desired) = tick.desired {
+                errors.add((tick.state.position - desired).norm());
+            }
+            let share = t / self.settings.lap_s - f64::from(lap);
+            errors.share = share;
+            if share >= PREPARED_AT && !errors.is_prepared && lap + 1 < self.settings.laps {
+                errors.is_prepared = true;
+                self.prepare(now);
+            }
+        }
+        self.hand_over(tick);
+    }
+
+    /// Ends a lap, and learns if another one follows.
+    fn end_lap(&mut self, now: HostTime) {
+        let Some(errors) = self.on_course.take() else { return };
+        let number = errors.number + 1;
+        if errors.share < WHOLE {
+            self.tell(now, Severity::Info, format!("lap {number} was not flown to its end"));
+            return;
+        }
+        let lap = errors.lap(self.through.clone(), self.foreseen_m.take());
+        self.tell(now, Severity::Info, lap.in_words());
+        self.laps.push(lap);
+        if number < self.settings.laps {
+            self.learn(now);
+        }
+    }
+
+    /// The long searches, and the times that the audit cuts out.
+    fn prepare(&mut self, now: HostTime) {
+        let flight = self.collected.flight("this flight");
+        match self.audited(&flight).and_then(|()| {
+            self.learner.prepare(flight, &self.cuts).map_err(|error| error.to_string())
+        }) {
+            Ok(prepared) => self.prepared = Some(prepared),
+            Err(why) => {
+                self.prepared = None;
+                self.tell(now, Severity::Warning, format!("nothing to learn from yet: {why}"));
+            }
+        }
+    }
+
+    fn audited(&mut self, flight: &Flight) -> Result<(), String> {
+        let audit = Audit::of(flight);
+        self.cuts = audit.cuts();
+        match audit.fault_of_data() {
+            Some(fault) => Err(fault.to_string()),
+            None => Ok(()),
+        }
+    }
+
+    fn learn(&mut self, now: HostTime) {
+        let spent = |pace: &Pace| match pace {
+            Pace::Stated(_) => Spent::default(),
+            Pace::Measured(stopwatch) => stopwatch(),
+        };
+        let before = spent(&self.pace);
+        if self.prepared.is_none() {
+            // There was too little in the middle of the lap. Now this takes its time.
+            self.prepare(now);
+        }
+        let Some(prepared) = self.prepared.take() else { return };
+        let flight = self.collected.flight("this flight");
+        let learned = self.learner.learn(flight, &self.cuts, &prepared, self.present.as_ref());
+        let after = spent(&self.pace);
+        match learned {
+            Ok(learned) => {
+                let (ready, effort) = match &self.pace {
+                    Pace::Stated(latency) => {
+                        (now + *latency, format!("{:.2} s (stated)", latency.as_secs_f64()))
+                    }
+                    Pace::Measured(_) => {
+                        let wall_s = after.wall.saturating_sub(before.wall).as_secs_f64();
+                        let own = after.processor.saturating_sub(before.processor);
+                        let own_s = own.as_secs_f64();
+                        (now, format!("{wall_s:.2} s ({own_s:.2} s of processor)"))
+                    }
+                };
+                let foreseen_m = self.foreseen_m(&learned);
+                self.tell(now, Severity::Info, in_words(&learned, &effort));
+                let (last_sample, stage) = (now, Stage::Ready);
+                self.candidate =
+                    Some(Candidate { learned, last_sample, ready, stage, effort, foreseen_m });
+            }
+            Err(why) => self.discard(now, &why),
+        }
+    }
+
+    /// Error of the next lap, if errors of laps go with those of half a second of prediction, m:
+    /// the first lap shows how.
+    fn foreseen_m(&self, learned: &Learned) -> Option<f64> {
+        let first = self.laps.first().filter(|_| self.settings.is_nominal_first)?;
+        let ratio = learned.held_out.position_m() / learned.nominal.position_m();
+        ratio.is_finite().then(|| (first.rms_m * ratio).hypot(learned.held_out.noise_m()))
+    }
+
+    fn discard(&mut self, now: HostTime, why: &Discarded) {
+        let through = &self.through;
+        let text = format!("the learned model is discarded: {why}; flying on through {through}");
+        // Once noise is the limit, that is to be expected.
+        let is_expected = matches!(why, Discarded::NoBetter { .. });
+        let severity = if is_expected { Severity::Info } else { Severity::Warning };
+        self.tell(now, severity, text);
+    }
+
+    /// Offers a candidate that is ready, and follows what becomes of it.
+    fn hand_over(&mut self, tick: &Tick) {
+        let now = tick.stamp.host;
+        let verdict = self.exchange.take_verdict();
+        let mut candidate = match self.candidate.take() {
+            Some(candidate) if candidate.stage != Stage::Ready || now >= candidate.ready => {
+                candidate
+            }
+            waiting => {
+                self.candidate = waiting;
+                if let Some(Verdict::Refused { reason }) = verdict {
+                    // Plans through a model that was taken may fail later.
+                    self.withdraw(now, &reason);
+                }
+                return;
+            }
+        };
+        if candidate.stage == Stage::Ready {
+            if let Some(Verdict::Refused { reason }) = verdict {
+                self.withdraw(now, &reason);
+            }
+            match (self.planning)(&candidate.learned) {
+                Ok((planner, answer)) => self.exchange.offer(planner, answer),
+                Err(why) => return self.refuse(now, &why),
+            }
+            candidate.stage = Stage::Offered;
+            self.candidate = Some(candidate);
+            return;
+        }
+        match verdict {
+            Some(Verdict::Refused { reason }) => return self.refuse(now, &reason),
+            Some(Verdict::Taken { model }) => candidate.stage = Stage::Taken(model),
+            None => {}
+        }
+        let Stage::Taken(model) = candidate.stage else {
+            self.candidate = Some(candidate);
+            return;
+        };
+        // The tick of that time may be heard later than the verdict.
+        let is_used = self.exchange.used_from_s(model).zip(tick.trajectory_time);
+        if is_used.is_none_or(|(from_s, time)| time < from_s) || tick.setpoint.is_none() {
+            self.candidate = Some(candidate);
+            return;
+        }
+        let latency_s = now.since(candidate.last_sample).as_secs_f64();
+        let lap = self.laps.len() + 1;
+        self.through = format!(
+            "the model learned in {} from {:.0} s",
+            candidate.effort, candidate.learned.flown_s
+        );
+        let text = format!(
+            "lap {lap} is flown through {}: first setpoint {latency_s:.3} s after the last sample",
+            self.through
+        );
+        self.tell(now, Severity::Info, text);
+        self.foreseen_m = candidate.foreseen_m;
+        self.present = Some(candidate.learned);
+    }
+
+    /// The present model gives no more plans, and the planner went back to the one before it.
+    fn withdraw(&mut self, now: HostTime, why: &str) {
+        self.refuse(now, why);
+        (self.present, self.through) = (None, "the model before a withdrawn one".to_owned());
+    }
+
+    fn refuse(&mut self, now: HostTime, why: &str) {
+        let text = format!(
+            "the learned model is discarded: no plan through it may be flown: {why}; flying on \
+             through the model before it"
+        );
+        self.tell(now, Severity::Warning, text);
+    }
+
+    fn tell(&mut self, host: HostTime, severity: Severity, text: String) {
+        self.told.push_back(Record::Event { host, severity, source: Source::Daemon, text });
+    }
+}
+
+/// What was learned, and what limits the next lap.
+fn in_words(learned: &Learned, effort: &str) -> String {
+    let Learned { held_out, nominal, flown_s, .. } = learned;
+    let HeldOutErrors { residual_m_s2, lasting_m_s2, .. } = *held_out;
+    let limit = if lasting_m_s2.powi(2) > LASTING_SHARE * residual_m_s2.powi(2) {
+        "the model limits the next lap"
+    } else {
+        "noise limits the next lap"
+    };
+    format!(
+        "learned in {effort} from {flown_s:.0} s: on held-out samples off by {:.4} m after {} s, the vehicle \
+         file's physics by {:.4} m, the estimate's noise {:.4} m; of a residual of {residual_m_s2:.3} m/s^2 \
+         {lasting_m_s2:.3} last ({:.3} of the file's): {limit}",
+        held_out.position_m(),
+        HeldOutErrors::AFTER_S,
+        nominal.position_m(),
+        held_out.noise_m(),
+        nominal.lasting_m_s2,
+    )
+}

@@ -1,0 +1,257 @@
+//! A hybrid model learned while the vehicle flies, from the flight so far.
+//!
+//! The long searches, for the rotors' response and for the physics with the best open loop, run
+//! ahead ([`InFlight::prepare`]). What remains once the last sample is there ([`InFlight::learn`])
+//! continues from their result and takes a fraction of their time: new rows, a fit of the physics
+//! that starts near its end, the networks, and the judgement on samples that nothing was fitted to.
+
+use vehicle::effects::BatterySag;
+use vehicle::{VehicleError, VehicleParams};
+
+use super::commands::Onboard;
+use super::dataset::{Implausible, ObservedFlight, Row, WindowSettings};
+use super::error::TrainError;
+use super::error_ratio::relative;
+use super::evaluation::{HORIZONS_S, MultiStep, Predictor, multi_step};
+use super::networks::train_both;
+use super::prediction::Baseline;
+use super::segments::{Cut, Unusable};
+use super::split::Part;
+use super::summary::TrainSettings;
+use super::training::Method;
+use super::training_set::{Prepared, TrainingSet};
+use crate::log::import::Flight;
+use crate::model::actuation::Actuation;
+use crate::model::features::Features;
+use crate::model::hybrid::Hybrid;
+use crate::model::physics::{PhysicsModel, PhysicsParameters};
+use crate::model::{ACCELERATIONS, Model};
+
+/// Hidden units of each network: a flight of a minute supports no more.
+const HIDDEN: usize = 40;
+/// Most windows that select how much of the networks' correction is used.
+const CHOICE_WINDOWS: usize = 16;
+/// Lag at which a residual counts as lasting, in rows: beyond the windows of the labels, whose
+/// noise is alike within them.
+const LASTING_ROWS: usize = 10;
+/// The horizon that a model's errors are told at: [`HORIZONS_S`].
+const TOLD: usize = 2;
+
+/// Why a flight gives no model to fly with.
+#[derive(Debug, thiserror::Error)]
+pub enum Discarded {
+    /// The samples cannot be used.
+    #[error("its samples: {0}")]
+    Unusable(#[from] Unusable),
+    /// The commands do not fit the vehicle.
+    #[error("{0}")]
+    Implausible(#[from] Implausible),
+    /// The training gives no model.
+    #[error("{0}")]
+    Training(#[from] TrainError),
+    /// Its predictions are no numbers.
+    #[error("its predictions of the held-out samples are not finite")]
+    NotFinite,
+    /// It predicts held-out samples no better than what is there.
+    #[error(
+        "it predicts the held-out samples no better than {than}: off by {learned_m:.4} m after \
+         {after_s} s, against {present_m:.4} m"
+    )]
+    NoBetter {
+        /// Its error of position, m.
+        learned_m: f64,
+        /// The horizon, s.
+        after_s: f64,
+        /// The other model.
+        than: &'static str,
+        /// That of the other model, m.
+        present_m: f64,
+    },
+}
+
+/// Errors of a model on samples that nothing was fitted to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HeldOutErrors {
+    /// Errors of open-loop predictions at [`HORIZONS_S`].
+    pub open_loop: MultiStep,
+    /// Sum of their ratios to holding the state.
+    score: f64,
+    /// RMS residual of the linear acceleration, m/s^2.
+    pub residual_m_s2: f64,
+    /// The part of it that lasts for a tenth of a second, and so is no noise of the measurement,
+    /// m/s^2.
+    pub lasting_m_s2: f64,
+}
+
+impl HeldOutErrors {
+    /// Error of the predicted position after half a second, m.
+    pub fn position_m(&self) -> f64 {
+        self.open_loop[TOLD].position_m
+    }
+
+    /// The horizon of [`position_m`](Self::position_m), s.
+    pub const AFTER_S: f64 = HORIZONS_S[TOLD];
+
+    /// Error of the reported position itself, m: that of a prediction too short for a model to
+    /// matter, of which each end has its share.
+    pub fn noise_m(&self) -> f64 {
+        self.open_loop[0].position_m / 2.0_f64.sqrt()
+    }
+
+    fn is_finite(&self) -> bool {
+        self.score.is_finite() && self.residual_m_s2.is_finite()
+    }
+}
+
+/// A model and the rotors' response that it was learned with.
+#[derive(Clone, Debug)]
+pub struct Learned {
+    /// Accelerations.
+    pub model: Hybrid,
+    /// Delay and lag of the rotors, voltage.
+    pub actuation: Actuation,
+    /// Length of the flight that it was learned from, s.
+    pub flown_s: f64,
+    /// Its errors on the held-out samples.
+    pub held_out: HeldOutErrors,
+    /// Those of the vehicle file's physics.
+    pub nominal: HeldOutErrors,
+}
+
+/// Learns models of one vehicle in flight.
+pub struct InFlight {
+    vehicle: VehicleParams,
+    onboard: Onboard,
+    nominal: PhysicsModel,
+    windows: WindowSettings,
+    settings: TrainSettings,
+}
+
+impl InFlight {
+    /// A learner for a vehicle.
+    ///
+    /// # Errors
+    /// The vehicle's physics is invalid.
+    pub fn new(vehicle: VehicleParams) -> Result<Self, VehicleError> {
+        let onboard = Onboard::new(&vehicle)?;
+        let nominal = PhysicsModel::new(&vehicle, &PhysicsParameters::default())?;
+        let windows = WindowSettings::default();
+        let settings = TrainSettings {
+            features: Features::Body,
+            hidden: HIDDEN,
+            passes: 100,
+            method: Method::Adam,
+            regularization: vec![1e-5],
+            seed: 1,
+            window_half_s: windows.half_s,
+            windows_half_s: vec![windows.half_s],
+        };
+        Ok(Self { vehicle, onboard, nominal, windows, settings })
+    }
+
+    /// The long searches, from the flight so far without the times in `cuts`.
+    ///
+    /// # Errors
+    /// [`Discarded`].
+    pub fn prepare(&self, flight: Flight, cuts: &[Cut]) -> Result<Prepared, Discarded> {
+        let mut flights = [self.observed(flight, cuts)?];
+        Ok(TrainingSet::new(&self.vehicle, &self.onboard, &mut flights)?.prepared())
+    }
+
+    /// Learns from the flight so far without the times in `cuts`, and compares the result with the
+    /// vehicle file's physics and with the `present` model on samples that nothing was fitted to.
+    ///
+    /// # Errors
+    /// [`Discarded`], also where one of those predicts better.
+    pub fn learn(
+        &self,
+        flight: Flight,
+        cuts: &[Cut],
+        prepared: &Prepared,
+        present: Option<&Learned>,
+    ) -> Result<Learned, Discarded> {
+        let observed = self.observed(flight, cuts)?;
+        let flown_s = observed.segments.seconds();
+        let mut flights = [observed];
+        let set = TrainingSet::continued(&self.vehicle, &self.onboard, &mut flights, prepared)?;
+        let physics = PhysicsModel::new(&self.vehicle, &set.physics).map_err(TrainError::from)?;
+        let leftover = |row: &Row| {
+            let explained = physics.accelerations(&row.point);
+            std::array::from_fn(|i| row.label[i] - explained[i])
+        };
+        let parts = [set.part(Part::Training), set.part(Part::Validation)];
+        let residual = train_both([&parts[0], &parts[1]], &self.settings, &leftover)?;
+        let residual = set.shrink(residual, &physics, CHOICE_WINDOWS, &mut |_| {});
+        let model = Hybrid::new(physics, residual);
+
+        let judge = |model: &dyn Model, actuation: &Actuation| judge(&set, model, actuation);
+        let held_out = judge(&model, &set.actuation);
+        let nominal = judge(&self.nominal, &self.nominal_actuation());
+        if !held_out.is_finite() {
+            return Err(Discarded::NotFinite);
+        }
+        let present = present.map(|present| judge(&present.model, &present.actuation));
+        let others =
+            [("the vehicle file's physics", Some(nominal)), ("the present model", present)];
+        for (than, other) in others {
+            if let Some(other) = other.filter(|other| held_out.score >= other.score) {
+                return Err(Discarded::NoBetter {
+                    learned_m: held_out.position_m(),
+                    after_s: HeldOutErrors::AFTER_S,
+                    than,
+                    present_m: other.position_m(),
+                });
+            }
+        }
+        Ok(Learned { model, actuation: set.actuation, flown_s, held_out, nominal })
+    }
+
+    fn observed(&self, flight: Flight, cuts: &[Cut]) -> Result<ObservedFlight, Discarded> {
+        let observed =
+            ObservedFlight::new(flight, &self.vehicle, &self.onboard, &self.windows, cuts)?;
+        observed.check_vehicle(&self.vehicle, &self.onboard)?;
+        Ok(observed)
+    }
+
+    /// The response by the vehicle file.
+    fn nominal_actuation(&self) -> Actuation {
+        let sag = self.vehicle.modelled_effects.get::<BatterySag>();
+        Actuation {
+            delay_s: self.vehicle.command_delay_s,
+            lag_s: self.vehicle.motor_time_constant_s,
+            voltage_exponent: sag.map_or(0.0, |sag| sag.exponent),
+            ..Actuation::default()
+        }
+    }
+}
+
+/// A model's errors on the held-out part.
+fn judge(set: &TrainingSet<'_>, model: &dyn Model, actuation: &Actuation) -> HeldOutErrors {
+    let windows = set.windows(Part::Test, actuation);
+    let none = [Default::default(); HORIZONS_S.len()];
+    let errors = multi_step(&windows, &Predictor::Model(model));
+    let hold = multi_step(&windows, &Predictor::Baseline(Baseline::Hold));
+    let score = match (&errors, &hold) {
+        (Some((errors, _)), Some((hold, _))) => relative(errors, hold),
+        _ => f64::INFINITY,
+    };
+    let (residual_m_s2, lasting_m_s2) = residuals(&set.part(Part::Test), model);
+    let open_loop = errors.map_or(none, |(errors, _)| errors);
+    HeldOutErrors { open_loop, score, residual_m_s2, lasting_m_s2 }
+}
+
+/// RMS of the residual of the linear acceleration, and of its part that lasts.
+fn residuals(rows: &[&Row], model: &dyn Model) -> (f64, f64) {
+    let residual = |row: &&Row| -> [f64; 3] {
+        let explained: [f64; ACCELERATIONS] = model.accelerations(&row.point);
+        std::array::from_fn(|i| row.label[i] - explained[i])
+    };
+    let residuals: Vec<[f64; 3]> = rows.iter().map(residual).collect();
+    let product = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let mean = |sum: f64, count: usize| sum / count.max(1) as f64;
+    let square = residuals.iter().map(|r| product(r, r)).sum();
+    let later = residuals.iter().skip(LASTING_ROWS);
+    let lasting = residuals.iter().zip(later).map(|(a, b)| product(a, b)).sum();
+    let pairs = residuals.len().saturating_sub(LASTING_ROWS);
+    (mean(square, residuals.len()).sqrt(), mean(lasting, pairs).max(0.0).sqrt())
+}
