@@ -30,8 +30,13 @@ const ON_COURSE: &str = "track";
 const PREPARED_AT: f64 = 0.5;
 /// Share of a lap from which on it counts.
 const WHOLE: f64 = 0.98;
+/// Ratio of a lap's largest error to that of the lap before from which on its model is withdrawn.
+const WORSE: f64 = 1.5;
 /// Share of the squared residual that must last for the model to be what limits the next lap.
 const LASTING_SHARE: f64 = 0.25;
+
+/// What is flown through after a withdrawal.
+const BEFORE_WITHDRAWN: &str = "the model before a withdrawn one";
 
 /// What is flown, and what is learned from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -105,6 +110,8 @@ pub struct LapLearner {
     candidate: Option<Candidate>,
     /// What is flown through.
     present: Option<Learned>,
+    /// Whether nothing is learned any more.
+    is_over: bool,
     through: String,
     foreseen_m: Option<f64>,
     told: VecDeque<Record>,
@@ -133,6 +140,7 @@ impl LapLearner {
             cuts: Vec::new(),
             candidate: None,
             present: None,
+            is_over: false,
             through: match settings.is_nominal_first {
                 true => "the vehicle file's physics".to_owned(),
                 false => "the model of the start".to_owned(),
@@ -180,9 +188,14 @@ impl LapLearner {
             }
             let share = t / self.settings.lap_s - f64::from(lap);
             errors.share = share;
-            if share >= PREPARED_AT && !errors.is_prepared && lap + 1 < self.settings.laps {
+            if share >= PREPARED_AT && !errors.is_prepared {
                 errors.is_prepared = true;
-                self.prepare(now);
+                if self.learns_after(lap + 1) {
+                    self.prepare(now);
+                }
+            }
+            if self.is_astray() {
+                self.withdraw_astray(now);
             }
         }
         self.hand_over(tick);
@@ -199,9 +212,35 @@ impl LapLearner {
         let lap = errors.lap(self.through.clone(), self.foreseen_m.take());
         self.tell(now, Severity::Info, lap.in_words());
         self.laps.push(lap);
-        if number < self.settings.laps {
+        if self.learns_after(number) {
             self.learn(now);
         }
+    }
+
+    /// Whether the lap after this many is to be flown through a new model.
+    fn learns_after(&self, laps: u32) -> bool {
+        laps < self.settings.laps && !self.is_over
+    }
+
+    /// Whether the present lap, flown through a learned model, strays further from the course than
+    /// the lap before by more than the noise of the estimate.
+    fn is_astray(&self) -> bool {
+        let lap = self.present.as_ref().zip(self.laps.last()).zip(self.on_course.as_ref());
+        lap.is_some_and(|((present, before), lap)| {
+            lap.most_m > WORSE * before.most_m + present.held_out.noise_m()
+        })
+    }
+
+    /// Goes back to the model before the present one, and learns no more. The samples that the
+    /// model was judged on said that it is better, so they cannot be trusted.
+    fn withdraw_astray(&mut self, now: HostTime) {
+        self.exchange.withdraw();
+        self.is_over = true;
+        (self.present, self.through) = (None, BEFORE_WITHDRAWN.to_owned());
+        let text = "the learned model is withdrawn: the vehicle strays further from the course than in \
+                    the lap before, though the model predicts better, so a sensor may be wrong; the \
+                    flight goes on through the model before it and learns no more";
+        self.tell(now, Severity::Warning, text.to_owned());
     }
 
     /// The long searches, and the times that the audit cuts out.
@@ -343,7 +382,7 @@ impl LapLearner {
     /// The present model gives no more plans, and the planner went back to the one before it.
     fn withdraw(&mut self, now: HostTime, why: &str) {
         self.refuse(now, why);
-        (self.present, self.through) = (None, "the model before a withdrawn one".to_owned());
+        (self.present, self.through) = (None, BEFORE_WITHDRAWN.to_owned());
     }
 
     fn refuse(&mut self, now: HostTime, why: &str) {

@@ -198,6 +198,21 @@ fn what_was_learned_from_poisoned_samples_is_discarded_and_the_flight_goes_on() 
     assert_eq!(flown.laps.len(), 2);
 }
 
+/// A sensor that is steadily wrong fools the samples that judge a model, but not the lap.
+#[test]
+fn a_model_whose_lap_strays_is_withdrawn_and_the_flight_goes_on() {
+    let wrong = |record: &Record| {
+        let Record::Frame(frame) = record else { return Some(record.clone()) };
+        Some(Record::Frame(poisoned(frame, 3.0)))
+    };
+    let flown = fly(3, wrong, whole);
+    assert_eq!(flown.end, End::Done, "{:?}", flown.said);
+    let [first, second, third] = &flown.laps[..] else { panic!("{:?}", flown.said) };
+    assert!(flown.told("strays further from the course"), "{:?}", flown.said);
+    assert!(second.most_m > 1.5 * first.most_m, "{:?}", flown.said);
+    assert!(third.rms_m < 1.2 * first.rms_m, "{:?}", flown.said);
+}
+
 #[test]
 fn a_model_without_numbers_gives_no_plan_and_the_flight_goes_on() {
     let flown = fly(2, |record| Some(record.clone()), |_| Arc::new(NoNumbers));

@@ -38,8 +38,9 @@ pub(super) struct LapErrors {
     pub is_prepared: bool,
     /// How far into it the vehicle is, 0..1.
     pub share: f64,
+    /// Largest distance so far, m.
+    pub most_m: f64,
     squares: f64,
-    most_m: f64,
     count: u32,
 }
 

@@ -7,6 +7,7 @@
 mod board;
 mod exchange;
 
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread;
@@ -161,6 +162,11 @@ impl Replanner {
     /// Plans from a state, and publishes the plan if it passes the checks. A model that was handed
     /// over is tried first.
     fn replan(&mut self, seen: &Sighting) -> Result<(), ReplanError> {
+        if self.board.withdrawn.swap(false, Ordering::AcqRel)
+            && let Some(before) = self.before.take()
+        {
+            (self.through, self.failures) = (before, 0);
+        }
         let offered = self.board.offered.lock().ok().and_then(|mut offered| offered.take());
         if let Some(candidate) = offered {
             let candidate = Through::new(*candidate, &self.settings, self.models + 1);

@@ -1,7 +1,7 @@
 //! The plans that are ready, between the thread that makes them and the control tick that reads
 //! them. Neither waits for the other.
 
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
 use crate::plan::desire::Desire;
@@ -103,6 +103,8 @@ pub(super) struct Board {
     /// A model to plan through from now on, and what became of it.
     pub offered: Mutex<Option<Box<Candidate>>>,
     pub verdict: Mutex<Option<Verdict>>,
+    /// Whether to plan through the model before the present one from now on.
+    pub withdrawn: AtomicBool,
     /// Number of the newest model whose plan was flown, and the bits of the time at which that
     /// began, s into the trajectory.
     used: AtomicU64,
@@ -122,6 +124,7 @@ impl Board {
             goal: Mutex::new(Arc::new(goal)),
             offered: Mutex::new(None),
             verdict: Mutex::new(None),
+            withdrawn: AtomicBool::new(false),
             used: AtomicU64::new(0),
             used_from: AtomicU64::new(NEVER),
             voltage_exponent: AtomicU64::new(voltage_exponent.to_bits()),

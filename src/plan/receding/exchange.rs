@@ -1,6 +1,7 @@
 //! Another model to plan through, handed over in flight.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use super::board::{Board, Candidate, Verdict};
 use crate::plan::planned::Answer;
@@ -24,6 +25,11 @@ impl Exchange {
         if let Ok(mut offered) = self.board.offered.lock() {
             *offered = Some(Box::new(Candidate { planner, answer }));
         }
+    }
+
+    /// Withdraws the newest model: the next plan goes through the model before it, if there is one.
+    pub fn withdraw(&self) {
+        self.board.withdrawn.store(true, Ordering::Release);
     }
 
     /// What became of the newest model that was tried; each verdict once.
