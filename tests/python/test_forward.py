@@ -59,11 +59,11 @@ def test_a_station_beside_the_daemon_sees_the_vehicle_and_is_not_heard(beside):
     # What it sends is said, and goes nowhere.
     before = dict(vehicle.params)
     station.mav.param_set_send(1, 1, b"MIS_TAKEOFF_ALT", 9.0, 9)
-    daemon.says("PARAM_SET of udpout:127.0.0.1:")
+    daemon.says("PARAM_SET from udpout:127.0.0.1:")
     station.mav.command_long_send(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
-    daemon.says("COMMAND_LONG of udpout:127.0.0.1:")
+    daemon.says("COMMAND_LONG from udpout:127.0.0.1:")
     station.mav.set_attitude_target_send(0, 1, 1, 0, [1, 0, 0, 0], 0, 0, 0, 1.0)
-    daemon.says("SET_ATTITUDE_TARGET of udpout:127.0.0.1:")
+    daemon.says("SET_ATTITUDE_TARGET from udpout:127.0.0.1:")
     assert vehicle.params == before
     assert not any(command == 400 for command, _, _ in vehicle.commands)
     # And the daemon's own frames are not the station's to see.
@@ -74,7 +74,7 @@ def test_what_the_list_allows_passes_and_nothing_else(beside):
     daemon, station, vehicle = beside(["COMMAND_LONG"])
     hear(station, "HEARTBEAT")
     station.mav.param_set_send(1, 1, b"MIS_TAKEOFF_ALT", 9.0, 9)
-    daemon.says("PARAM_SET of udpout:127.0.0.1:")
+    daemon.says("PARAM_SET from udpout:127.0.0.1:")
     # MAV_CMD_REQUEST_MESSAGE for a message that nobody else asks for.
     station.mav.command_long_send(1, 1, 512, 0, 77, 0, 0, 0, 0, 0, 0)
     end = time.monotonic() + 20.0
@@ -90,7 +90,7 @@ def test_garbage_of_a_station_harms_nobody(beside):
     for size in (1, 7, 280, 1500, 60000):
         station.write(bytes((7 * index + size) % 256 for index in range(size)))
     station.mav.param_set_send(1, 1, b"MIS_TAKEOFF_ALT", 9.0, 9)
-    daemon.says("PARAM_SET of udpout:127.0.0.1:")
+    daemon.says("PARAM_SET from udpout:127.0.0.1:")
     hear(station, "HEARTBEAT")
 
 

@@ -153,7 +153,7 @@ def test_each_wait_is_said(program, vehicle, tmp_path):
         out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         for bad in [b"\xff\xfe", b'{"body":"quad"}', struct.pack("<HH", 7, 900), b'{"body":"quad","t":NaN}']:
             out.sendto(bad, ("127.0.0.1", port))
-        one.says("its data violates its protocol", timeout=5)
+        one.says("the room's data violates its protocol", timeout=5)
     finally:
         stop.set()
         thread.join()

@@ -19,7 +19,7 @@ from safetensors.numpy import load_file
 from conftest import CRAZYFLIE, DOWNWASH
 
 EFFECTS = ["rotor_drag:d_xy=0.012,d_z=0.008", "motor_lag:tau_s=0.05", "command_delay:delay_s=0.02"]
-SMALL = ["--passes", "6", "--hidden", "20", "--regularization", "1e-5"]
+SMALL = ["--passes", "15", "--hidden", "20", "--regularization", "1e-5"]
 PREDICTIONS = "run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz"
 
 # Every worker would fly and train for itself.
