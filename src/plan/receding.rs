@@ -182,7 +182,7 @@ impl Replanner {
             }
         }
         let task = self.task(&self.through, seen)?;
-        // The first plan has no predecessor: it is searched to its end.
+        // The first plan has no predecessor, so its search runs until it converges.
         let Through { planner, first, .. } = &self.through;
         let planner = if task.guess.is_some() { planner } else { first };
         match self.plan(&self.through, planner, task) {
@@ -481,7 +481,7 @@ mod tests {
         Replanner::new(goal, planner.expect("a planner"), answer, settings)
     }
 
-    /// The next plans complete what one subproblem leaves, while the vehicle is shaken.
+    /// Later plans complete what one subproblem leaves open, while the vehicle is disturbed.
     #[test]
     fn one_subproblem_a_plan_stays_near_the_plan_that_is_searched_to_its_end() {
         let mut replanner = quick();

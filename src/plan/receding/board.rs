@@ -37,7 +37,7 @@ impl Stretch {
         Some(between(before, after.unwrap_or(before), share))
     }
 
-    /// `of` from a time on, replaced by this plan as far as it reaches. A plan that is renewed more
+    /// `of` from `from_s`, replaced by this plan as far as it reaches. A plan that is renewed more
     /// often than it has states starts between two states of its predecessor.
     pub fn carried_into(&self, of: &Desire, from_s: f64, period: f64) -> Iterate<7> {
         let mut guess = Iterate { states: of.states.clone(), inputs: of.inputs.clone() };
