@@ -1,10 +1,11 @@
-//! Laps of one course, each through a model learned from those before.
+//! Laps of one closed course, each planned with a model learned from the laps before.
 //!
-//! It hears the records of a flight, off the control line. In the middle of a lap it runs the long
-//! searches of a training, at its end it learns from the newest part of the flight, and offers the
-//! result to the planner in flight. A result that is worse than what flies is discarded, and one
-//! that gives no plan is refused; the flight then goes on with what it had. Nothing here commands
-//! the vehicle: plans reach it as they do without learning, and the supervisor has the last word.
+//! The learner receives the records of a flight outside the control thread. It runs the long
+//! searches of a training halfway through a lap. When the lap ends it learns from the newest part
+//! of the flight and offers the model to the planner in flight. It discards a model that predicts
+//! no better than the current one, and the planner rejects a model that gives no flyable plan; the
+//! flight then continues with the previous model. Nothing here commands the vehicle: plans reach
+//! it as they do without learning, and the supervisor still overrides them.
 
 mod lap;
 
@@ -24,77 +25,77 @@ use crate::plan::planned::Answer;
 use crate::plan::planner::Planner;
 use crate::plan::receding::{Exchange, Verdict};
 
-/// The state in which the course is flown.
+/// Phase of the ticks that track the course.
 const ON_COURSE: &str = "track";
-/// Share of a lap after which the long searches run.
+/// Fraction of a lap after which the long searches run.
 const PREPARED_AT: f64 = 0.5;
-/// Share of a lap from which on it counts.
+/// Fraction of a lap that must be flown for the lap to count.
 const WHOLE: f64 = 0.98;
-/// Ratio of a lap's largest error to that of the lap before from which on its model is withdrawn.
+/// A lap's model is withdrawn above this ratio of its largest error to that of the previous lap.
 const WORSE: f64 = 1.5;
-/// Share of the squared residual that must last for the model to be what limits the next lap.
+/// Above this share of the persistent part in the squared residual, the model limits the next lap.
 const LASTING_SHARE: f64 = 0.25;
 
-/// What is flown through after a withdrawal.
-const BEFORE_WITHDRAWN: &str = "the model before a withdrawn one";
+/// Name of the model in use after a withdrawal.
+const BEFORE_WITHDRAWN: &str = "the model used before a withdrawn one";
 
-/// What is flown, and what is learned from.
+/// The laps, and the part of the flight to learn from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LapSettings {
     /// Length of a lap, s.
     pub lap_s: f64,
     /// Number of laps.
     pub laps: u32,
-    /// Length of the newest part of the flight that is learned from, s.
+    /// Length of the newest part of the flight to learn from, s.
     pub newest_s: f64,
-    /// Whether the first lap is planned through the vehicle file's physics.
+    /// Whether the first lap is planned with the vehicle file's physics.
     pub is_nominal_first: bool,
 }
 
-/// Time spent: by a clock on the wall and by the processor.
+/// Elapsed time and CPU time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spent {
-    /// Wall time.
+    /// Elapsed time on the wall clock.
     pub wall: Duration,
-    /// Processor time of the thread.
+    /// CPU time of the thread.
     pub processor: Duration,
 }
 
-/// How long learning takes.
+/// How the duration of learning is determined.
 pub enum Pace {
-    /// As long as stated, on the clock of the records.
+    /// This constant, on the clock of the records.
     Stated(Duration),
-    /// As long as this stopwatch shows. It counts from any instant.
+    /// Measured with this stopwatch, whose origin is arbitrary.
     Measured(Box<dyn Fn() -> Spent + Send>),
 }
 
-/// Makes what plans through a learned model.
+/// Makes a planner, and the vehicle's response, from a learned model.
 pub type Planning = Box<dyn Fn(&Learned) -> Result<(Planner, Answer), String> + Send>;
 
-/// A model on its way into the flight.
+/// A learned model that does not fly yet.
 struct Candidate {
     learned: Learned,
-    /// The last sample that it was learned from.
+    /// Time of the last sample that it was learned from.
     last_sample: HostTime,
-    /// From then on it may be offered.
+    /// Earliest time at which it is offered to the planner.
     ready: HostTime,
     stage: Stage,
-    /// In words.
+    /// Time that learning took, as text.
     effort: String,
-    /// Foreseen error of the next lap, m.
+    /// Predicted RMS error of the next lap, m.
     foreseen_m: Option<f64>,
 }
 
-/// How far a candidate is.
+/// State of a candidate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Stage {
     Ready,
     Offered,
-    /// The planner took it under this number.
+    /// The planner accepted it as the model of this number.
     Taken(u64),
 }
 
-/// Learns from lap to lap.
+/// Learns a model after each lap and offers it to the planner.
 pub struct LapLearner {
     settings: LapSettings,
     learner: InFlight,
@@ -108,18 +109,19 @@ pub struct LapLearner {
     prepared: Option<Prepared>,
     cuts: Vec<Cut>,
     candidate: Option<Candidate>,
-    /// What is flown through.
+    /// The learned model in use; `None` for the initial model, or after a withdrawal.
     present: Option<Learned>,
-    /// Whether nothing is learned any more.
+    /// Whether learning has stopped.
     is_over: bool,
+    /// Name of the model in use, for events.
     through: String,
     foreseen_m: Option<f64>,
     told: VecDeque<Record>,
 }
 
 impl LapLearner {
-    /// Learns with `learner` from what it will [`hear`](Self::hear), and hands models to
-    /// `exchange` by means of `planning`.
+    /// Learns with `learner` from the records given to [`hear`](Self::hear). `planning` makes the
+    /// planners to offer to `exchange`.
     pub fn new(
         settings: LapSettings,
         learner: InFlight,
@@ -143,19 +145,19 @@ impl LapLearner {
             is_over: false,
             through: match settings.is_nominal_first {
                 true => "the vehicle file's physics".to_owned(),
-                false => "the model of the start".to_owned(),
+                false => "the initial model".to_owned(),
             },
             foreseen_m: None,
             told: VecDeque::new(),
         }
     }
 
-    /// Whether [`hear`](Self::hear) uses such a record.
+    /// Whether [`hear`](Self::hear) uses this record.
     pub fn uses(record: &Record) -> bool {
         matches!(record, Record::Frame(_) | Record::Tick(_) | Record::Facts(_))
     }
 
-    /// Hears a record of the flight. Learns before it returns, where that is due.
+    /// Receives a record of the flight. If learning is due, it finishes before this returns.
     pub fn hear(&mut self, record: &Record) {
         self.collected.take(record);
         if let Record::Tick(tick) = record {
@@ -201,12 +203,12 @@ impl LapLearner {
         self.hand_over(tick);
     }
 
-    /// Ends a lap, and learns if another one follows.
+    /// Ends the current lap, and learns if another lap follows.
     fn end_lap(&mut self, now: HostTime) {
         let Some(errors) = self.on_course.take() else { return };
         let number = errors.number + 1;
         if errors.share < WHOLE {
-            self.tell(now, Severity::Info, format!("lap {number} was not flown to its end"));
+            self.tell(now, Severity::Info, format!("lap {number} is incomplete"));
             return;
         }
         let lap = errors.lap(self.through.clone(), self.foreseen_m.take());
@@ -217,13 +219,13 @@ impl LapLearner {
         }
     }
 
-    /// Whether the lap after this many is to be flown through a new model.
+    /// Whether to learn a model after this many laps.
     fn learns_after(&self, laps: u32) -> bool {
         laps < self.settings.laps && !self.is_over
     }
 
-    /// Whether the present lap, flown through a learned model, strays further from the course than
-    /// the lap before by more than the noise of the estimate.
+    /// Whether the current lap uses a learned model and its largest error exceeds [`WORSE`] times
+    /// that of the previous lap by more than the noise of the estimate.
     fn is_astray(&self) -> bool {
         let lap = self.present.as_ref().zip(self.laps.last()).zip(self.on_course.as_ref());
         lap.is_some_and(|((present, before), lap)| {
@@ -231,19 +233,19 @@ impl LapLearner {
         })
     }
 
-    /// Goes back to the model before the present one, and learns no more. The samples that the
-    /// model was judged on said that it is better, so they cannot be trusted.
+    /// Goes back to the previous model and stops learning. The held-out samples had rated the
+    /// withdrawn model better, so the samples cannot be trusted.
     fn withdraw_astray(&mut self, now: HostTime) {
         self.exchange.withdraw();
         self.is_over = true;
         (self.present, self.through) = (None, BEFORE_WITHDRAWN.to_owned());
-        let text = "the learned model is withdrawn: the vehicle strays further from the course than in \
-                    the lap before, though the model predicts better, so a sensor may be wrong; the \
-                    flight goes on through the model before it and learns no more";
+        let text = "learned model withdrawn: the vehicle strays further from the course than in the \
+                    previous lap although the model predicts better, so a sensor may be wrong; \
+                    continuing with the previous model, without further learning";
         self.tell(now, Severity::Warning, text.to_owned());
     }
 
-    /// The long searches, and the times that the audit cuts out.
+    /// Runs the long searches on the flight so far, without the times that the audit excludes.
     fn prepare(&mut self, now: HostTime) {
         let flight = self.collected.flight("this flight");
         match self.audited(&flight).and_then(|()| {
@@ -252,7 +254,7 @@ impl LapLearner {
             Ok(prepared) => self.prepared = Some(prepared),
             Err(why) => {
                 self.prepared = None;
-                self.tell(now, Severity::Warning, format!("nothing to learn from yet: {why}"));
+                self.tell(now, Severity::Warning, format!("cannot learn yet: {why}"));
             }
         }
     }
@@ -273,7 +275,7 @@ impl LapLearner {
         };
         let before = spent(&self.pace);
         if self.prepared.is_none() {
-            // There was too little in the middle of the lap. Now this takes its time.
+            // Preparation failed halfway through the lap, so learning takes longer now.
             self.prepare(now);
         }
         let Some(prepared) = self.prepared.take() else { return };
@@ -290,7 +292,7 @@ impl LapLearner {
                         let wall_s = after.wall.saturating_sub(before.wall).as_secs_f64();
                         let own = after.processor.saturating_sub(before.processor);
                         let own_s = own.as_secs_f64();
-                        (now, format!("{wall_s:.2} s ({own_s:.2} s of processor)"))
+                        (now, format!("{wall_s:.2} s ({own_s:.2} s of CPU time)"))
                     }
                 };
                 let foreseen_m = self.foreseen_m(&learned);
@@ -303,8 +305,8 @@ impl LapLearner {
         }
     }
 
-    /// Error of the next lap, if errors of laps go with those of half a second of prediction, m:
-    /// the first lap shows how.
+    /// RMS error of the next lap, m, if it is proportional to the prediction error after half a
+    /// second. The first lap, planned with the vehicle file's physics, gives the factor.
     fn foreseen_m(&self, learned: &Learned) -> Option<f64> {
         let first = self.laps.first().filter(|_| self.settings.is_nominal_first)?;
         let ratio = learned.held_out.position_m() / learned.nominal.position_m();
@@ -313,14 +315,14 @@ impl LapLearner {
 
     fn discard(&mut self, now: HostTime, why: &Discarded) {
         let through = &self.through;
-        let text = format!("the learned model is discarded: {why}; flying on through {through}");
-        // Once noise is the limit, that is to be expected.
+        let text = format!("learned model discarded: {why}; continuing with {through}");
+        // Expected once noise limits the laps.
         let is_expected = matches!(why, Discarded::NoBetter { .. });
         let severity = if is_expected { Severity::Info } else { Severity::Warning };
         self.tell(now, severity, text);
     }
 
-    /// Offers a candidate that is ready, and follows what becomes of it.
+    /// Offers a candidate that is ready, and tracks it until its first setpoint.
     fn hand_over(&mut self, tick: &Tick) {
         let now = tick.stamp.host;
         let verdict = self.exchange.take_verdict();
@@ -331,7 +333,7 @@ impl LapLearner {
             waiting => {
                 self.candidate = waiting;
                 if let Some(Verdict::Refused { reason }) = verdict {
-                    // Plans through a model that was taken may fail later.
+                    // Plans with an accepted model may fail later.
                     self.withdraw(now, &reason);
                 }
                 return;
@@ -358,7 +360,7 @@ impl LapLearner {
             self.candidate = Some(candidate);
             return;
         };
-        // The tick of that time may be heard later than the verdict.
+        // The tick of that time may arrive after the verdict.
         let is_used = self.exchange.used_from_s(model).zip(tick.trajectory_time);
         if is_used.is_none_or(|(from_s, time)| time < from_s) || tick.setpoint.is_none() {
             self.candidate = Some(candidate);
@@ -367,11 +369,11 @@ impl LapLearner {
         let latency_s = now.since(candidate.last_sample).as_secs_f64();
         let lap = self.laps.len() + 1;
         self.through = format!(
-            "the model learned in {} from {:.0} s",
+            "the model learned in {} from {:.0} s of flight",
             candidate.effort, candidate.learned.flown_s
         );
         let text = format!(
-            "lap {lap} is flown through {}: first setpoint {latency_s:.3} s after the last sample",
+            "lap {lap} now uses {}: first setpoint {latency_s:.3} s after the last sample",
             self.through
         );
         self.tell(now, Severity::Info, text);
@@ -379,7 +381,8 @@ impl LapLearner {
         self.present = Some(candidate.learned);
     }
 
-    /// The present model gives no more plans, and the planner went back to the one before it.
+    /// Records that plans with the current model failed and the planner went back to the previous
+    /// one.
     fn withdraw(&mut self, now: HostTime, why: &str) {
         self.refuse(now, why);
         (self.present, self.through) = (None, BEFORE_WITHDRAWN.to_owned());
@@ -387,8 +390,8 @@ impl LapLearner {
 
     fn refuse(&mut self, now: HostTime, why: &str) {
         let text = format!(
-            "the learned model is discarded: no plan through it may be flown: {why}; flying on \
-             through the model before it"
+            "learned model discarded: no flyable plan with it: {why}; continuing with the previous \
+             model"
         );
         self.tell(now, Severity::Warning, text);
     }
@@ -398,7 +401,7 @@ impl LapLearner {
     }
 }
 
-/// What was learned, and what limits the next lap.
+/// Describes a learned model's errors, and what limits the next lap.
 fn in_words(learned: &Learned, effort: &str) -> String {
     let Learned { held_out, nominal, flown_s, .. } = learned;
     let HeldOutErrors { residual_m_s2, lasting_m_s2, .. } = *held_out;
@@ -408,9 +411,9 @@ fn in_words(learned: &Learned, effort: &str) -> String {
         "noise limits the next lap"
     };
     format!(
-        "learned in {effort} from {flown_s:.0} s: on held-out samples off by {:.4} m after {} s, the vehicle \
-         file's physics by {:.4} m, the estimate's noise {:.4} m; of a residual of {residual_m_s2:.3} m/s^2 \
-         {lasting_m_s2:.3} last ({:.3} of the file's): {limit}",
+        "learned in {effort} from {flown_s:.0} s of flight: held-out position error {:.4} m after {} s (vehicle \
+         file's physics {:.4} m, noise of the estimate {:.4} m); RMS residual {residual_m_s2:.3} m/s^2, its \
+         persistent part {lasting_m_s2:.3} m/s^2 (vehicle file's physics {:.3} m/s^2): {limit}",
         held_out.position_m(),
         HeldOutErrors::AFTER_S,
         nominal.position_m(),

@@ -1,5 +1,5 @@
-//! Laps of a course, each through a model learned from those before, in lockstep: the simulated
-//! vehicle has effects that its file does not say.
+//! Laps of a course in lockstep, each planned with a model learned from the laps before. The
+//! simulated vehicle has effects that its file does not describe.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -24,7 +24,7 @@ use wire::{Encoder, Frame};
 
 use crate::lockstep::{NANO, effects, params, toml_trajectory};
 
-/// Unknown to the vehicle file.
+/// Effects that the vehicle file does not contain.
 const HIDDEN: [&str; 2] = ["rotor_drag:d_xy=0.012,d_z=0.008", "thrust_curve:a=0.25"];
 /// One lap: 20 s.
 const LAP: &str = "family = 'figure-8'\naltitude_m = 1.0\nduration_s = 18.0\nlength_m = 3.0\n\
@@ -45,7 +45,7 @@ fn planner(params: &VehicleParams, model: Arc<dyn Model>) -> Planner {
     Planner::new(model, vehicle, PlanSettings::default()).expect("a planner")
 }
 
-/// A model of which nothing is a number.
+/// A model whose accelerations are NaN.
 struct NoNumbers;
 
 impl Model for NoNumbers {
@@ -61,13 +61,13 @@ impl Model for NoNumbers {
     }
 }
 
-/// Physics until it was asked often, then no numbers.
+/// Physics for the first [`ASKED_MAX`] linearisations, then NaN.
 struct Fading {
     physics: PhysicsModel,
     asked: AtomicUsize,
 }
 
-/// More often than a first plan asks, less than those of a second.
+/// More than a first plan needs, fewer than the plans of one second need.
 const ASKED_MAX: usize = 4000;
 
 impl Model for Fading {
@@ -84,7 +84,7 @@ impl Model for Fading {
     }
 }
 
-/// A flight in laps: how it ended, its laps, and what the learner said.
+/// A flight in laps: its end, its laps, and the learner's events.
 struct Flown {
     end: End,
     laps: Vec<Lap>,
@@ -97,8 +97,8 @@ impl Flown {
     }
 }
 
-/// Flies `laps`. The learner hears what `tampered` makes of the records, and plans through what
-/// `model` makes of what was learned.
+/// Flies `laps`. The learner receives the records as `tampered` changes them, and plans with the
+/// model that `model` returns for the learned one.
 fn fly(
     laps: u32,
     mut tampered: impl FnMut(&Record) -> Option<Record>,
@@ -168,8 +168,8 @@ fn the_lap_after_learning_is_nearer_the_course() {
     assert_eq!(flown.end, End::Done, "{:?}", flown.said);
     let [first, second] = &flown.laps[..] else { panic!("{:?}", flown.said) };
     assert!(second.rms_m < 0.5 * first.rms_m, "{:?}", flown.said);
-    assert!(flown.told("lap 2 is flown through the model learned"), "{:?}", flown.said);
-    // The stated second, and what planning ahead takes.
+    assert!(flown.told("lap 2 now uses the model learned"), "{:?}", flown.said);
+    // The stated second, and the planner's lead.
     assert!(flown.told("first setpoint 1."), "{:?}", flown.said);
 }
 
@@ -180,11 +180,11 @@ fn each_lap_is_as_near_the_course_as_the_one_before() {
     assert_eq!(flown.end, End::Done);
     let rms: Vec<f64> = flown.laps.iter().map(|lap| lap.rms_m).collect();
     assert_eq!(rms.len(), 4);
-    // Once noise is the limit, laps differ by it.
+    // Once noise limits the laps, they differ by it.
     assert!(rms.windows(2).all(|pair| pair[1] < pair[0].max(0.02)), "{rms:?} {:?}", flown.said);
 }
 
-/// What tells the motion is no numbers.
+/// The readings of the motion are NaN.
 #[test]
 fn what_was_learned_from_poisoned_samples_is_discarded_and_the_flight_goes_on() {
     let poison = |record: &Record| {
@@ -193,12 +193,12 @@ fn what_was_learned_from_poisoned_samples_is_discarded_and_the_flight_goes_on() 
     };
     let flown = fly(2, poison, whole);
     assert_eq!(flown.end, End::Done, "{:?}", flown.said);
-    assert!(flown.told("nothing to learn from"), "{:?}", flown.said);
-    assert!(!flown.told("lap 2 is flown through the model learned"), "{:?}", flown.said);
+    assert!(flown.told("cannot learn yet"), "{:?}", flown.said);
+    assert!(!flown.told("lap 2 now uses the model learned"), "{:?}", flown.said);
     assert_eq!(flown.laps.len(), 2);
 }
 
-/// A sensor that is steadily wrong fools the samples that judge a model, but not the lap.
+/// A constant sensor error passes the judgement on held-out samples, but shows in the lap.
 #[test]
 fn a_model_whose_lap_strays_is_withdrawn_and_the_flight_goes_on() {
     let wrong = |record: &Record| {
@@ -217,7 +217,7 @@ fn a_model_whose_lap_strays_is_withdrawn_and_the_flight_goes_on() {
 fn a_model_without_numbers_gives_no_plan_and_the_flight_goes_on() {
     let flown = fly(2, |record| Some(record.clone()), |_| Arc::new(NoNumbers));
     assert_eq!(flown.end, End::Done, "{:?}", flown.said);
-    assert!(flown.told("no plan through it may be flown"), "{:?}", flown.said);
+    assert!(flown.told("no flyable plan with it"), "{:?}", flown.said);
     let [first, second] = &flown.laps[..] else { panic!("{:?}", flown.said) };
     assert!((second.rms_m / first.rms_m - 1.0).abs() < 0.1, "{:?}", flown.said);
 }
@@ -230,13 +230,13 @@ fn a_model_whose_later_plans_fail_is_withdrawn_and_the_flight_goes_on() {
     };
     let flown = fly(2, |record| Some(record.clone()), fading);
     assert_eq!(flown.end, End::Done, "{:?}", flown.said);
-    assert!(flown.told("lap 2 is flown through the model learned"), "{:?}", flown.said);
-    assert!(flown.told("no plan through it may be flown"), "{:?}", flown.said);
+    assert!(flown.told("lap 2 now uses the model learned"), "{:?}", flown.said);
+    assert!(flown.told("no flyable plan with it"), "{:?}", flown.said);
     let [first, second] = &flown.laps[..] else { panic!("{:?}", flown.said) };
     assert!(second.rms_m < 1.2 * first.rms_m, "{:?}", flown.said);
 }
 
-/// The frame with this in place of the readings of accelerometer, gyro and velocity.
+/// The frame with `value` in place of the accelerometer, gyro and velocity readings.
 fn poisoned(frame: &FrameRecord, value: f32) -> FrameRecord {
     let whole = Frame::parse(frame.bytes()).expect("a frame");
     let mut message = whole.message().expect("a message");

@@ -1,5 +1,5 @@
-//! `downwash tube`: a tube from simulated flights or logs, a plan that keeps it out of a region, and
-//! flights that stay within.
+//! `downwash tube`: a tube from simulated flights or logs, a plan that keeps the tube out of a
+//! region, and flights that stay within the tube.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-/// A folder that is gone after the test.
+/// A folder that is removed after the test.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -58,7 +58,7 @@ const WAY: &str = "family = 'waypoints'\npace = { speed_m_s = 0.6, acceleration_
 const BALL: &str = "[plan]\ninput_weight = 0.05\n\
     keep_out = [{ sphere = { centre_m = [1.0, 0.15, -1.0], radius_m = 0.15 } }]\n";
 
-/// A tube of `flights`, and a plan round the ball in it, in a folder.
+/// A folder with a tube from `flights` and a plan around the ball with that tube.
 fn planned(name: &str, flights: u32, confidence: f64) -> Folder {
     let folder = Folder::new(name);
     folder.write("way.toml", WAY);
@@ -76,7 +76,7 @@ fn planned(name: &str, flights: u32, confidence: f64) -> Folder {
     folder
 }
 
-/// The plan itself keeps the radius away from the ball.
+/// Checks that the plan stays its radius away from the ball.
 fn keeps_away(plan: &Value) {
     let radii = plan["tube"]["radius_m"].as_array().expect("radii");
     let states = plan["states"].as_array().expect("states");
@@ -89,7 +89,7 @@ fn keeps_away(plan: &Value) {
         assert!(radius > 0.005, "{radius}");
         nearest = nearest.min(off - 0.15 - radius);
     }
-    // The margin is that of the worst calibration flight, and wider than the tube.
+    // The margin covers the worst calibration flight and is wider than the tube.
     assert!((0.0..0.3).contains(&nearest), "{nearest} m between the tube and the ball");
     let confidence = |name: &str| plan["tube"][name].as_f64().expect("a probability");
     assert!(confidence("margin_confidence") > confidence("confidence"));
@@ -101,8 +101,8 @@ fn a_plan_keeps_its_tube_out_of_a_region_and_flights_stay_within() {
     let plan = folder.read("plan.json");
     keeps_away(&plan);
     let check = folder.json("tube check plan.json --config ball.toml --flights 24 --seed 7 --json");
-    // Of 24 flights fewer than 16 stay within a tube of 90 % from 24 flights by a chance of 0.5 %;
-    // the seeds are fixed.
+    // With a 90 % tube from 24 flights, fewer than 16 of 24 stay within by a chance of 0.5 %. The
+    // seeds are fixed.
     let whole = check["whole"]["count"].as_u64().expect("a count");
     assert!(whole >= 16, "{check}");
     assert_eq!(check["touched"]["count"], 0, "{check}");
@@ -110,7 +110,7 @@ fn a_plan_keeps_its_tube_out_of_a_region_and_flights_stay_within() {
     let page = fs::read_to_string(folder.0.join("report/report.html")).expect("a report");
     assert!(page.contains("data-name=\"tube\"") && page.contains("radius (m)"));
 
-    // The log of a flight has the radius beside the reference, and its report draws it.
+    // The log of a flight has the radius with the reference, and its report draws it.
     let flight = folder.json("simulate plan.json --config ball.toml --out logs --json");
     let log = flight["log"].as_str().expect("a log");
     let page = fs::read_to_string(folder.0.join(log).with_extension("html")).expect("a report");
@@ -125,7 +125,7 @@ fn a_plan_keeps_its_tube_out_of_a_region_and_flights_stay_within() {
     let most = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
     assert!(radii.len() > 200 && (most(&radii) - most(&planned)).abs() < 1e-3 * most(&planned));
 
-    // A plan without a tube is no plan to check, and a tube is one of its model alone.
+    // `tube check` needs a plan with a tube, and a tube belongs to one vehicle.
     folder.json("plan way.toml -o bare.json --json");
     let refused = folder.run("tube check bare.json --flights 1");
     assert_eq!(refused.status.code(), Some(2));
@@ -165,7 +165,7 @@ fn too_few_flights_are_refused_with_the_number_that_is_needed() {
         logs += " ";
         logs += row["log"].as_str().expect("a log");
     }
-    // Two of the seven give the shape.
+    // Two of the seven logs give the shape.
     let fit = folder.json(&format!("tube fit{logs} -o tube.json --json"));
     assert_eq!((&fit["flights"], &fit["shape_flights"]), (&Value::from(5), &Value::from(2)));
     assert_eq!(fit["position"], "true");
@@ -185,7 +185,7 @@ fn of_many_flights_the_promised_share_stays_within() {
     let check =
         folder.json("tube check plan.json --config ball.toml --flights 500 --seed 3 --json");
     let rate = check["whole"]["rate"].as_f64().expect("a rate");
-    // Three standard deviations of the calibration's and the count's chance together: 1.4 %.
+    // About three standard deviations of 1.4 %, for calibration and count together.
     assert!((0.91..=0.99).contains(&rate), "{check}");
     assert_eq!(check["touched"]["count"], 0, "{check}");
 }

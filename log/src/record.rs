@@ -146,7 +146,7 @@ pub struct Tick {
     pub reference: Option<Reference>,
     /// Desired position, m; replaces the reference's position in the error.
     pub desired: Option<Ned>,
-    /// Radius of the tube around the reference, m, if its plan has one.
+    /// Radius of the tube around the reference, m; `None` without a tube.
     pub tube_radius_m: Option<f64>,
     /// The feedback's part of `u_hat`, which adds to the reference's feed-forward.
     pub feedback: Setpoint,

@@ -121,7 +121,7 @@ impl Audit {
         self.findings.iter().any(|finding| finding.severity == Severity::Fault)
     }
 
-    /// The times that must not be used. Gaps are left to what reads the streams.
+    /// The times to exclude from use, except gaps, which the readers of the streams handle.
     pub fn cuts(&self) -> Vec<Cut> {
         let spans = self.unusable.iter().filter(|span| span.reason != NO_SAMPLES);
         let cut = |span: &UnusableSpan| Cut {
@@ -132,7 +132,7 @@ impl Audit {
         spans.map(cut).collect()
     }
 
-    /// The first fault of the data that were kept. What the importer left out is gone, and counted.
+    /// The first fault in the data that the importer kept.
     pub fn fault_of_data(&self) -> Option<&Finding> {
         self.faults().find(|fault| fault.check != LEFT_OUT)
     }

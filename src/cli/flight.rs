@@ -30,7 +30,7 @@ pub struct FlyArgs {
     /// Which of its models [default: the one that predicted best].
     #[arg(long, value_enum, requires = "model")]
     pub kind: Option<ModelKind>,
-    /// Learning on the way.
+    /// Learning in flight.
     #[command(flatten)]
     pub learning: LearnArgs,
     /// Control law [default: control.law of the configuration].
@@ -71,12 +71,12 @@ pub struct FlyArgs {
     pub json: bool,
 }
 
-/// Flags of a flight in laps that learns on the way.
+/// Flags of a flight in laps that learns from lap to lap.
 #[derive(Clone, Debug, Default, Args)]
 pub struct LearnArgs {
-    /// Flies the closed course lap after lap, planned in flight. At the end of each lap learns the
-    /// dynamics from the newest SECONDS of this flight [60 where left away], and plans the next
-    /// laps through what was learned.
+    /// Flies laps of a closed course, planned in flight. At the end of each lap, learns the
+    /// dynamics from the newest SECONDS of this flight [60 if omitted] and plans the next laps with
+    /// the learned model.
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "60")]
     pub learn: Option<f64>,
     /// Laps to fly [default: 4].

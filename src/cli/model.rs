@@ -208,14 +208,14 @@ pub struct PlanArgs {
     /// Folder for report.html and report.json; created if missing.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
-    /// A tube from `tube fit`: the plan keeps as far from keep-out regions as flights stray.
+    /// Tube from `tube fit`, used as the margin to keep-out regions.
     #[arg(long, value_name = "FILE")]
     pub tube: Option<PathBuf>,
-    /// Least probability that a whole flight stays within the tube.
+    /// Confidence of the tube: the least probability that a whole flight stays within it.
     #[arg(long, default_value_t = 0.95, value_parser = confidence, requires = "tube")]
     pub confidence: f64,
-    /// Probability that a flight stays within the margin to keep-out regions [default: that of the
-    /// tube's worst calibration flight, n of n + 1].
+    /// Confidence of the margin to keep-out regions [default: the highest that the tube supports,
+    /// that of its worst calibration flight].
     #[arg(long, value_parser = confidence, requires = "tube")]
     pub keep_out_confidence: Option<f64>,
     /// Solver of the subproblems.
@@ -239,7 +239,7 @@ fn confidence(text: &str) -> Result<f64, String> {
     let is_one = value > 0.0 && value < 1.0;
     is_one
         .then_some(value)
-        .ok_or_else(|| format!("expected more than 0 and less than 1, found {text}"))
+        .ok_or_else(|| format!("expected a number above 0 and below 1, found {text}"))
 }
 
 #[cfg(test)]

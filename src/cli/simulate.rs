@@ -17,7 +17,7 @@ pub struct SimulateArgs {
     /// The simulated vehicle.
     #[command(flatten)]
     pub simulation: SimulationArgs,
-    /// Learning on the way; it takes `learn.simulated_latency_s` of simulated time.
+    /// Learning in flight; it takes `learn.simulated_latency_s` of simulated time.
     #[command(flatten)]
     pub learning: LearnArgs,
     /// Overrides a setting of the configuration, such as control.thrust=0.5; may be repeated.

@@ -1,4 +1,4 @@
-//! Flags of what makes and checks tubes around plans.
+//! Flags of the commands that make and check tubes around plans.
 
 use std::path::PathBuf;
 
@@ -7,19 +7,21 @@ use clap::{Args, Subcommand};
 use super::SimulationArgs;
 use crate::model::file::ModelKind;
 
-/// Commands on tubes: how far from a plan a flight may be, with a stated probability.
+/// Commands for tubes: bounds on the distance between a flight and its plan, at a stated
+/// confidence.
 #[derive(Debug, Subcommand)]
 pub enum TubeCommand {
-    /// Calibrates a tube on flights that fitted nothing: logs of tracked flights, or flights that it
-    /// simulates.
+    /// Calibrates a tube on flights that the model was not trained on: logs of tracked flights, or
+    /// simulated flights.
     ///
-    /// A part of the flights gives the model's errors, and so the tube's shape; the others, as whole
-    /// flights, its width. A tube of 95 % takes at least 19 of these.
+    /// Some of the flights give the model's errors and thereby the tube's shape. The others, as
+    /// whole flights, give its width. A 95 % tube needs at least 19 of these.
     Fit(TubeFitArgs),
-    /// Flies a plan with a tube many times, simulated under drawn disturbances, and counts the flights
-    /// that stay within it and those that touch a keep-out region.
+    /// Simulates many flights of a plan with a tube under random disturbances. Counts the flights
+    /// that stay within the tube and those that touch a keep-out region.
     ///
-    /// Exit code 10: a region was touched, or fewer flights stayed within than chance explains.
+    /// Exit code 10: a flight touched a region, or fewer flights stayed within the tube than chance
+    /// explains.
     Check(TubeCheckArgs),
 }
 
@@ -29,8 +31,8 @@ pub struct TubeFitArgs {
     /// Logs of flights that tracked a plan (.mcap).
     #[arg(required_unless_present = "along", conflicts_with = "along")]
     pub logs: Vec<PathBuf>,
-    /// Simulates flights along this trajectory or plan; may be given again, and each flight then draws
-    /// one. A trajectory is planned through the model first.
+    /// Trajectory or plan along which to simulate flights. If repeated, each flight picks one at
+    /// random. A trajectory is first planned with the model.
     #[arg(long, value_name = "FILE")]
     pub along: Vec<PathBuf>,
     /// Calibration flights to simulate.
@@ -45,10 +47,10 @@ pub struct TubeFitArgs {
     /// Vehicle file, or the name of a shipped one [default: a built-in nano quadrotor].
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
-    /// The simulated vehicle; the disturbances are drawn on top of its effects.
+    /// The simulated vehicle. Each flight's random disturbances are added to its effects.
     #[command(flatten)]
     pub simulation: SimulationArgs,
-    /// Seed of the disturbances and of the choice of flights for the shape.
+    /// Seed of the disturbances, or of the choice of logs for the shape.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// The tube to write.
@@ -65,21 +67,21 @@ pub struct TubeFitArgs {
 /// Flags of `tube check`.
 #[derive(Debug, Args)]
 pub struct TubeCheckArgs {
-    /// A plan that `plan --tube` made.
+    /// Plan from `plan --tube`.
     pub plan: PathBuf,
-    /// Flights to simulate. None of them is one that `tube fit` simulates, whatever the seeds.
+    /// Flights to simulate. None repeats a flight of `tube fit`, whatever the seeds.
     #[arg(long, value_name = "COUNT", default_value_t = 1000)]
     pub flights: u32,
     /// Vehicle file, or the name of a shipped one [default: a built-in nano quadrotor].
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
-    /// The simulated vehicle; the disturbances are drawn on top of its effects.
+    /// The simulated vehicle. Each flight's random disturbances are added to its effects.
     #[command(flatten)]
     pub simulation: SimulationArgs,
     /// Seed of the disturbances.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Configuration file, with the regions of [plan] keep_out.
+    /// Configuration file with the regions of [plan] keep_out.
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Prints the summary as JSON.

@@ -44,7 +44,7 @@ pub(super) struct Audience {
     health: Option<HealthView>,
     /// Changes of the vehicle that were said.
     said: u64,
-    /// What a learner says.
+    /// Messages of a learner for the terminal.
     lines: Option<Lines>,
 }
 
@@ -107,7 +107,7 @@ impl Audience {
         Ok(self)
     }
 
-    /// The same, learning from lap to lap, where there is a learner.
+    /// Adds a learner as a listener, if there is one.
     pub fn learning(mut self, learner: Option<LapLearner>) -> anyhow::Result<Self> {
         if let Some(learner) = learner {
             let (ear, lines) = lap_course::start(learner)?;

@@ -161,7 +161,7 @@ fn check(
     Ok(exit)
 }
 
-/// The trajectory in laps, planned in flight, and who learns from lap to lap.
+/// Makes laps of the trajectory, planned in flight, and their learner.
 fn learned(
     args: &FlyArgs,
     vehicle: &VehicleFile,

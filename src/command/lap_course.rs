@@ -1,4 +1,4 @@
-//! A flight in laps that learns on the way: its course, and who learns.
+//! A flight in laps that learns from lap to lap: its course and its learner.
 
 use std::num::NonZeroU32;
 use std::sync::Arc;
@@ -22,23 +22,24 @@ use crate::plan::Trajectory;
 use crate::plan::planned::PlannedThrough;
 use crate::plan::receding::RecedingReference;
 
-/// Laps where none are asked for.
+/// Default number of laps.
 const LAPS: NonZeroU32 = NonZeroU32::new(4).expect("not zero");
-/// Fewest and most seconds to learn from.
+/// Allowed length of the part of the flight to learn from, s.
 const SECONDS: std::ops::RangeInclusive<f64> = 15.0..=600.0;
-/// Records that wait while a model is being learned: some ten seconds of a fast link.
+/// Records queued while a model is being learned: about ten seconds of a fast link.
 const QUEUE: usize = 16_384;
 
-/// Where plans are made, and how long learning takes.
+/// The clock of planning and learning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Clock {
-    /// In threads, by the wall clock.
+    /// The wall clock, with planning and learning in separate threads.
     Wall,
-    /// In the flight's own thread, where planning takes no time and learning what is stated.
+    /// The simulation's clock, in one thread: planning takes no time, learning `learning_s`.
     Virtual { learning_s: f64 },
 }
 
-/// The course in laps, planned in flight from `through` on, and what learns from lap to lap.
+/// Makes laps of a trajectory, planned in flight, and their learner. The first lap is planned with
+/// the model `through`.
 pub(super) fn lap_course(
     args: &LearnArgs,
     lap: Trajectory,
@@ -59,8 +60,8 @@ pub(super) fn lap_course(
     let goal = lap.laps(laps).or_exit(Exit::Usage)?;
     let params = &vehicle.params;
     let (first, answer) = planner(params, through, config)?;
-    // Whatever the loop: a plan that starts from each new estimate hides from the laps what the
-    // model lacks, and chases the estimate's noise.
+    // Cautious for any attitude loop: a plan that starts afresh from each estimate hides the
+    // model's errors from the laps and follows the noise of the estimate.
     let receding = config.settings.plan.receding.for_loop(true);
     let (reference, pace) = match clock {
         Clock::Wall => {
@@ -84,7 +85,7 @@ pub(super) fn lap_course(
     Ok((course, LapLearner::new(settings, learner, planning, exchange, pace)))
 }
 
-/// The same for a simulated flight along `course`, from the vehicle file's physics on.
+/// As [`lap_course`] for a simulated flight, first with the vehicle file's physics.
 pub(super) fn simulated(
     args: &LearnArgs,
     course: &Course,
@@ -92,15 +93,17 @@ pub(super) fn simulated(
     config: &Config,
 ) -> anyhow::Result<(Course, LapLearner)> {
     let Course::Desired(lap) = course.clone() else {
-        return Err(anyhow!("--learn: a plan is not planned again; give a trajectory"))
-            .or_exit(Exit::Usage);
+        return Err(anyhow!(
+            "--learn: expected a trajectory, found a plan; give the trajectory file"
+        ))
+        .or_exit(Exit::Usage);
     };
     let through = PlanModel::nominal(&vehicle.params)?;
     let learning_s = config.settings.learn.simulated_latency_s;
     lap_course(args, lap, &through, vehicle, config, Clock::Virtual { learning_s })
 }
 
-/// Makes planners for the vehicle through what was learned.
+/// Returns a function that makes the vehicle's planner from a learned model.
 fn planning(vehicle: &VehicleFile, config: &Config) -> Planning {
     let (params, config) = (vehicle.params.clone(), config.clone());
     Box::new(move |learned: &Learned| {
@@ -112,7 +115,7 @@ fn planning(vehicle: &VehicleFile, config: &Config) -> Planning {
     })
 }
 
-/// The wall's clock and that of this thread.
+/// Measures elapsed time and the CPU time of the calling thread.
 fn stopwatch() -> Box<dyn Fn() -> Spent + Send> {
     let began = Instant::now();
     Box::new(move || {
@@ -123,16 +126,16 @@ fn stopwatch() -> Box<dyn Fn() -> Spent + Send> {
     })
 }
 
-/// Hears a flight in the log's thread for a learner in a thread of its own.
+/// A listener in the log's thread that queues a flight's records for the learner's thread.
 pub(super) struct Ear {
     queue: SyncSender<Record>,
     events: Receiver<Record>,
 }
 
-/// What a learner says for people.
+/// Messages of a learner for the terminal.
 pub(super) type Lines = Receiver<String>;
 
-/// Starts the learner's thread. It ends with the ear, and takes one core at most.
+/// Starts the learner's thread, which uses at most one core and ends when the [`Ear`] is dropped.
 pub(super) fn start(mut learner: LapLearner) -> anyhow::Result<(Ear, Lines)> {
     let (queue, records) = sync_channel(QUEUE);
     let (events, heard) = channel();
@@ -143,7 +146,7 @@ pub(super) fn start(mut learner: LapLearner) -> anyhow::Result<(Ear, Lines)> {
         .thread_name(|_| "learning".to_owned())
         .build()
         .context("cannot start the learning thread")?;
-    // What it was given to do it ends after the pool is gone.
+    // The task outlives the pool: a dropped pool finishes what was spawned.
     pool.spawn(move || attend(&mut learner, &records, &events, &lines));
     Ok((Ear { queue, events: heard }, said))
 }
@@ -158,7 +161,7 @@ fn attend(
         learner.hear(&record);
         while let Some(event) = learner.take_event() {
             if let Record::Event { text, .. } = &event {
-                // Nobody may be there to read.
+                // The receiver may be gone.
                 let _ = lines.send(text.clone());
             }
             let _ = events.send(event);
@@ -169,7 +172,7 @@ fn attend(
 impl Listener for Ear {
     fn hear(&mut self, record: &Record) {
         if LapLearner::uses(record) {
-            // A full queue leaves a gap in what is learned from.
+            // A full queue leaves a gap in the samples.
             match self.queue.try_send(record.clone()) {
                 Ok(()) | Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {}
             }

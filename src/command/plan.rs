@@ -39,7 +39,7 @@ use crate::plan::time_optimal::{Stop, Task};
 use crate::plan::{Feasibility, TimeLimit, Trajectory, TrajectoryFile};
 use crate::report::plan as page;
 
-/// What plans through the vehicle file's own physics say that they go through.
+/// Kind of the model that is the vehicle file's own physics.
 const NOMINAL: &str = "nominal";
 
 /// A model to plan through, with what a plan says about it.
@@ -88,10 +88,10 @@ impl PlanModel {
         self.note.kind == NOMINAL
     }
 
-    /// Accelerations and the rotors' response, as learned for a vehicle.
+    /// Makes a planning model from learned accelerations and the learned rotors' response.
     ///
     /// # Errors
-    /// A vehicle whose effects make no vehicle.
+    /// The vehicle with its effects is invalid.
     pub fn of(
         model: Arc<dyn Model>,
         actuation: &Actuation,
@@ -181,7 +181,7 @@ pub fn plan_trajectory(
     plan_within(trajectory, vehicle, through, config, None, watch)
 }
 
-/// As [`plan_trajectory`], with the tube's radius as the margin to what the plan is to avoid.
+/// As [`plan_trajectory`], with the tube's radius as the margin to keep-out regions.
 fn plan_within(
     trajectory: &Trajectory,
     vehicle: &VehicleParams,
@@ -248,7 +248,7 @@ pub(super) struct PlanSummary<'a> {
     feasibility: Option<Feasibility>,
     /// Of a plan that takes the least time; null of others.
     time_optimal: Option<Fastest>,
-    /// Of a plan with a tube; null of others.
+    /// The tube; null for a plan without one.
     tube: Option<TubeOfPlan>,
     plan: &'a Path,
 }
@@ -375,8 +375,8 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
         TrajectoryFile::Task(task) => {
             if let Some(tube) = &args.tube {
                 return Err(anyhow!(
-                    "{}: the fastest way is planned without a tube; leave --tube {} away, or plan a \
-                     trajectory with times",
+                    "{}: a fastest flight cannot have a tube; omit --tube {}, or plan a trajectory with \
+                     times",
                     args.trajectory.display(),
                     tube.display()
                 ))

@@ -1,5 +1,5 @@
-//! `downwash simulate`: one flight of the simulated vehicle in lockstep, as one row of numbers. It is
-//! what a sweep repeats.
+//! `downwash simulate`: one flight of the simulated vehicle in lockstep, as one row of numbers. A
+//! sweep repeats it.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -103,7 +103,7 @@ pub struct Row {
     /// The numbers.
     #[serde(flatten)]
     pub metrics: Metrics,
-    /// The laps of a flight that learned on the way.
+    /// The laps of a flight with `--learn`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub laps: Vec<Lap>,
     /// The log, if one was kept.
@@ -238,7 +238,7 @@ impl Simulation {
         self.fly_heard(Some(folder), hear, |_| {})
     }
 
-    /// Flies, with a log where there is a folder for it. `hear` hears each record, and may add one.
+    /// Flies, with a log if `folder` is given. `hear` receives each record and may add one.
     fn fly_heard(
         &self,
         folder: Option<&Path>,

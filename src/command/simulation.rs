@@ -105,7 +105,7 @@ impl SimulatedFlight<'_> {
         self.fly_logged(folder, |_| None, watch)
     }
 
-    /// As [`fly`](Self::fly); `record` sees what is logged, and may add a record after it.
+    /// As [`fly`](Self::fly); `record` receives each logged record and may add one after it.
     pub fn fly_logged(
         self,
         folder: &Path,

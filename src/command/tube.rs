@@ -1,4 +1,4 @@
-//! `downwash tube`: makes tubes around plans, and checks them.
+//! `downwash tube`: calibrates and checks tubes around plans.
 
 mod check;
 mod ensemble;
@@ -35,11 +35,11 @@ use crate::plan::planned::Plan;
 use crate::plan::tube::{Calibration, Shape, Tube, TubeError};
 use crate::plan::{PositionSource, TimeLimit, Trajectory};
 
-/// Simulated flights that give a tube its shape.
+/// Number of simulated flights for the shape.
 const SHAPE_FLIGHTS: u64 = 12;
-/// Of the logs, one in so many gives the tube its shape.
+/// One in this number of logs is used for the shape.
 const SHAPE_SHARE: usize = 5;
-/// Confidences of which the summary has the widths.
+/// Confidences whose widths the summary lists.
 const CONFIDENCES: [f64; 4] = [0.5, 0.9, 0.95, 0.99];
 
 pub(super) fn run(command: &TubeCommand, interruption: &Interruption) -> anyhow::Result<Exit> {
@@ -55,17 +55,17 @@ pub(super) struct TubeSummary<'a> {
     schema: &'static str,
     schema_version: u32,
     vehicle: &'a str,
-    /// Calibration flights.
+    /// Number of calibration flights.
     flights: usize,
-    /// Of these, flights that ended early.
+    /// Number of these that ended early.
     ended_early: usize,
-    /// Flights that gave the shape.
+    /// Number of flights for the shape.
     shape_flights: usize,
     shape: &'a Shape,
     position: PositionSource,
-    /// Calibration flights of each trajectory.
+    /// Number of calibration flights for each trajectory.
     missions: &'a BTreeMap<String, usize>,
-    /// Radius over standard deviation by confidence.
+    /// Ratio of the radius to the standard deviation, for each confidence.
     widths: Vec<Width>,
     tube: &'a Path,
 }
@@ -73,17 +73,18 @@ pub(super) struct TubeSummary<'a> {
 #[derive(JsonSchema, Serialize)]
 struct Width {
     confidence: f64,
-    /// Null where the flights do not support it.
+    /// Ratio of the radius to the standard deviation; null if the flights do not support the
+    /// confidence.
     multiplier: Option<f64>,
-    /// The fewest flights that do.
+    /// Smallest number of calibration flights that supports the confidence.
     flights_needed: usize,
 }
 
-/// Flights for a tube.
+/// The shape of a tube and its calibration flights.
 struct Gathered {
     shape: Shape,
     shape_flights: usize,
-    /// The others.
+    /// The calibration flights.
     flights: Vec<Flown>,
 }
 
@@ -150,22 +151,23 @@ fn fit(args: &TubeFitArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
     Ok(Exit::Ok)
 }
 
-/// The position that all flights' points are.
+/// The kind of position that all flights have.
 fn position_of(flights: &[Flown]) -> anyhow::Result<PositionSource> {
     let Some(first) = flights.first() else {
-        return Err(anyhow!("no flight is left to calibrate the tube on")).or_exit(Exit::Usage);
+        return Err(anyhow!("no flight is left to calibrate the tube on; add flights"))
+            .or_exit(Exit::Usage);
     };
     if flights.iter().any(|flown| flown.position != first.position) {
         return Err(anyhow!(
-            "some flights have the simulator's true position and some have none; their errors differ: \
-             make a tube for each kind"
+            "some flights have the simulator's true position and some only the vehicle's estimate, and \
+             their errors differ; make a tube for each kind"
         ))
         .or_exit(Exit::Usage);
     }
     Ok(first.position)
 }
 
-/// Flights from logs: some give the shape, drawn by the seed, the others calibrate.
+/// Flights from logs: the seed selects those for the shape, the others calibrate.
 fn of_logs(
     args: &TubeFitArgs,
     config: &Config,
@@ -193,7 +195,7 @@ fn of_logs(
     Ok(Gathered { shape, shape_flights: for_shape.len(), flights })
 }
 
-/// The plans that flights are simulated along.
+/// Loads or makes the plans along which flights are simulated.
 fn courses(
     args: &TubeFitArgs,
     config: &Config,
@@ -219,7 +221,7 @@ fn courses(
     args.along.iter().map(load).collect()
 }
 
-/// Simulated flights along the courses, under drawn disturbances.
+/// Simulates flights along the courses, under random disturbances.
 fn simulated(
     args: &TubeFitArgs,
     config: &Config,
@@ -258,7 +260,7 @@ fn simulated(
     Ok(Gathered { shape, shape_flights: logs.len(), flights })
 }
 
-/// A folder for logs that are read once.
+/// A temporary folder for the logs of the shape.
 struct Desk(PathBuf);
 
 impl Desk {
@@ -280,17 +282,17 @@ impl TubeSummary<'_> {
         let Shape { feedback, error } = self.shape;
         let axis = |name: &str, axis: &crate::plan::tube::error::AxisError| {
             format!(
-                "{name:12}{:.3} m/s^2 at rest, {:.3} 1/s of the speed, over {:.2} s\n",
+                "{name:12}{:.3} m/s^2 at rest, {:.3} 1/s times the speed, correlation time {:.2} s\n",
                 axis.at_rest_m_s2, axis.per_speed_s, axis.correlation_s
             )
         };
         let mut text = format!(
-            "model's errors on {} flights that it was not fitted on (standard deviation)\n{}{}\
+            "standard deviation of the model's error on {} flights\n{}{}\
              feedback    stiffness {:.2} and {:.2} 1/s^2, damping {:.2} and {:.2} 1/s\n\
-             calibrated  on {} flights, {} of which ended early, by {}\n",
+             calibrated  on {} flights ({} ended early), with {}\n",
             self.shape_flights,
-            axis("across", &error.horizontal),
-            axis("down", &error.vertical),
+            axis("horizontal", &error.horizontal),
+            axis("vertical", &error.vertical),
             feedback.stiffness_s2[0],
             feedback.stiffness_s2[1],
             feedback.damping_s[0],
@@ -302,7 +304,7 @@ impl TubeSummary<'_> {
         for Width { confidence, multiplier, flights_needed } in &self.widths {
             let width = match multiplier {
                 Some(multiplier) => format!("{multiplier:.2} standard deviations"),
-                None => format!("not from these; it takes {flights_needed} flights or more"),
+                None => format!("not supported: needs at least {flights_needed} flights"),
             };
             text += &format!("{:<12}{width}\n", format!("{:.0} %", 100.0 * confidence));
         }

@@ -78,7 +78,7 @@ impl Default for HealthSettings {
 #[derive(Clone, Debug, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LearnSettings {
-    /// Time that learning takes in simulated flights, s. Real flights take what it takes.
+    /// Duration of learning in simulated flights, s. Real flights take the actual time.
     pub simulated_latency_s: f64,
 }
 

@@ -1,42 +1,41 @@
-//! How near the course a lap was flown.
+//! The tracking errors of a lap.
 
 use schemars::JsonSchema;
 use serde::Serialize;
 
-/// One lap.
+/// A lap that was flown to its end.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct Lap {
-    /// Its number, from 1.
+    /// Number of the lap, from 1.
     pub number: u32,
     /// RMS distance from the desired position, m.
     pub rms_m: f64,
-    /// Largest distance, m.
+    /// Largest distance from the desired position, m.
     pub most_m: f64,
-    /// What was foreseen for the RMS distance when the model was learned, m.
+    /// RMS distance predicted when the lap's model was learned, m; null unless that model is new.
     pub foreseen_m: Option<f64>,
-    /// What it was planned through, in words.
+    /// The model that the lap ended with, in words.
     pub through: String,
 }
 
 impl Lap {
-    /// One line.
+    /// One line for people.
     pub fn in_words(&self) -> String {
         let Self { number, rms_m, most_m, through, .. } = self;
-        let foreseen = self.foreseen_m.map(|m| format!(" (foreseen {m:.3} m)")).unwrap_or_default();
-        format!(
-            "lap {number}: {rms_m:.4} m RMS{foreseen}, {most_m:.3} m at most, through {through}"
-        )
+        let foreseen =
+            self.foreseen_m.map(|m| format!(" (predicted {m:.3} m)")).unwrap_or_default();
+        format!("lap {number}: {rms_m:.4} m RMS{foreseen}, {most_m:.3} m at most, with {through}")
     }
 }
 
-/// The present lap's errors.
+/// The errors of the lap in progress.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct LapErrors {
-    /// From 0.
+    /// Number of the lap, from 0.
     pub number: u32,
-    /// Whether the searches of a training have run in it.
+    /// Whether the long searches have run in this lap.
     pub is_prepared: bool,
-    /// How far into it the vehicle is, 0..1.
+    /// Fraction of the lap flown so far, 0..1.
     pub share: f64,
     /// Largest distance so far, m.
     pub most_m: f64,

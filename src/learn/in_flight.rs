@@ -1,9 +1,9 @@
 //! A hybrid model learned while the vehicle flies, from the flight so far.
 //!
-//! The long searches, for the rotors' response and for the physics with the best open loop, run
-//! ahead ([`InFlight::prepare`]). What remains once the last sample is there ([`InFlight::learn`])
-//! continues from their result and takes a fraction of their time: new rows, a fit of the physics
-//! that starts near its end, the networks, and the judgement on samples that nothing was fitted to.
+//! The long searches run ahead ([`InFlight::prepare`]): they find the rotors' response and the
+//! physics with the best open-loop predictions. After the last sample, [`InFlight::learn`]
+//! continues from their result in a fraction of their time: it computes new rows, refines the
+//! physics, trains the networks, and judges the model on held-out samples.
 
 use vehicle::effects::BatterySag;
 use vehicle::{VehicleError, VehicleParams};
@@ -27,21 +27,21 @@ use crate::model::hybrid::Hybrid;
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 use crate::model::{ACCELERATIONS, Model};
 
-/// Hidden units of each network: a flight of a minute supports no more.
+/// Hidden units of each network: a minute of flight supports no more.
 const HIDDEN: usize = 40;
-/// Most windows that select how much of the networks' correction is used.
+/// Largest number of windows that select the fraction of the networks' correction.
 const CHOICE_WINDOWS: usize = 16;
-/// Lag at which a residual counts as lasting, in rows: beyond the windows of the labels, whose
-/// noise is alike within them.
+/// Lag of the autocovariance that gives the persistent part of a residual, in rows. It exceeds the
+/// windows of the labels, whose noise is correlated within a window.
 const LASTING_ROWS: usize = 10;
-/// The horizon that a model's errors are told at: [`HORIZONS_S`].
+/// Index in [`HORIZONS_S`] of the horizon of reported errors.
 const TOLD: usize = 2;
 
 /// Why a flight gives no model to fly with.
 #[derive(Debug, thiserror::Error)]
 pub enum Discarded {
     /// The samples cannot be used.
-    #[error("its samples: {0}")]
+    #[error("unusable samples: {0}")]
     Unusable(#[from] Unusable),
     /// The commands do not fit the vehicle.
     #[error("{0}")]
@@ -49,42 +49,42 @@ pub enum Discarded {
     /// The training gives no model.
     #[error("{0}")]
     Training(#[from] TrainError),
-    /// Its predictions are no numbers.
+    /// Its predictions are not finite.
     #[error("its predictions of the held-out samples are not finite")]
     NotFinite,
-    /// It predicts held-out samples no better than what is there.
+    /// It predicts held-out samples no better than another model.
     #[error(
-        "it predicts the held-out samples no better than {than}: off by {learned_m:.4} m after \
+        "it predicts the held-out samples no better than {than}: position error {learned_m:.4} m after \
          {after_s} s, against {present_m:.4} m"
     )]
     NoBetter {
-        /// Its error of position, m.
+        /// Its position error, m.
         learned_m: f64,
         /// The horizon, s.
         after_s: f64,
         /// The other model.
         than: &'static str,
-        /// That of the other model, m.
+        /// Position error of the other model, m.
         present_m: f64,
     },
 }
 
-/// Errors of a model on samples that nothing was fitted to.
+/// Errors of a model on held-out samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HeldOutErrors {
     /// Errors of open-loop predictions at [`HORIZONS_S`].
     pub open_loop: MultiStep,
-    /// Sum of their ratios to holding the state.
+    /// Sum of their ratios to the errors of holding the state.
     score: f64,
     /// RMS residual of the linear acceleration, m/s^2.
     pub residual_m_s2: f64,
-    /// The part of it that lasts for a tenth of a second, and so is no noise of the measurement,
-    /// m/s^2.
+    /// Its persistent part, m/s^2: the root of its autocovariance at a lag of a tenth of a second,
+    /// to which measurement noise does not contribute.
     pub lasting_m_s2: f64,
 }
 
 impl HeldOutErrors {
-    /// Error of the predicted position after half a second, m.
+    /// Error of the predicted position at [`AFTER_S`](Self::AFTER_S), m.
     pub fn position_m(&self) -> f64 {
         self.open_loop[TOLD].position_m
     }
@@ -92,8 +92,8 @@ impl HeldOutErrors {
     /// The horizon of [`position_m`](Self::position_m), s.
     pub const AFTER_S: f64 = HORIZONS_S[TOLD];
 
-    /// Error of the reported position itself, m: that of a prediction too short for a model to
-    /// matter, of which each end has its share.
+    /// Noise of the reported position, m: the error at the shortest horizon, where the model hardly
+    /// matters, over the square root of two since both ends contribute.
     pub fn noise_m(&self) -> f64 {
         self.open_loop[0].position_m / 2.0_f64.sqrt()
     }
@@ -103,22 +103,22 @@ impl HeldOutErrors {
     }
 }
 
-/// A model and the rotors' response that it was learned with.
+/// A model, and the rotors' response that it was learned with.
 #[derive(Clone, Debug)]
 pub struct Learned {
-    /// Accelerations.
+    /// The physics with the networks' correction.
     pub model: Hybrid,
-    /// Delay and lag of the rotors, voltage.
+    /// The rotors' delay and lag, and the effect of the voltage.
     pub actuation: Actuation,
-    /// Length of the flight that it was learned from, s.
+    /// Usable length of the flight that it was learned from, s.
     pub flown_s: f64,
-    /// Its errors on the held-out samples.
+    /// The model's errors on the held-out samples.
     pub held_out: HeldOutErrors,
-    /// Those of the vehicle file's physics.
+    /// Errors of the vehicle file's physics on the same samples.
     pub nominal: HeldOutErrors,
 }
 
-/// Learns models of one vehicle in flight.
+/// Learns models of one vehicle while it flies.
 pub struct InFlight {
     vehicle: VehicleParams,
     onboard: Onboard,
@@ -149,7 +149,7 @@ impl InFlight {
         Ok(Self { vehicle, onboard, nominal, windows, settings })
     }
 
-    /// The long searches, from the flight so far without the times in `cuts`.
+    /// Runs the long searches on the flight so far, without the times in `cuts`.
     ///
     /// # Errors
     /// [`Discarded`].
@@ -158,11 +158,11 @@ impl InFlight {
         Ok(TrainingSet::new(&self.vehicle, &self.onboard, &mut flights)?.prepared())
     }
 
-    /// Learns from the flight so far without the times in `cuts`, and compares the result with the
-    /// vehicle file's physics and with the `present` model on samples that nothing was fitted to.
+    /// Learns from the flight so far, without the times in `cuts`, and compares the result with the
+    /// vehicle file's physics and with the `present` model on held-out samples.
     ///
     /// # Errors
-    /// [`Discarded`], also where one of those predicts better.
+    /// [`Discarded`], also if one of the two predicts at least as well.
     pub fn learn(
         &self,
         flight: Flight,
@@ -192,7 +192,7 @@ impl InFlight {
         }
         let present = present.map(|present| judge(&present.model, &present.actuation));
         let others =
-            [("the vehicle file's physics", Some(nominal)), ("the present model", present)];
+            [("the vehicle file's physics", Some(nominal)), ("the current model", present)];
         for (than, other) in others {
             if let Some(other) = other.filter(|other| held_out.score >= other.score) {
                 return Err(Discarded::NoBetter {
@@ -213,7 +213,7 @@ impl InFlight {
         Ok(observed)
     }
 
-    /// The response by the vehicle file.
+    /// The rotors' response according to the vehicle file.
     fn nominal_actuation(&self) -> Actuation {
         let sag = self.vehicle.modelled_effects.get::<BatterySag>();
         Actuation {
@@ -225,7 +225,7 @@ impl InFlight {
     }
 }
 
-/// A model's errors on the held-out part.
+/// Computes a model's errors on the held-out part.
 fn judge(set: &TrainingSet<'_>, model: &dyn Model, actuation: &Actuation) -> HeldOutErrors {
     let windows = set.windows(Part::Test, actuation);
     let none = [Default::default(); HORIZONS_S.len()];
@@ -240,7 +240,7 @@ fn judge(set: &TrainingSet<'_>, model: &dyn Model, actuation: &Actuation) -> Hel
     HeldOutErrors { open_loop, score, residual_m_s2, lasting_m_s2 }
 }
 
-/// RMS of the residual of the linear acceleration, and of its part that lasts.
+/// RMS residual of the linear acceleration, and its persistent part, m/s^2.
 fn residuals(rows: &[&Row], model: &dyn Model) -> (f64, f64) {
     let residual = |row: &&Row| -> [f64; 3] {
         let explained: [f64; ACCELERATIONS] = model.accelerations(&row.point);

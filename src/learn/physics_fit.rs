@@ -29,7 +29,7 @@ pub fn fit(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, 
     search(rows, vehicle, Parameters::shipped(vehicle), FIT_ROWS)
 }
 
-/// As [`fit`], searched for from physics that was fitted to some of these rows.
+/// As [`fit`], but starts at physics that was fitted to some of these rows.
 ///
 /// The vehicle does not allow the physics.
 pub(super) fn fit_from(

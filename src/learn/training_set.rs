@@ -33,16 +33,16 @@ pub(super) const CHOICE_WINDOWS_MAX: usize = 500;
 /// Least number of training rows.
 pub const ROWS_MIN: usize = 500;
 
-/// Most windows in the choice between a physics and its predecessor.
+/// Approximate largest number of windows to choose between the fitted physics and its start.
 const CONTINUED_WINDOWS: usize = 32;
 
-/// What the long searches of a training found: a start for one on more of the same flights.
+/// Result of a training's long searches, from which a training on more of the same flights starts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prepared {
     actuation: Actuation,
     acceleration: AccelerationSource,
     physics: PhysicsParameters,
-    /// Of the first flight, s.
+    /// Shift of the first flight's commands, s.
     command_shift_s: f64,
 }
 
@@ -121,9 +121,9 @@ impl<'a> TrainingSet<'a> {
         Ok(dataset)
     }
 
-    /// As [`new`](Self::new), with the rotors' response from an earlier part of the same flights.
-    /// The physics is fitted from that of the earlier part, which remains if it predicts the
-    /// validation part better in open loop.
+    /// As [`new`](Self::new), but takes the rotors' response from an earlier part of the same
+    /// flights. The fit of the physics starts at the earlier result, and replaces it only if it
+    /// predicts the validation part better in open loop.
     ///
     /// # Errors
     /// [`TrainError::TooFewRows`], [`TrainError::EmptyPart`], [`TrainError::Vehicle`].
@@ -159,7 +159,7 @@ impl<'a> TrainingSet<'a> {
         Ok(dataset)
     }
 
-    /// What a training on a later part of the same flights may start from.
+    /// The start for a training on a later part of the same flights.
     pub fn prepared(&self) -> Prepared {
         Prepared {
             actuation: self.actuation,
@@ -268,7 +268,7 @@ impl<'a> TrainingSet<'a> {
         self.some_windows(part, actuation, most)
     }
 
-    /// At most about `most` of them.
+    /// As [`windows`](Self::windows), thinned to about `most`.
     fn some_windows<'b>(
         &'b self,
         part: Part,
@@ -294,7 +294,7 @@ impl<'a> TrainingSet<'a> {
 
 impl TrainingSet<'_> {
     /// Scales the learned corrections, linear and angular, by the fractions with which the hybrid
-    /// predicts at most `most` windows of the validation part best: this removes what a network
+    /// best predicts about `most` windows of the validation part: this removes what a network
     /// learned from noise. `step` is called after each fraction tried.
     pub(super) fn shrink(
         &self,

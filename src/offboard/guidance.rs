@@ -67,7 +67,7 @@ pub(super) struct Guided {
     pub reference: Reference,
     /// Where the vehicle is wanted.
     pub desired: Ned,
-    /// Radius of the tube around the reference, m, if its plan has one.
+    /// Radius of the tube around the reference, m; `None` without a tube.
     pub tube_radius_m: Option<f64>,
     /// Whether feedback acts; on the ground only the feed-forward does.
     pub feedback: bool,
@@ -92,7 +92,7 @@ pub(super) struct Extent {
     pub lowest_m: f64,
 }
 
-/// The event at the end of a trajectory.
+/// Text of the event at the end of a trajectory; `tube fit` finds it in logs.
 pub const TRAJECTORY_DONE: &str = "the trajectory is done";
 
 /// Chooses the reference. The trajectory's origin is the anchor: the place where the vehicle took

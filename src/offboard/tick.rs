@@ -20,7 +20,7 @@ pub struct Tick {
     pub reference: Reference,
     /// Where the vehicle is wanted. A plan that is remade in flight leads there.
     pub desired: Ned,
-    /// Radius of the tube around the reference, m, if its plan has one.
+    /// Radius of the tube around the reference, m; `None` without a tube.
     pub tube_radius_m: Option<f64>,
     /// The reference's input.
     pub feedforward: Setpoint,

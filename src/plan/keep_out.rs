@@ -100,7 +100,7 @@ impl KeepOut {
         StateRow { excess: depth + margin_m, gradient }
     }
 
-    /// A region of the same kind that contains all within `margin_m` of this one.
+    /// The region enlarged by `margin_m` (a box grows along each axis).
     pub(super) fn inflated(&self, margin_m: f64) -> Self {
         match *self {
             Self::Sphere { centre, radius } => Self::Sphere { centre, radius: radius + margin_m },

@@ -1,16 +1,16 @@
-//! The outline of a tube, for pictures: a line that winds around the path at the tube's radius.
+//! A tube's outline for plots: a helix around the path at the tube's radius.
 
 use std::f64::consts::TAU;
 
 use vehicle::frame::Ned;
 
-/// Points of the line, and points of a turn.
+/// Number of points of the line, and of each turn.
 const POINTS: usize = 1400;
 const TURN: usize = 20;
-/// Shortest way that has a direction, m.
+/// Shortest distance between two points that gives a direction, m.
 const WAY_MIN_M: f64 = 1e-9;
 
-/// The line around a path (m) with a radius (m) at each point; empty for fewer than two points.
+/// The helix around a path (m) with a radius (m) at each point; empty for fewer than two points.
 pub fn outline(path: &[Ned], radius_m: &[f64]) -> Vec<Ned> {
     let Some(last) = path.len().min(radius_m.len()).checked_sub(1).filter(|last| *last > 0) else {
         return Vec::new();
@@ -26,7 +26,7 @@ pub fn outline(path: &[Ned], radius_m: &[f64]) -> Vec<Ned> {
             if way.norm() > WAY_MIN_M {
                 along = way * (1.0 / way.norm());
             }
-            // Of a vertical way, down has no direction across.
+            // Along a vertical path, down has no perpendicular part.
             let reference = if along.down().abs() > 0.9 { north } else { down };
             let side = along.cross(reference);
             let side = side * (1.0 / side.norm());

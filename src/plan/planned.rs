@@ -62,7 +62,7 @@ pub struct Plan {
     pub states: Vec<StateVector>,
     /// The planned inputs.
     pub inputs: Vec<CommandedInput>,
-    /// The tube within which flights of it stay, if it was planned with one.
+    /// The tube around the plan, if it was planned with one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tube: Option<PlannedTube>,
 }
@@ -170,7 +170,7 @@ impl Plan {
         }
     }
 
-    /// The plan with the tube around it.
+    /// Adds a tube to the plan.
     #[must_use]
     pub fn with_tube(self, tube: Option<PlannedTube>) -> Self {
         Self { tube, ..self }

@@ -1,48 +1,48 @@
-//! The tube around a plan, as the plan's file holds it.
+//! The tube in a plan's file.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Which position the calibration flights' errors are of.
+/// The position whose errors the calibration flights measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PositionSource {
-    /// The simulator's.
+    /// The simulator's true position.
     True,
-    /// The vehicle's own estimate: the tube bounds that, not its error.
+    /// The vehicle's estimate; the tube does not include the error of the estimate.
     Reported,
 }
 
 impl PositionSource {
-    /// For people.
+    /// The name in reports.
     pub fn in_words(self) -> &'static str {
         match self {
             Self::True => "the true position",
-            Self::Reported => "the vehicle's own estimate of its position",
+            Self::Reported => "the vehicle's estimate of its position",
         }
     }
 }
 
-/// The tube of a plan, as its file holds it.
+/// The tube of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannedTube {
-    /// Probability with which a whole flight stays within, at least.
+    /// Least probability that a whole flight stays within the tube.
     pub confidence: f64,
-    /// Probability with which a whole flight stays as near to the plan as the margin to what it avoids.
+    /// Least probability that a whole flight stays within the margin to keep-out regions.
     pub margin_confidence: f64,
-    /// The position that it bounds.
+    /// The position that the tube bounds.
     pub position: PositionSource,
-    /// Calibration flights behind it.
+    /// Number of calibration flights.
     pub flights: usize,
-    /// q, in standard deviations.
+    /// Ratio of the radius to the standard deviation of the position error.
     pub multiplier: f64,
     /// Radius around each planned position, m.
     pub radius_m: Vec<f64>,
 }
 
 impl PlannedTube {
-    /// Checks it as part of a plan of so many states.
+    /// Checks the tube of a plan with this number of states.
     pub(super) fn check(&self, states: usize) -> Result<(), String> {
         if self.radius_m.len() != states {
             return Err(format!(

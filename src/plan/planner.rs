@@ -244,7 +244,7 @@ pub struct Planner {
     knee: f64,
     change_weight: f64,
     damping: f64,
-    /// Distance from regions and bounds of the position at each state, m.
+    /// Margin to regions and position bounds at each state, m.
     margin_m: Vec<f64>,
 }
 
@@ -283,8 +283,7 @@ impl Planner {
         self
     }
 
-    /// The same planner for a plan that keeps this distance (m) from regions and from the bounds of
-    /// the position at each of its states.
+    /// Sets the margin (m) to regions and to the bounds of the position, one value for each state.
     #[must_use]
     pub fn within(self, margin_m: Vec<f64>) -> Self {
         Self { margin_m, ..self }
@@ -414,8 +413,7 @@ impl Planner {
     /// avoid, those of a path around it.
     fn guess(&self, desire: &Desire, problem: &Problem<7>) -> Iterate<7> {
         let (mut states, period_s) = (desire.states.clone(), self.period_s());
-        // The path is bent round each region and the widest margin; the search then uses each
-        // state's own.
+        // The path avoids each region by the widest margin; the search then uses each state's.
         let widest_m = self.margin_m.iter().copied().fold(0.0, f64::max);
         let regions: Vec<KeepOut> =
             problem.keep_out.iter().map(|region| region.inflated(widest_m)).collect();

@@ -32,8 +32,8 @@ pub struct Problem<const INPUTS: usize> {
     pub limits: StateLimits,
     /// Regions that the position must avoid.
     pub keep_out: Vec<KeepOut>,
-    /// Distance that the position keeps from regions and from the bounds of the position at each
-    /// state, `s_0 .. s_N`, m; empty for none.
+    /// Margin to the regions and to the bounds of the position at each state, `s_0 .. s_N`, m;
+    /// empty for none.
     pub margin_m: Vec<f64>,
 }
 
@@ -116,7 +116,7 @@ impl StateLimits {
         })
     }
 
-    /// Calls `visit` with each bound at `state`, those of the position tighter by a margin.
+    /// Calls `visit` with each bound at `state`; position bounds are tightened by `margin_m`.
     fn visit(&self, state: &StateVector, margin_m: f64, mut visit: impl FnMut(StateRow)) {
         if let Some(tilt_max) = self.tilt_max_rad {
             // cos(tilt) = cos(roll) cos(pitch); divided by sin(tilt_max), the bound is in rad near
@@ -192,7 +192,7 @@ impl<const INPUTS: usize> Problem<INPUTS> {
         }
     }
 
-    /// Distance that the step from state `n` on keeps from regions, m.
+    /// Margin of the step from state `n` to regions, m: the larger of its two states'.
     pub(super) fn margin_of_step(&self, n: usize) -> f64 {
         let either = self.margin_m.iter().skip(n).take(2);
         either.copied().fold(0.0, f64::max)

@@ -1,8 +1,8 @@
 //! Receding-horizon planning: plans renewed in flight from the vehicle's present state.
 //!
-//! The control tick only reads the newest plan that is ready and hands over the vehicle's state; it
-//! never waits. A late plan is used as far as it still reaches, a failed plan is discarded, and
-//! where no plan reaches, the desired trajectory itself is the reference.
+//! The control tick only reads the newest finished plan and hands over the vehicle's state; it
+//! never waits. A late plan is used for the time that it still covers, a failed plan is discarded,
+//! and where no plan covers the time, the desired trajectory itself is the reference.
 
 mod board;
 mod exchange;
@@ -35,29 +35,28 @@ use crate::setpoint::{Expected, Reference};
 /// Plans from the vehicle's states; the worker behind a [`RecedingReference`].
 struct Replanner {
     through: Through,
-    /// The model before the present one, in case plans through that fail.
+    /// The previous model, in case plans with the current one fail.
     before: Option<Through>,
-    /// Plans in a row that could not be flown.
+    /// Number of plans in a row that were not flyable.
     failures: u32,
-    /// Number of models taken so far.
+    /// Number of models accepted so far.
     models: u64,
     settings: RecedingSettings,
     board: Arc<Board>,
 }
 
-/// After so many failed plans in a row through a model that was handed over, the one before it is
-/// planned through again.
+/// Number of failed plans in a row after which planning returns to the previous model.
 const FAILURES_MAX: u32 = 3;
 
-/// A model, as what plans through it.
+/// The planners of one model.
 struct Through {
     planner: Planner,
-    /// For a plan without a predecessor.
+    /// Makes a plan without a predecessor.
     first: Planner,
-    /// Searches to the end.
+    /// Searches until it converges.
     whole: Planner,
     answer: Answer,
-    /// Its number.
+    /// Number of the model, 0 for the initial one.
     model: u64,
 }
 
@@ -159,8 +158,8 @@ impl Replanner {
         Ok(Task { from_s, desire, start, guess })
     }
 
-    /// Plans from a state, and publishes the plan if it passes the checks. A model that was handed
-    /// over is tried first.
+    /// Plans from a state, and publishes the plan if it passes the checks. An offered model is
+    /// tried first.
     fn replan(&mut self, seen: &Sighting) -> Result<(), ReplanError> {
         if self.board.withdrawn.swap(false, Ordering::AcqRel)
             && let Some(before) = self.before.take()
@@ -183,7 +182,7 @@ impl Replanner {
             }
         }
         let task = self.task(&self.through, seen)?;
-        // The first plan has no predecessor: it is searched to its end.
+        // The first plan has no predecessor, so its search runs until it converges.
         let Through { planner, first, .. } = &self.through;
         let planner = if task.guess.is_some() { planner } else { first };
         match self.plan(&self.through, planner, task) {
@@ -206,8 +205,8 @@ impl Replanner {
         }
     }
 
-    /// The first plan through a model that was handed over. Where a few subproblems from the plan
-    /// before do not give one that may be flown, the search goes on to its end.
+    /// The first plan with an offered model. If a few subproblems from the previous plan do not
+    /// give a flyable plan, searches again until it converges.
     fn tried(&self, candidate: &Through, seen: &Sighting) -> Result<Stretch, ReplanError> {
         let task = self.task(candidate, seen)?;
         let quick = self.plan(candidate, &candidate.planner, task.clone());
@@ -482,7 +481,7 @@ mod tests {
         Replanner::new(goal, planner.expect("a planner"), answer, settings)
     }
 
-    /// The next plans complete what one subproblem leaves, while the vehicle is shaken.
+    /// Later plans complete what one subproblem leaves open, while the vehicle is disturbed.
     #[test]
     fn one_subproblem_a_plan_stays_near_the_plan_that_is_searched_to_its_end() {
         let mut replanner = quick();

@@ -37,8 +37,8 @@ pub trait ReferenceSource {
         self.sample(t).position
     }
 
-    /// Radius around the reference within which the vehicle stays during the whole flight with the
-    /// plan's confidence, m; `None` without a tube.
+    /// Radius of the tube at `t` seconds, m: at the plan's confidence, a whole flight stays within
+    /// it. `None` without a tube.
     fn tube_radius_m(&self, _t: f64) -> Option<f64> {
         None
     }

@@ -22,14 +22,14 @@ pub(super) enum Shape {
     Steps { points: Vec<DesiredPoint>, dwell_s: f64 },
     /// Rows of a file.
     Table(Table),
-    /// Another one, again and again.
+    /// Another trajectory, repeated; its yaw advances by `turned_rad` per lap.
     Laps { lap: Box<Trajectory>, count: u32, turned_rad: f64 },
 }
 
-/// Why a trajectory cannot be flown again and again.
+/// The trajectory is not closed, so it has no laps.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "trajectory {name} does not end where and as it begins: its ends differ by {position_m:.3} m, \
+    "trajectory {name} is not closed: its start and end differ by {position_m:.3} m, \
      {velocity_m_s:.3} m/s and {yaw_rad:.3} rad of yaw; laps need a closed course"
 )]
 pub struct NotClosed {
@@ -39,7 +39,7 @@ pub struct NotClosed {
     yaw_rad: f64,
 }
 
-/// Largest differences of the ends of a closed course, m, m/s and rad.
+/// Largest difference between start and end of a closed course, m, m/s and rad.
 const CLOSED: f64 = 1e-3;
 
 impl Trajectory {
@@ -47,7 +47,7 @@ impl Trajectory {
         Self { name: name.into(), shape }
     }
 
-    /// The same, flown `count` times in a row (at least once) without a pause.
+    /// Repeats the trajectory `count` times (at least once) without a pause.
     ///
     /// # Errors
     /// [`NotClosed`].

@@ -1,11 +1,11 @@
-//! Tubes: how far from a plan a flight may be, with a stated probability.
+//! Tubes: bounds on the distance between a flight and its plan, at a stated confidence.
 //!
 //! A tube is a radius around the planned position, `r(t) = q s(t)`. The shape `s(t)` ([`Shape`])
-//! comes from the model's errors on flights that it was not fitted on, carried through the feedback:
-//! wider where the plan is fast. The multiplier q comes from whole flights that fitted nothing
-//! ([`conformal`]): a new flight stays within the tube from beginning to end with at least the
-//! stated confidence, if it is exchangeable with those flights: the same vehicle, feedback and kind
-//! of plan, and disturbances of the same distribution.
+//! propagates the model's errors on flights that it was not fitted to through the feedback; it is
+//! wider where the plan is fast. Split conformal prediction over whole calibration flights gives
+//! the multiplier q ([`conformal`]). A new flight stays within the tube from beginning to end with
+//! at least the stated confidence if it is exchangeable with the calibration flights: the same
+//! vehicle, feedback and kind of plan, and disturbances of the same distribution.
 
 pub mod conformal;
 pub mod error;
@@ -33,13 +33,13 @@ const VERSION: u32 = 1;
 /// Largest file, bytes.
 const SIZE_MAX: u64 = 64 << 20;
 
-/// What the standard deviation of the position error follows from.
+/// The feedback and the model's errors, which give the standard deviation of the position error.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Shape {
-    /// The feedback.
+    /// Feedback gains on the position.
     pub feedback: TrackingLoop,
-    /// The model's errors.
+    /// Unmodelled acceleration.
     pub error: ModelError,
 }
 
@@ -51,35 +51,35 @@ pub struct Tube {
     schema_version: u32,
     /// Name of the vehicle.
     pub vehicle: String,
-    /// The model whose errors shape it.
+    /// The model whose errors give the shape.
     pub model: PlannedThrough,
-    /// Its shape.
+    /// Feedback and model errors.
     pub shape: Shape,
-    /// The position that it bounds.
+    /// The position that the tube bounds.
     pub position: PositionSource,
-    /// Calibration flights.
+    /// Number of calibration flights.
     pub flights: usize,
-    /// Their scores in ascending order; a flight that ended early has none, and counts as one that
-    /// left any tube.
+    /// Scores of the flights in ascending order. A flight that ended early has none, and counts as
+    /// outside of any tube.
     pub scores: Vec<f64>,
     /// Number of calibration flights of each trajectory.
     pub missions: BTreeMap<String, usize>,
 }
 
-/// What a tube is made of beside its shape.
+/// The calibration flights of a tube.
 #[derive(Clone, Debug)]
 pub struct Calibration {
     /// Name of the vehicle.
     pub vehicle: String,
-    /// The model.
+    /// The model with which the flights were planned.
     pub model: PlannedThrough,
-    /// The position that the scores are of.
+    /// The position whose errors the scores measure.
     pub position: PositionSource,
-    /// Each calibration flight's trajectory and score; none for one that ended early.
+    /// Trajectory and score of each calibration flight; `None` if it ended early.
     pub flights: Vec<(String, Option<f64>)>,
 }
 
-/// Why there is no tube.
+/// A tube that cannot be read, or that does not support a confidence.
 #[derive(Debug, thiserror::Error)]
 pub enum TubeError {
     /// The file cannot be read.
@@ -90,7 +90,7 @@ pub enum TubeError {
         /// The cause.
         source: std::io::Error,
     },
-    /// Not a tube, or a damaged one.
+    /// The file is not a tube, or is damaged.
     #[error("tube {}: {reason}; make it again with `downwash tube fit`", path.display())]
     Damaged {
         /// The file.
@@ -98,26 +98,26 @@ pub enum TubeError {
         /// What is wrong.
         reason: String,
     },
-    /// Too few flights for the confidence.
+    /// Too few calibration flights for the confidence.
     #[error(
-        "{flights} calibration flights support no tube of {confidence}: at least {needed} are needed, \
-         since a new flight is the worst of all with a probability of 1 in {flights} plus 1"
+        "{flights} calibration flights are too few for a tube of confidence {confidence}: it needs at least \
+         {needed}; add flights, or lower the confidence"
     )]
     TooFew {
         /// Calibration flights.
         flights: usize,
         /// The confidence.
         confidence: f64,
-        /// The fewest that support it.
+        /// Smallest number that supports it.
         needed: usize,
     },
     /// Too many flights ended early.
     #[error(
-        "{ended} of the {flights} calibration flights ended early, so no tube holds a new one with \
-         {confidence}"
+        "{ended} of the {flights} calibration flights ended early, too many for a tube of confidence \
+         {confidence}; lower the confidence, or find out why they ended"
     )]
     EndedEarly {
-        /// Those that did.
+        /// Number of flights that ended early.
         ended: usize,
         /// Calibration flights.
         flights: usize,
@@ -143,7 +143,7 @@ impl Shape {
 }
 
 impl Radius<'_> {
-    /// The radius at each of a plan's states, `period_s` apart, m.
+    /// The radius at each of a plan's states, which are `period_s` apart, m.
     pub fn along(&self, period_s: f64, states: &[StateVector]) -> Vec<f64> {
         let speed = |state: &StateVector| state[3].hypot(state[4]).hypot(state[5]);
         let rows = states.iter().enumerate();
@@ -159,7 +159,7 @@ impl Radius<'_> {
 }
 
 impl Tube {
-    /// A tube of this shape, calibrated.
+    /// Makes a tube of this shape with the scores of the calibration flights.
     pub fn new(shape: Shape, calibration: Calibration) -> Self {
         let Calibration { vehicle, model, position, flights } = calibration;
         let mut missions = BTreeMap::new();
@@ -209,7 +209,7 @@ impl Tube {
         let Shape { feedback, error } = &self.shape;
         let gains = feedback.stiffness_s2.iter().chain(&feedback.damping_s);
         if !gains.chain(&feedback.rejection_s).all(|gain| (1e-6..=1e6).contains(gain)) {
-            return Err("a gain of the feedback is not above 0".to_owned());
+            return Err("a gain of the feedback is out of range".to_owned());
         }
         for AxisError { at_rest_m_s2, per_speed_s, correlation_s } in
             [&error.horizontal, &error.vertical]
@@ -223,14 +223,14 @@ impl Tube {
         let is_sound = self.scores.iter().all(|score| score.is_finite() && *score >= 0.0);
         if !(is_sorted && is_sound && self.scores.len() <= self.flights) {
             return Err(
-                "expected scores of at least 0 in ascending order, one for each flight at most"
+                "expected scores of at least 0 in ascending order, at most one for each flight"
                     .to_owned(),
             );
         }
         Ok(())
     }
 
-    /// The highest confidence that the flights support: that of the worst of them.
+    /// The highest confidence that the flights support: that of the largest score.
     pub fn confidence_max(&self) -> f64 {
         self.scores.len() as f64 / (self.flights as f64 + 1.0)
     }
@@ -305,7 +305,7 @@ mod tests {
         let (slow, fast) = (radius.along(0.02, &states(0.0)), radius.along(0.02, &states(2.0)));
         assert_eq!(slow.len(), 50);
         assert!(fast[49] > 4.0 * slow[49] && slow[49] > 0.0, "{} {}", fast[49], slow[49]);
-        // The same plan in steps of another length.
+        // The same plan with another period.
         let fine = radius.along(0.005, &vec![states(2.0)[0]; 200]);
         assert!((fine[199] - fast[49]).abs() < 1e-6);
     }

@@ -160,7 +160,7 @@ fn path(report: &FlightReport) -> String {
     Scene { paths: &paths, desired: &desired }.to_html()
 }
 
-/// Radius of the tube around what the tick followed, m, if that has one.
+/// Radius of the tube around the reference of a tick, m; `None` without a tube.
 fn tube_radius_m(row: &Row) -> Option<f64> {
     row.followed().map(|reference| reference.tube_radius_m).filter(|radius| *radius > 0.0)
 }

@@ -65,9 +65,8 @@ pub fn html(plan: &Plan, not_flyable: Option<&str>, limits: &Limits) -> String {
     page.section("Path", path, &scene.to_html());
     if let Some(tube) = &plan.tube {
         let said = format!(
-            "A flight stays within the tube from beginning to end with a probability of {} % or more, \
-             as far as it is of the same kind as the {} flights that the tube was calibrated on. It \
-             bounds {}.",
+            "A flight stays within the tube from beginning to end with a probability of at least {} %, \
+             provided that it is of the same kind as the {} calibration flights. The tube bounds {}.",
             100.0 * tube.confidence,
             tube.flights,
             tube.position.in_words()

@@ -41,7 +41,7 @@ pub struct CoursePath {
     pub period_s: f64,
     /// The points, m.
     pub points: Vec<Ned>,
-    /// A line around them at the radius of the plan's tube, m; empty without one.
+    /// Helix around the points at the radius of the plan's tube, m; empty without a tube.
     pub tube: Vec<Ned>,
 }
 

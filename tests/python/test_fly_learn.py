@@ -1,4 +1,4 @@
-"""Learning in flight over real sockets: the lap after the learning is nearer the course."""
+"""Learning in flight over real sockets: the lap with the learned model is nearer the course."""
 
 import json
 import re
@@ -34,7 +34,7 @@ def test_the_second_lap_is_planned_through_what_the_first_showed(tmp_path):
     assert "panicked" not in done.stderr
     rms = [float(lap) for lap in re.findall(r"lap \d: ([0-9.]+) m RMS", done.stderr)]
     assert len(rms) == 2 and rms[1] < 0.8 * rms[0], done.stderr
-    # The same in the log, with the time that it took.
+    # The log has the same event, with the latency.
     said = "\n".join(events(next(tmp_path.glob("*.mcap"))))
-    assert re.search(r"lap 2 is flown through the model learned in .* first setpoint [0-9.]+ s after", said), said
+    assert re.search(r"lap 2 now uses the model learned in .* first setpoint [0-9.]+ s after", said), said
     assert json.loads(done.stdout)["end"] == "done"

@@ -1,4 +1,4 @@
-//! The newest part of a flight, kept in memory while it is flown.
+//! The newest part of a flight in progress, kept in memory.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -9,10 +9,10 @@ use super::flight::{Clock, Flight, Origin};
 use super::frames::Frames;
 use crate::record::{FrameRecord, PARAMETER_FACT, Record};
 
-/// Most frames kept: four minutes at the highest rate of a link, some 160 MB.
+/// Largest number of frames kept: four minutes at the highest rate of a link, some 160 MB.
 const FRAMES_MAX: usize = 500_000;
 
-/// Collects what [`open`](super::open) would read from the log of the same records.
+/// Makes the flight that [`open`](super::open) would read from the log of the same records.
 #[derive(Debug)]
 pub struct Collected {
     newest: Duration,
@@ -26,7 +26,7 @@ impl Collected {
         Self { newest, frames: VecDeque::new(), parameters: BTreeMap::new() }
     }
 
-    /// Takes a record; only frames and the vehicle's parameters count.
+    /// Adds a record: a frame, or facts with the vehicle's parameters. Others are ignored.
     pub fn take(&mut self, record: &Record) {
         match record {
             Record::Frame(frame) => {
@@ -47,7 +47,7 @@ impl Collected {
         }
     }
 
-    /// The flight so far, called `run`. It has no streams before the vehicle has sent any.
+    /// The flight so far, named `run`; without streams until the vehicle sends some.
     pub fn flight(&self, run: &str) -> Flight {
         let origin = Origin {
             path: run.into(),
@@ -64,7 +64,7 @@ impl Collected {
                 None => frames.left_out("frame that is damaged or unknown to the dialect", 1),
             }
         }
-        // Fails only where a boot was asked for.
+        // Fails only if a boot is selected.
         let _ = frames.finish(None, &mut flight);
         flight
     }

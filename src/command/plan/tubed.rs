@@ -1,4 +1,4 @@
-//! A plan with a tube: what `--tube` names, and what is said of it.
+//! A plan with a tube: `--tube`, its checks, and its summary.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ use crate::plan::tube::Tube;
 use crate::plan::tube::search::{Radii, plan_within};
 use crate::plan::{PlannedTube, PositionSource};
 
-/// A tube's file and a confidence.
+/// A tube from a file, with the confidences of the tube and of the margin.
 pub(super) struct ChosenTube {
     path: PathBuf,
     tube: Tube,
@@ -26,31 +26,31 @@ pub(super) struct ChosenTube {
 }
 
 impl ChosenTube {
-    /// The margin's confidence is that of the worst calibration flight where none is given.
+    /// Without `margin`, the margin has the highest confidence that the tube supports.
     pub fn load(path: &Path, confidence: f64, margin: Option<f64>) -> anyhow::Result<Self> {
         let tube = Tube::load(path).or_exit(Exit::Usage)?;
         let margin_confidence = margin.unwrap_or(tube.confidence_max()).max(confidence);
         Ok(Self { path: path.to_owned(), tube, confidence, margin_confidence })
     }
 
-    /// Refuses a tube that says nothing of this vehicle and model.
+    /// Checks that the tube was made for this vehicle and model.
     pub fn check(&self, vehicle: &VehicleParams, model: &PlannedThrough) -> anyhow::Result<()> {
         let Tube { vehicle: of, model: made, .. } = &self.tube;
         let path = self.path.display();
         if *of != vehicle.name {
             return Err(anyhow!(
-                "tube {path}: it is of the vehicle {of:?}, this is {:?}; make one for this vehicle",
+                "tube {path}: expected vehicle {:?}, found {of:?}; make one for this vehicle",
                 vehicle.name
             ))
             .or_exit(Exit::Usage);
         }
         if made != model {
             return Err(anyhow!(
-                "tube {path}: it is of flights planned through the {} model{}, not through this one; \
-                 make it again with the same --model and --kind",
+                "tube {path}: its flights were planned through another model, the {} model{}; make it \
+                 again with the same --model and --kind",
                 made.kind,
                 made.sha256.as_ref().map_or(String::new(), |hash| format!(
-                    " of the file with SHA-256 {hash}"
+                    " from the file with SHA-256 {hash}"
                 ))
             ))
             .or_exit(Exit::Usage);
@@ -58,7 +58,7 @@ impl ChosenTube {
         Ok(())
     }
 
-    /// Plans with the tube's radius as the margin.
+    /// Plans with the radius at the margin's confidence as the margin.
     pub fn plan(
         &self,
         planner: &Planner,
@@ -81,18 +81,18 @@ impl ChosenTube {
     }
 }
 
-/// What is said of a plan's tube.
+/// The tube of a plan.
 #[derive(Clone, Copy, Debug, JsonSchema, Serialize)]
 pub(super) struct TubeOfPlan {
-    /// Probability with which a whole flight stays within, at least.
+    /// Least probability that a whole flight stays within the tube.
     confidence: f64,
-    /// The same for the margin to keep-out regions.
+    /// Least probability that a whole flight stays within the margin to keep-out regions.
     margin_confidence: f64,
-    /// The position that it bounds.
+    /// The position that the tube bounds.
     position: PositionSource,
-    /// Calibration flights behind it.
+    /// Number of calibration flights.
     flights: usize,
-    /// Radius over standard deviation.
+    /// Ratio of the radius to the standard deviation of the position error.
     multiplier: f64,
     radius_mean_m: f64,
     radius_max_m: f64,
@@ -121,11 +121,11 @@ impl From<&PlannedTube> for TubeOfPlan {
 }
 
 impl TubeOfPlan {
-    /// For people, a whole line.
+    /// Lines for people, with line ends.
     pub fn in_words(&self) -> String {
         format!(
-            "tube        {} %: {:.3} m on average, {:.3} m at most, around {}, from {} flights\n\
-             margin      to what it avoids: that of {:.2} %\n",
+            "tube        {} %: {:.3} m on average, {:.3} m at most, for {}, from {} flights\n\
+             margin      radius of {:.2} % to keep-out regions\n",
             100.0 * self.confidence,
             self.radius_mean_m,
             self.radius_max_m,

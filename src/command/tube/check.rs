@@ -1,4 +1,4 @@
-//! `downwash tube check`: whether flights that nothing has seen stay within a plan's tube.
+//! `downwash tube check`: counts new simulated flights that stay within a plan's tube.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -23,50 +23,50 @@ use crate::plan::keep_out::KeepOut;
 use crate::plan::planned::{Plan, PlannedReference};
 use crate::plan::reference::ReferenceSource;
 
-/// Standard deviations below the promise that chance is believed to explain: one check in a hundred
-/// has more.
+/// Largest shortfall below the confidence that is attributed to chance, in standard deviations: one
+/// check in a hundred exceeds it by chance.
 const DEVIATIONS: f64 = 2.33;
-/// Parts by the drawn wind in which the flights are counted, too.
+/// Number of equal parts, by wind speed, in which the flights are also counted.
 const PARTS: usize = 3;
 
-/// What the flights came to: the JSON of `tube check`.
+/// Counts of the simulated flights: the JSON of `tube check`.
 #[derive(Debug, JsonSchema, Serialize)]
 pub struct TubeCheck {
     schema: &'static str,
     schema_version: u32,
     plan: PathBuf,
     seed: u64,
-    /// Of the plan's tube.
+    /// Confidence of the plan's tube.
     confidence: f64,
-    /// Calibration flights behind the tube.
+    /// Number of calibration flights of the tube.
     calibration_flights: usize,
-    /// Radius on average over the plan, m.
+    /// Mean radius over the plan, m.
     radius_mean_m: f64,
     radius_max_m: f64,
     /// Flights that stayed within the tube from beginning to end.
     pub whole: Rate,
-    /// Flights that ended early; they count as having left the tube.
+    /// Number of flights that ended early; they count as having left the tube.
     pub ended_early: usize,
-    /// Keep-out regions.
+    /// Number of keep-out regions.
     regions: usize,
-    /// Flights that touched one.
+    /// Flights that touched a region.
     pub touched: Rate,
     /// Least distance of a flight from a region, m; negative inside, null without regions.
     pub clearance_min_m: Option<f64>,
-    /// The same flights by the steady wind that they drew, in parts of equal size: the promise is for
-    /// all together.
+    /// The same flights in parts of equal size, by their steady wind. The confidence holds for all
+    /// together, not for each part.
     by_wind: Vec<WindPart>,
 }
 
-/// Flights of one part.
+/// The flights of one part.
 #[derive(Debug, JsonSchema, Serialize)]
 struct WindPart {
-    /// Least and greatest drawn wind, m/s.
+    /// Least and greatest horizontal speed of the steady wind, m/s.
     wind_m_s: [f64; 2],
     whole: Rate,
 }
 
-/// One flight's result.
+/// The result of one flight.
 struct Outcome {
     is_whole: bool,
     is_complete: bool,
@@ -84,7 +84,7 @@ pub(super) fn run(args: &TubeCheckArgs, stop: &AtomicBool) -> anyhow::Result<Exi
     let plan = Arc::new(Plan::load(&args.plan).or_exit(Exit::Usage)?);
     let Some(tube) = &plan.tube else {
         return Err(anyhow!(
-            "{}: the plan has no tube; `downwash plan --tube FILE` makes one that has",
+            "{}: the plan has no tube; make it with `downwash plan --tube FILE`",
             args.plan.display()
         ))
         .or_exit(Exit::Usage);
@@ -152,14 +152,14 @@ pub(super) fn run(args: &TubeCheckArgs, stop: &AtomicBool) -> anyhow::Result<Exi
     }
     let is_short = check.is_short();
     if is_short {
-        say(format_args!("fewer flights stayed within the tube than it promises"));
+        say(format_args!("fewer flights stayed within the tube than its confidence allows"));
     }
     Ok(if is_short || check.touched.count > 0 { Exit::Check } else { Exit::Ok })
 }
 
-/// Least distance of the way flown from the regions, which are relative to the plan's origin, m.
+/// Least distance of the flown path from the regions, which are relative to the plan's origin, m.
 fn clearance(flown: &Flown, reference: &PlannedReference, regions: &[KeepOut]) -> Option<f64> {
-    // The plan's own axes: its reference is moved as a whole to where the vehicle took off.
+    // In the plan's axes: the flown reference is shifted to the vehicle's take-off position.
     let places: Vec<Ned> = flown
         .points
         .iter()
@@ -173,9 +173,9 @@ fn clearance(flown: &Flown, reference: &PlannedReference, regions: &[KeepOut]) -
 }
 
 impl TubeCheck {
-    /// Whether fewer flights stayed within the tube than chance explains: that of these flights and,
-    /// as large, that of the flights behind the tube. At a confidence c the count of N flights varies
-    /// about c N with a variance of c (1 - c) (N + N^2 / (n + 2)), n the calibration flights.
+    /// Whether fewer flights stayed within the tube than chance explains, in these flights and in
+    /// the calibration flights. At a confidence c the count of N flights has a mean of c N and a
+    /// variance of c (1 - c) (N + N^2 / (n + 2)), where n is the number of calibration flights.
     fn is_short(&self) -> bool {
         let flights = self.whole.of as f64;
         let calibrated = self.calibration_flights as f64 + 2.0;
@@ -204,7 +204,7 @@ impl TubeCheck {
         }
         if let Some(clearance_m) = self.clearance_min_m {
             text += &format!("touched     {}\n", rate(&self.touched));
-            text += &format!("clearance   {clearance_m:.3} m at least\n");
+            text += &format!("clearance   {clearance_m:.3} m minimum\n");
         }
         for part in &self.by_wind {
             let [low, high] = part.wind_m_s;

@@ -1,4 +1,4 @@
-//! Simulated flights of one kind: a vehicle under disturbances that each flight draws.
+//! Simulated flights of one vehicle under random disturbances.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -14,27 +14,27 @@ use crate::command::{Exit, ExitContext};
 use crate::config::Config;
 use crate::exam::draw::Draw;
 
-/// Standard deviation of the steady wind along north and along east, m/s, and along down.
+/// Standard deviation of the steady wind along each horizontal axis and along down, m/s.
 const WIND_M_S: [f64; 2] = [0.6, 0.1];
-/// Standard deviation of the gusts, m/s, their length, m, and the speed that they pass with, m/s.
+/// Ranges of the gusts' standard deviation, m/s, their length, m, and their speed, m/s.
 const GUSTS_M_S: [f64; 2] = [0.05, 0.5];
 const GUST_LENGTH_M: [f64; 2] = [2.0, 10.0];
 const GUST_SPEED_M_S: [f64; 2] = [1.0, 5.0];
-/// Rotor drag of a vehicle without the effect, over its mass, 1/s, and the factor on either's.
+/// Rotor drag over mass, 1/s, of a vehicle without the effect, and the range of the factor on drag.
 const DRAG_PER_S: [f64; 2] = [0.3, 0.15];
 const DRAG_FACTOR: [f64; 2] = [0.7, 1.4];
-/// Factors on the mass and on the thrust.
+/// Ranges of the factors on mass and thrust.
 const MASS_FACTOR: [f64; 2] = [0.98, 1.02];
 const THRUST_FACTOR: [f64; 2] = [0.98, 1.02];
 
-/// Which flights of an ensemble: no two uses have a flight in common.
+/// Use of an ensemble's flights; different uses share no flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
-    /// Gives a tube its width.
+    /// For the width of a tube.
     Calibration,
-    /// Gives a tube its shape.
+    /// For the shape of a tube.
     Shape,
-    /// Checks a tube.
+    /// For the check of a tube.
     Check,
 }
 
@@ -52,17 +52,17 @@ impl Purpose {
 pub(super) struct Ensemble<'a> {
     pub config: &'a Config,
     pub vehicle: &'a VehicleFile,
-    /// What each flight's disturbances are put over.
+    /// The simulated vehicle, to which each flight's disturbances are added.
     pub base: &'a Truth,
     pub seed: u64,
 }
 
-/// What a flight drew.
+/// The random choices of one flight.
 struct Drawn {
     truth: Truth,
     wind_m_s: f64,
     seed: u64,
-    /// In 0..1: picks the course.
+    /// Selects the course, 0..1.
     course: f64,
 }
 
@@ -102,7 +102,7 @@ impl Ensemble<'_> {
         })
     }
 
-    /// Flies flight `number` along one of the courses, with a log where there is a folder for it.
+    /// Flies flight `number` along one of the courses, with a log if `folder` is given.
     pub fn fly(
         &self,
         purpose: Purpose,

@@ -1,4 +1,4 @@
-//! A flight along a plan, gathered from its records or from its log.
+//! A flight along a plan, from its records or its log.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -15,31 +15,31 @@ use crate::offboard::TRAJECTORY_DONE;
 use crate::plan::PositionSource;
 use crate::plan::tube::score::FlownPoint;
 
-/// True states that are kept to find the one of a tick's sample.
+/// Number of recent true positions kept, among which to find that of a tick's sample.
 const TRUTHS: usize = 20;
-/// Largest difference of numbers that are the same, m.
+/// Largest difference between equal positions, m.
 const SAME_M: f64 = 1e-6;
 
-/// One flight.
+/// A flight along a plan.
 #[derive(Clone, Debug)]
 pub(super) struct Flown {
-    /// Name of what was tracked.
+    /// Name of the tracked trajectory.
     pub mission: String,
-    /// Its ticks along the trajectory.
+    /// Ticks along the trajectory.
     pub points: Vec<FlownPoint>,
-    /// Radius of the tube at each, m; none without a tube.
+    /// Radius of the tube at each point, m; `None` without a tube.
     pub radius_m: Vec<Option<f64>>,
-    /// Which position these are.
+    /// Kind of the flown positions.
     pub position: PositionSource,
-    /// Whether the trajectory was flown to its end; `FlownGatherer::flown` does not know.
+    /// Whether the trajectory was flown to its end; [`FlownGatherer::flown`] leaves it false.
     pub is_complete: bool,
-    /// Whether the reference was planned anew in flight.
+    /// Whether the reference was replanned in flight.
     pub is_replanned: bool,
-    /// Speed of the steady wind that it drew, m/s; 0 of logs.
+    /// Horizontal speed of the steady wind, m/s; 0 for logs.
     pub wind_m_s: f64,
 }
 
-/// Gathers a [`Flown`].
+/// Builds a [`Flown`] from records or log messages.
 #[derive(Debug, Default)]
 pub(super) struct FlownGatherer {
     truths: VecDeque<(u64, Ned)>,
@@ -47,12 +47,12 @@ pub(super) struct FlownGatherer {
     radius_m: Vec<Option<f64>>,
     has_truth: bool,
     is_replanned: bool,
-    /// Of the tick that is being read from a log.
+    /// State of the tick that is being read from a log.
     state: Option<StateMessage>,
     reference: Option<ReferenceMessage>,
 }
 
-/// What a tick along the trajectory says.
+/// A tick along the trajectory.
 struct Along {
     vehicle_time_us: u64,
     point: FlownPoint,
@@ -61,7 +61,7 @@ struct Along {
 }
 
 impl FlownGatherer {
-    /// Takes the next record.
+    /// Adds the next record.
     pub fn hear(&mut self, record: &Record) {
         match record {
             Record::Truth { stamp, truth } => self.see(*stamp, truth.state.position),
@@ -110,10 +110,10 @@ impl FlownGatherer {
         self.radius_m.push(radius_m);
     }
 
-    /// Reads a flight of this program's log.
+    /// Reads a flight from a downwash log.
     ///
     /// # Errors
-    /// A log that cannot be read, or without a flight along a plan.
+    /// The log cannot be read, tracks no trajectory, or has a replanned reference.
     pub fn read(path: &Path) -> anyhow::Result<Flown> {
         let mut reader = LogReader::open(path)?;
         let mut gatherer = Self::default();
@@ -122,12 +122,12 @@ impl FlownGatherer {
         let is_complete = info.events.iter().any(|event| event.text.contains(TRAJECTORY_DONE));
         let flown = gatherer.flown();
         if flown.points.is_empty() {
-            return Err(anyhow!("no tick of it tracks a trajectory; only logs of this program do"));
+            return Err(anyhow!(
+                "no tick tracks a trajectory; give downwash logs of tracked flights"
+            ));
         }
         if flown.is_replanned {
-            return Err(anyhow!(
-                "its reference was planned anew in flight, and begins at the vehicle"
-            ));
+            return Err(anyhow!("its reference was replanned in flight from the vehicle's state"));
         }
         Ok(Flown { mission, is_complete, ..flown })
     }
@@ -145,7 +145,7 @@ impl FlownGatherer {
         }
     }
 
-    /// The last message of a tick.
+    /// Completes a tick with its last message.
     fn conclude(&mut self, control: &ControlMessage) {
         let pair = self.state.take().zip(self.reference.take());
         let Some((state, reference)) = pair.filter(|(_, r)| r.trajectory_time_s.is_finite()) else {
@@ -166,7 +166,7 @@ impl FlownGatherer {
         });
     }
 
-    /// The flight.
+    /// Returns the flight gathered so far.
     pub fn flown(self) -> Flown {
         Flown {
             mission: String::new(),
@@ -181,8 +181,8 @@ impl FlownGatherer {
 }
 
 impl Flown {
-    /// The largest distance from the plan over the tube's radius there. `None` without a tube, or
-    /// where a position is no number.
+    /// The largest ratio of the distance from the plan to the tube's radius. `None` without a tube,
+    /// or if a ratio is not finite.
     pub fn share_of_radius(&self) -> Option<f64> {
         let pairs = self.points.iter().zip(&self.radius_m);
         pairs

@@ -1,4 +1,4 @@
-//! A tube's shape: the feedback around a vehicle, and the errors of a model on logs.
+//! The shape of a tube: the feedback of a vehicle, and a model's errors on logs.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +23,7 @@ use crate::plan::tube::error::{ModelError, Residual};
 use crate::plan::tube::scale::TrackingLoop;
 use vehicle::frame::Ned;
 
-/// The slow part of the feedback: that of the LQR of the settings, whichever law flies.
+/// The slow part of the LQR's feedback with the current settings, whichever law flies.
 pub(super) fn tracking_loop(
     vehicle: &VehicleParams,
     config: &Config,
@@ -48,7 +48,7 @@ pub(super) fn tracking_loop(
     })
 }
 
-/// A model, and how its errors on a log are computed.
+/// A model, with what is needed to compute its errors on logs.
 pub(super) struct JudgedModel {
     pub note: PlannedThrough,
     model: Box<dyn Model>,
@@ -59,7 +59,7 @@ pub(super) struct JudgedModel {
 }
 
 impl JudgedModel {
-    /// One of a model file's, or the vehicle file's own physics.
+    /// Loads a model from a file; without a path, the vehicle file's physics.
     pub fn new(
         vehicle: &VehicleParams,
         path: Option<&Path>,
@@ -95,7 +95,7 @@ impl JudgedModel {
         })
     }
 
-    /// Its errors on logs of flights that it was not fitted on.
+    /// The model's errors on logs.
     pub fn errors(&self, logs: &[PathBuf]) -> anyhow::Result<ModelError> {
         let onboard = Onboard::new(&self.vehicle).or_exit(Exit::Usage)?;
         let windows = WindowSettings::default();
@@ -112,7 +112,10 @@ impl JudgedModel {
             .collect();
         ModelError::of(&flights)
             .ok_or_else(|| {
-                anyhow!("no log shows the model's errors for half a second: {}", listed(logs))
+                anyhow!(
+                    "no log has half a second of usable samples for the model's errors: {}",
+                    listed(logs)
+                )
             })
             .or_exit(Exit::Usage)
     }

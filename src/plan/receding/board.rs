@@ -1,5 +1,4 @@
-//! The plans that are ready, between the thread that makes them and the control tick that reads
-//! them. Neither waits for the other.
+//! Finished plans, shared by the thread that makes them and the control tick that reads them.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -20,7 +19,7 @@ pub(super) struct Stretch {
     pub from_s: f64,
     pub reference: PlannedReference,
     pub iterate: Iterate<7>,
-    /// Number of the model that it was planned through, counted from 0.
+    /// Number of the model that it was planned with, from 0.
     pub model: u64,
     /// Time by which its setpoints are sent ahead, s.
     pub delay_s: f64,
@@ -38,7 +37,7 @@ impl Stretch {
         Some(between(before, after.unwrap_or(before), share))
     }
 
-    /// `of` from a time on, replaced by this plan as far as it reaches. A plan that is renewed more
+    /// `of` from `from_s`, replaced by this plan as far as it reaches. A plan that is renewed more
     /// often than it has states starts between two states of its predecessor.
     pub fn carried_into(&self, of: &Desire, from_s: f64, period: f64) -> Iterate<7> {
         let mut guess = Iterate { states: of.states.clone(), inputs: of.inputs.clone() };
@@ -73,43 +72,44 @@ fn between<const N: usize>(a: &[f64; N], b: &[f64; N], share: f64) -> [f64; N] {
 /// Number of stretches kept.
 const SLOTS: usize = 8;
 
-/// A model to plan through: its planner, and the vehicle's response by it.
+/// A model to plan with: its planner and the vehicle's response.
 pub(super) struct Candidate {
     pub planner: Planner,
     pub answer: Answer,
 }
 
-/// What became of a model that was offered.
+/// The planner's decision on a model.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Verdict {
-    /// A plan through it may be flown; later plans go through it too.
+    /// Its first plan is flyable; later plans use it too.
     Taken {
-        /// Its number, counted from 1; 0 is the model of the start.
+        /// Number of the model, from 1; 0 is the initial model.
         model: u64,
     },
-    /// No plan through it may be flown. Plans go through the model before it.
+    /// Its plans are not flyable, at the start or later. Planning uses the previous model.
     Refused {
-        /// What speaks against them.
+        /// The error of the last plan.
         reason: String,
     },
 }
 
-/// No model but the first was used yet.
+/// Time before any model but the initial one was used.
 const NEVER: u64 = f64::NAN.to_bits();
 
 /// The trajectory to follow, and the planned stretches.
 pub(super) struct Board {
     pub goal: Mutex<Arc<Trajectory>>,
-    /// A model to plan through from now on, and what became of it.
+    /// A model that the next plan tries.
     pub offered: Mutex<Option<Box<Candidate>>>,
+    /// The newest decision that was not read yet.
     pub verdict: Mutex<Option<Verdict>>,
-    /// Whether to plan through the model before the present one from now on.
+    /// Whether the next plan goes back to the previous model.
     pub withdrawn: AtomicBool,
-    /// Number of the newest model whose plan was flown, and the bits of the time at which that
-    /// began, s into the trajectory.
+    /// Number of the model whose plan is flown.
     used: AtomicU64,
+    /// Bits of the time from which on it is, s into the trajectory.
     used_from: AtomicU64,
-    /// Bits of the exponent of thrust in voltage of that model.
+    /// Bits of that model's exponent of thrust in voltage.
     voltage_exponent: AtomicU64,
     /// Ring buffer: the newest stretch is at `newest`, the older ones in the slots before it. While
     /// the vehicle responds slowly, several are in use. A reader never waits for a writer: while
@@ -173,7 +173,7 @@ impl Board {
         Some(reference)
     }
 
-    /// The newest model whose plan was flown, and from when on, s into the trajectory.
+    /// The model whose plan is flown, and since when, s into the trajectory.
     pub fn used(&self) -> (u64, f64) {
         let model = self.used.load(Ordering::Acquire);
         (model, f64::from_bits(self.used_from.load(Ordering::Relaxed)))

@@ -10,19 +10,19 @@
 /// Slack for the rounding of `(n + 1) confidence`, whose exact value may be whole.
 const ROUNDING: f64 = 1e-9;
 
-/// Number of the score, counted from 1 at the smallest, that bounds a new flight's.
+/// Rank, from 1 for the smallest, of the score that bounds a new flight's.
 fn rank(flights: usize, confidence: f64) -> usize {
     ((flights as f64 + 1.0) * confidence - ROUNDING).ceil().max(1.0) as usize
 }
 
-/// The fewest calibration flights that support a confidence in 0..1: 19 for 0.95.
+/// The smallest number of calibration flights that supports a confidence in 0..1: 19 for 0.95.
 pub fn flights_needed(confidence: f64) -> usize {
     let about = (confidence / (1.0 - confidence) - ROUNDING).ceil().max(1.0);
     about as usize
 }
 
-/// The bound of a new flight's score: `scores` are those of `flights` calibration flights in
-/// ascending order; flights without one count as infinite. `None` if no finite score bounds it.
+/// The bound on a new flight's score. `scores` are those of `flights` calibration flights in
+/// ascending order; missing scores count as infinite. `None` if no finite score bounds it.
 pub fn bound(scores: &[f64], flights: usize, confidence: f64) -> Option<f64> {
     let rank = rank(flights, confidence);
     scores.get(rank - 1).copied().filter(|_| rank <= flights)
@@ -44,7 +44,7 @@ mod tests {
         let scores: Vec<f64> = (1..=19).map(f64::from).collect();
         assert_eq!(bound(&scores, 19, 0.95), Some(19.0));
         assert_eq!(bound(&scores[..18], 18, 0.95), None);
-        // A flight that broke off has no score and is the worst.
+        // A flight that ended early has no score and counts as infinite.
         assert_eq!(bound(&scores[..18], 19, 0.95), None);
         assert_eq!(bound(&scores, 19, 0.5), Some(10.0));
     }

@@ -1,14 +1,14 @@
-//! How far a model's accelerations are off on flights that it was not fitted on.
+//! A model's acceleration errors on flights that it was not fitted to.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::frame::Ned;
 
-/// Lags at which the residual is compared with itself, s. White noise of the measurement is in
-/// neither: it moves no vehicle.
+/// Lags of the residual's autocovariance, s. White measurement noise, which does not move the
+/// vehicle, contributes to neither.
 const LAGS_S: [f64; 2] = [0.1, 0.5];
-/// Least and greatest correlation time, s. A disturbance that outlasts the flight, as a steady
-/// wind, has the greatest.
+/// Least and greatest correlation time, s. A disturbance that outlasts the flight, such as a
+/// steady wind, has the greatest.
 const CORRELATION_S: [f64; 2] = [0.05, 60.0];
 
 /// The measured acceleration less the model's, at one instant.
@@ -16,20 +16,20 @@ const CORRELATION_S: [f64; 2] = [0.05, 60.0];
 pub struct Residual {
     /// Time in the flight, s.
     pub time_s: f64,
-    /// m/s
+    /// Speed of the vehicle, m/s.
     pub speed_m_s: f64,
-    /// World axes, m/s^2.
+    /// Measured minus modelled acceleration in world axes, m/s^2.
     pub acceleration: Ned,
 }
 
-/// Unmodelled acceleration along an axis: a first-order process `sigma z`, with z of variance 1,
-/// `sigma^2 = at_rest^2 + (per_speed v)^2` at the speed v.
+/// Unmodelled acceleration along an axis: a first-order process `sigma z`, where z has variance 1
+/// and `sigma^2 = at_rest^2 + (per_speed v)^2` at the speed v.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AxisError {
     /// Standard deviation at rest, m/s^2.
     pub at_rest_m_s2: f64,
-    /// Standard deviation per speed, 1/s.
+    /// Standard deviation per unit of speed, 1/s.
     pub per_speed_s: f64,
     /// Correlation time of z, s.
     pub correlation_s: f64,
@@ -39,13 +39,13 @@ pub struct AxisError {
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelError {
-    /// Along north and along east.
+    /// Error along north and along east.
     pub horizontal: AxisError,
-    /// Along down.
+    /// Error along down.
     pub vertical: AxisError,
 }
 
-/// Products of a residual with itself a lag later, and squared speeds.
+/// Products of the residual with its value one lag later, and squared speeds.
 #[derive(Clone, Debug, Default)]
 struct Products(Vec<[f64; 2]>);
 
@@ -55,7 +55,7 @@ impl AxisError {
         self.at_rest_m_s2.hypot(self.per_speed_s * speed_m_s)
     }
 
-    /// The process with these products at the two lags.
+    /// Fits the process to the products at the two lags.
     fn of([near, far]: [&Products; 2]) -> Self {
         let [near_lag, far_lag] = LAGS_S;
         let [least, most] = CORRELATION_S;
@@ -68,7 +68,7 @@ impl AxisError {
             ((far_lag - near_lag) / (close / apart).ln()).clamp(least, most)
         };
         let [at_rest, per_speed] = near.line().map(|square| {
-            // From the lag back to none.
+            // Extrapolates from the lag to zero.
             (square * (near_lag / correlation_s).exp()).sqrt()
         });
         Self { at_rest_m_s2: at_rest, per_speed_s: per_speed, correlation_s }
@@ -76,7 +76,7 @@ impl AxisError {
 }
 
 impl Products {
-    /// Adds those of a flight's residuals along an axis.
+    /// Adds the products of a flight's residuals along an axis.
     fn add(&mut self, residuals: &[Residual], lag_s: f64, along: impl Fn(&Residual) -> f64) {
         let mut later = 0;
         for now in residuals {
@@ -84,7 +84,7 @@ impl Products {
                 later += 1;
             }
             let Some(then) = residuals.get(later) else { return };
-            // A gap in the log has no product.
+            // No product across a gap in the log.
             if then.time_s - now.time_s < 1.2 * lag_s {
                 let speed = now.speed_m_s;
                 self.0.push([along(now) * along(then), speed * speed]);
@@ -96,14 +96,14 @@ impl Products {
         self.0.iter().map(|[product, _]| product).sum::<f64>() / self.0.len().max(1) as f64
     }
 
-    /// The line `a + b v^2` through the products with the least squares, `a` and `b` at least 0.
+    /// Least-squares fit of `a + b v^2` to the products, with `a` and `b` at least 0.
     fn line(&self) -> [f64; 2] {
         let count = self.0.len().max(1) as f64;
         let mean = |value: &dyn Fn(&[f64; 2]) -> f64| self.0.iter().map(value).sum::<f64>() / count;
         let (product, square) = (mean(&|[p, _]| *p), mean(&|[_, s]| *s));
         let (cross, fourth) = (mean(&|[p, s]| p * s), mean(&|[_, s]| s * s));
         let spread = fourth - square * square;
-        // At one speed alone nothing tells the two apart, and rest takes all.
+        // A single speed cannot separate the two: attribute all to rest.
         if spread <= 1e-9 * fourth.max(1e-12) {
             return [product.max(0.0), 0.0];
         }
@@ -120,8 +120,8 @@ impl Products {
 }
 
 impl ModelError {
-    /// The errors in the residuals of flights, each in the order of time. `None` if no residual has
-    /// one half a second later.
+    /// Estimates the errors from the residuals of flights, each in order of time. `None` if no two
+    /// residuals of a flight are half a second apart.
     pub fn of(flights: &[Vec<Residual>]) -> Option<Self> {
         let products = |along: &[fn(&Residual) -> f64]| {
             LAGS_S.map(|lag| {

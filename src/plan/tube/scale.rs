@@ -8,9 +8,10 @@
 //! dz/dt = -z / correlation + noise          (variance 1)
 //! ```
 //!
-//! with the attitude settled ([`Lqr::translational`](crate::control::Lqr::translational)), so it is
-//! the slow part of the loop. Conformal calibration multiplies the scale by one number: an error of
-//! its size does not cost coverage, an error of its shape costs width.
+//! This is the slow part of the loop, with the attitude settled
+//! ([`Lqr::translational`](crate::control::Lqr::translational)). Conformal calibration multiplies
+//! the scale by one number, so an error in its size costs no coverage, and an error in its shape
+//! only makes the tube wider.
 
 use nalgebra::Matrix4;
 use schemars::JsonSchema;
@@ -18,18 +19,18 @@ use serde::{Deserialize, Serialize};
 
 use super::error::{AxisError, ModelError};
 
-/// Least standard deviation, m: no estimate of a position is better.
+/// Least standard deviation, m: no position estimate is more accurate.
 const SCALE_MIN_M: f64 = 1e-3;
-/// Doublings until the covariance is stationary: 2^24 steps.
+/// Number of times that the time is doubled until the covariance is stationary: 2^24 steps.
 const DOUBLINGS: usize = 24;
 
-/// The feedback on the position, horizontally and vertically.
+/// Feedback on the position: horizontal and vertical gains.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrackingLoop {
-    /// Acceleration against a position error, 1/s^2.
+    /// Gain from position error to opposing acceleration, 1/s^2.
     pub stiffness_s2: [f64; 2],
-    /// Acceleration against a velocity error, 1/s.
+    /// Gain from velocity error to opposing acceleration, 1/s.
     pub damping_s: [f64; 2],
     /// Time constant of the disturbance observer, s; null without one.
     pub rejection_s: Option<f64>,
@@ -81,7 +82,7 @@ impl<'a> AxisStep<'a> {
         self.still + self.driven * self.error.deviation(speed_m_s)
     }
 
-    /// The covariance after long at a speed.
+    /// The stationary covariance at a constant speed.
     fn stationary(&self, speed_m_s: f64) -> Matrix4<f64> {
         let (mut step, mut covariance) = (self.at(speed_m_s), self.noise);
         for _ in 0..DOUBLINGS {
@@ -107,13 +108,13 @@ impl<'a> AxisStep<'a> {
     }
 }
 
-/// Time between the speeds that [`TrackingLoop::scale`] takes, s.
+/// Period of the speeds given to [`TrackingLoop::scale`], s.
 pub const PERIOD_S: f64 = 0.01;
 
 impl TrackingLoop {
     /// Standard deviation of the distance from the plan (root of the trace of the position's
-    /// covariance), m, at each of the plan's speeds (m/s), [`PERIOD_S`] apart. Before the first the
-    /// vehicle has flown as there for long.
+    /// covariance), m, at each of the plan's speeds (m/s), [`PERIOD_S`] apart. It starts from the
+    /// stationary covariance at the first speed.
     pub fn scale(&self, error: &ModelError, speeds_m_s: &[f64]) -> Vec<f64> {
         let [horizontal, vertical] = [&error.horizontal, &error.vertical];
         let axis = |i: usize, error| {
@@ -154,7 +155,7 @@ mod tests {
         let scale = loops(None).scale(&error, &[0.0; 3]);
         let expected = (2.0 * (0.4_f64 / 8.0).powi(2) + (0.4_f64 / 14.0).powi(2)).sqrt();
         assert!(scale.iter().all(|s| (s / expected - 1.0).abs() < 0.02), "{scale:?} {expected}");
-        // An observer takes most of it away.
+        // An observer rejects most of it.
         assert!(loops(Some(0.5)).scale(&error, &[0.0])[0] < 0.2 * expected);
         let none = AxisError { at_rest_m_s2: 0.0, per_speed_s: 0.0, correlation_s: 1.0 };
         let none = ModelError { horizontal: none, vertical: none };
@@ -162,7 +163,7 @@ mod tests {
         assert!(loops(None).scale(&none, &[]).is_empty());
     }
 
-    /// Many runs of the linear loop, integrated in ten finer steps with noise drawn for each.
+    /// Many runs of the linear loop, each step integrated in ten finer ones with noise.
     #[test]
     fn the_scale_is_the_deviation_of_many_simulated_runs() {
         let speeds: Vec<f64> = (0..400).map(|k| (2.0 - 0.01 * f64::from(k)).max(0.0)).collect();
@@ -193,7 +194,7 @@ mod tests {
                         }
                         p
                     };
-                    // Long at the first speed, as the scale says.
+                    // The scale starts from the stationary state at the first speed.
                     (0..500).for_each(|_| {
                         step(speeds[0]);
                     });
@@ -208,7 +209,7 @@ mod tests {
                 let ratio = scale / f64::sqrt(square);
                 assert!((ratio - 1.0).abs() < 0.08, "{n}: {ratio}");
             }
-            // Slower at the end, and so nearer to the plan.
+            // Slower at the end, and so closer to the plan.
             assert!(scale[399] < 0.6 * scale[0]);
         }
     }

@@ -1,4 +1,4 @@
-//! The nonconformity score of a flown flight: how many scales it was off its plan at most.
+//! The nonconformity score of a flight: its largest deviation from the plan relative to the scale.
 
 use vehicle::frame::Ned;
 
@@ -17,11 +17,12 @@ pub struct FlownPoint {
     pub planned: Ned,
     /// Planned speed, m/s.
     pub speed_m_s: f64,
-    /// Where the vehicle was, m.
+    /// Position of the vehicle, m.
     pub flown: Ned,
 }
 
-/// Speeds on the grid of [`PERIOD_S`] from 0 on, each that of the last row at or before it.
+/// Resamples rows of time (s) and speed (m/s) on the grid of [`PERIOD_S`] from 0. Each value is
+/// that of the last row at or before it.
 pub(super) fn on_grid(rows: impl Iterator<Item = [f64; 2]>) -> Vec<f64> {
     let mut speeds: Vec<f64> = Vec::new();
     let mut held = None;
@@ -42,8 +43,8 @@ pub(super) fn on_grid(rows: impl Iterator<Item = [f64; 2]>) -> Vec<f64> {
 }
 
 impl Shape {
-    /// The largest distance from the plan over the scale there. `None` if the flight has no point,
-    /// or one that is not finite.
+    /// The largest ratio of the distance from the plan to the scale. `None` if the flight has no
+    /// points, or if a ratio is not finite.
     pub fn score(&self, points: &[FlownPoint]) -> Option<f64> {
         let scale = self.scale(points.iter().map(|point| [point.time_s, point.speed_m_s]));
         let last = scale.len().checked_sub(1)?;
@@ -51,7 +52,7 @@ impl Shape {
             let index = ((point.time_s / PERIOD_S).max(0.0) as usize).min(last);
             (point.flown - point.planned).norm() / scale[index]
         });
-        // A position that is no number is no position within the tube.
+        // A position that is not finite is not within the tube.
         scores.try_fold(0.0, |most: f64, score| score.is_finite().then(|| most.max(score)))
     }
 }
@@ -67,7 +68,7 @@ mod tests {
         let rows = [[0.0, 1.0], [0.01, 2.0], [0.025, 3.0], [0.06, 4.0], [f64::NAN, 9.0]];
         assert_eq!(on_grid(rows.into_iter()), [1.0, 2.0, 3.0, 3.0, 3.0, 3.0, 4.0]);
         assert!(on_grid(std::iter::empty()).is_empty());
-        // Of one that begins late, the first row counts from 0 on.
+        // The first row also fills the grid before it.
         assert_eq!(on_grid([[0.02, 5.0]].into_iter()), [5.0; 3]);
     }
 

@@ -1,4 +1,4 @@
-//! A plan that keeps its whole tube out of the regions to avoid.
+//! Planning with the tube's radius as the margin to keep-out regions.
 
 use super::super::desire::Desire;
 use super::super::planner::Planner;
@@ -6,34 +6,34 @@ use super::super::problem::StateVector;
 use super::super::scp::{Outcome, Record};
 use super::Radius;
 
-/// Most searches. The radius depends on the plan's speed, and the plan on the radius.
+/// Largest number of searches: the radius depends on the plan's speed, and the plan on the radius.
 const SEARCHES: usize = 5;
-/// What the margin exceeds the radius by, m: what a plan may be inside of a region, and the bulge
-/// of the path between two states.
+/// Excess of the margin over the radius, m, for the tolerated violation of a region and for the
+/// curvature of the path between two states.
 const ROOM_M: f64 = 2e-3;
 
-/// Two radii of a tube.
+/// A tube's radii at two confidences.
 #[derive(Clone, Copy, Debug)]
 pub struct Radii<'a> {
-    /// That of the plan's tube.
+    /// Radius of the plan's tube.
     pub tube: Radius<'a>,
-    /// That which is kept away from what the plan avoids, at a confidence that is higher or the same.
+    /// Margin to keep-out regions and position bounds, at the same or a higher confidence.
     pub margin: Radius<'a>,
 }
 
-/// A plan and its tube.
+/// The outcome of a search, and its tube.
 #[derive(Clone, Debug)]
 pub struct Tubed {
-    /// How its search ended. Its violations are those of the regions with the margin's radius at this
-    /// plan's speeds, also where the searches ended before the two agreed.
+    /// The last search. Its violations include the margin at this plan's speeds, even if the
+    /// searches ended before plan and margin agreed.
     pub outcome: Outcome<7>,
     /// The tube's radius at each state, m.
     pub radius_m: Vec<f64>,
 }
 
-/// Searches as [`Planner::plan`] for a plan that stays the margin's radius out of the regions and
-/// within the box. That is the radius of the desired speeds first, then the larger of it and the last plan's: it
-/// only grows, so the searches end.
+/// Searches as [`Planner::plan`] does, with the margin to the regions and to the box. The first
+/// margin is the radius at the desired speeds. Each further search raises it where the last plan
+/// needs more, so the margin never shrinks.
 pub fn plan_within(
     planner: &Planner,
     desire: &Desire,
