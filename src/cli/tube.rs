@@ -81,7 +81,7 @@ pub struct TubeCheckArgs {
     /// Seed of the disturbances.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Configuration file with the regions of [plan] keep_out.
+    /// Configuration file with the regions of `plan.keep_out`.
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Prints the summary as JSON.
