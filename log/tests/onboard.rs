@@ -422,6 +422,19 @@ fn the_oldest_ulogs_are_read() {
     assert_eq!(flight.position.len(), 50);
 }
 
+/// A damaged type makes the file's flags of a row, whose bytes then forbid reading the file.
+#[test]
+fn flags_in_the_middle_of_a_file_are_a_damaged_message() {
+    let whole = survives(&ULOG).expect("a flight").body_rate.len();
+    let rows = (ULOG.len() / 5..ULOG.len()).filter(|at| ULOG[*at] == b'D').step_by(7);
+    for at in rows {
+        let mut log = ULOG.clone();
+        log[at] = b'B';
+        let left = survives(&log).expect("a flight").body_rate.len();
+        assert!(left + 6 >= whole, "{left} of {whole}, byte {at}");
+    }
+}
+
 #[test]
 fn data_appended_after_a_crash_are_read() {
     let mut log = ulog(1.0);

@@ -303,7 +303,9 @@ impl<R: Read> Reader<R> {
         };
         let length = usize::from(u16::from_le_bytes([*low, *high]));
         match body.get(..length) {
-            Some(body) if self.is_sound(*kind, body) => Look::Sound(HEAD + length),
+            Some(body) if self.is_sound(*kind, body, self.offset + at as u64) => {
+                Look::Sound(HEAD + length)
+            }
             Some(_) => Look::Odd(HEAD + length),
             None => Look::Short,
         }
@@ -322,8 +324,8 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// Whether a message's content is plausible for its type.
-    fn is_sound(&self, kind: u8, body: &[u8]) -> bool {
+    /// Whether a message's content is plausible for its type and its place in the file.
+    fn is_sound(&self, kind: u8, body: &[u8], offset: u64) -> bool {
         match kind {
             b'D' => body.split_first_chunk().is_some_and(|(topic, row)| {
                 let subscription = self.subscriptions.get(&u16::from_le_bytes(*topic));
@@ -334,7 +336,8 @@ impl<R: Read> Reader<R> {
             b'S' => body == SYNC,
             b'O' => body.len() == 2,
             b'R' => body.len() == 2,
-            b'B' => body.len() >= 40,
+            // The flags are the first message. Elsewhere a damaged byte made one of another message.
+            b'B' => body.len() >= 40 && offset == FILE_HEAD as u64,
             b'L' => body.len() >= 9 && body[0].is_ascii_digit(),
             b'C' => body.len() >= 11 && body[0].is_ascii_digit(),
             b'A' => {
