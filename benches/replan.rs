@@ -19,9 +19,10 @@ use downwash::control::Limits;
 use downwash::model::Model;
 use downwash::model::file::{ModelFile, ModelKind};
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
+use downwash::offboard::EffectiveVehicle;
 use downwash::plan::Trajectory;
 use downwash::plan::discretisation::{CommandedDynamics, Dynamics};
-use downwash::plan::planned::{Answer, PlannedBody};
+use downwash::plan::planned::Answer;
 use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner};
 use downwash::plan::receding::{RecedingReference, RecedingSettings};
 use downwash::plan::reference::ReferenceSource;
@@ -91,12 +92,7 @@ fn main() {
         }
     };
     let planned = PlannedVehicle {
-        body: PlannedBody {
-            mass_kg: vehicle.mass,
-            inertia: vehicle.inertia,
-            gravity: vehicle.gravity,
-            thrust_full_n: vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
-        },
+        body: EffectiveVehicle::new(&vehicle).expect("a vehicle").body(),
         attitude_pd,
         limits: Limits::default(),
     };

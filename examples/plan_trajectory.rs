@@ -7,8 +7,8 @@ use std::sync::Arc;
 use anyhow::Context;
 use downwash::control::Limits;
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
+use downwash::offboard::EffectiveVehicle;
 use downwash::plan::Trajectory;
-use downwash::plan::planned::PlannedBody;
 use downwash::plan::planner::{KeepOutSetting, PlanSettings, PlannedVehicle, Planner};
 use downwash::plan::scp::Outcome;
 use vehicle::VehicleParams;
@@ -23,12 +23,7 @@ pub fn plan() -> anyhow::Result<Outcome<7>> {
     )?;
     let ball = KeepOutSetting::Sphere { centre_m: [1.0, 0.1, -1.0], radius_m: 0.25 };
     let vehicle = PlannedVehicle {
-        body: PlannedBody {
-            mass_kg: params.mass,
-            inertia: params.inertia,
-            gravity: params.gravity,
-            thrust_full_n: params.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
-        },
+        body: EffectiveVehicle::new(&params)?.body(),
         attitude_pd: params.attitude_pd.context("the file has no attitude loop")?,
         limits: Limits::default(),
     };

@@ -228,7 +228,8 @@ impl LapLearner {
     /// that of the previous lap by more than the noise of the estimate.
     fn is_astray(&self) -> bool {
         let lap = self.present.as_ref().zip(self.laps.last()).zip(self.on_course.as_ref());
-        lap.is_some_and(|((present, before), lap)| {
+        // While a new model is on its way, the exchange would withdraw that one.
+        lap.filter(|_| self.candidate.is_none()).is_some_and(|((present, before), lap)| {
             lap.most_m > WORSE * before.most_m + present.held_out.noise_m()
         })
     }

@@ -44,7 +44,7 @@ fn flights(vehicle: &Path) -> Vec<PathBuf> {
     logs
 }
 
-/// How good the files of these flights are: exact, but for what clocks blur.
+/// Scale of the file tolerances of these flights: the files are exact, and the clocks add jitter.
 const FILE: f64 = 0.15;
 
 /// The catalogue with the delay that the flights tell.

@@ -158,7 +158,7 @@ fn every_effect_moves_the_diagnosis_equations() {
         .collect();
     // This flight never sinks as fast as the wake.
     assert_eq!(idle, [Target::Effect(EffectId::VortexRing, 0)]);
-    // Gusts are told from what is left over, and nothing else is missing.
+    // The diagnosis finds gusts in the residual force, not by a fit; every other effect has numbers.
     let is_there = |id: EffectId| {
         catalogue.numbers.iter().any(|number| match number.target {
             Target::Effect(of, _) => of == id,

@@ -12,7 +12,8 @@ use downwash::lockstep;
 use downwash::log::record::{FrameRecord, Record};
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
 use downwash::model::{ACCELERATIONS, Jacobian, Model, Point};
-use downwash::plan::planned::{Answer, PlannedBody};
+use downwash::offboard::EffectiveVehicle;
+use downwash::plan::planned::Answer;
 use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner};
 use downwash::plan::receding::{RecedingReference, RecedingSettings};
 use downwash::station::{End, Station, StationSettings};
@@ -33,12 +34,7 @@ const LAP_S: f64 = 20.0;
 
 fn planner(params: &VehicleParams, model: Arc<dyn Model>) -> Planner {
     let vehicle = PlannedVehicle {
-        body: PlannedBody {
-            mass_kg: params.mass,
-            inertia: params.inertia,
-            gravity: params.gravity,
-            thrust_full_n: params.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
-        },
+        body: EffectiveVehicle::new(params).expect("a vehicle").body(),
         attitude_pd: params.attitude_pd.expect("a loop"),
         limits: Limits::default(),
     };

@@ -1,4 +1,4 @@
-//! The connection over real sockets and a real pseudo-terminal: lost, and opened again by itself.
+//! The link reopens a lost connection, over real sockets and a real pseudo-terminal.
 
 use std::future::Future;
 use std::path::Path;

@@ -11,8 +11,9 @@ use crate::lockstep::{
 use downwash::control::{Limits, Use};
 use downwash::log::record::{Direction, Record};
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
+use downwash::offboard::EffectiveVehicle;
 use downwash::plan::Trajectory;
-use downwash::plan::planned::{Answer, PlannedBody};
+use downwash::plan::planned::Answer;
 use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner};
 use downwash::plan::receding::{RecedingReference, RecedingSettings};
 use downwash::station::{End, StationSettings};
@@ -208,12 +209,7 @@ fn what_was_estimated_is_forgotten_when_the_pilot_takes_over() {
 /// What plans for the vehicle of a file by its own physics, and how it answers.
 fn nominal(params: &VehicleParams) -> (Planner, Answer) {
     let attitude_pd = params.attitude_pd.expect("a loop");
-    let body = PlannedBody {
-        mass_kg: params.mass,
-        inertia: params.inertia,
-        gravity: params.gravity,
-        thrust_full_n: params.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
-    };
+    let body = EffectiveVehicle::new(params).expect("a vehicle").body();
     let answer = Answer {
         delay_s: params.command_delay_s,
         lag_s: params.motor_time_constant_s,

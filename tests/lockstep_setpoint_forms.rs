@@ -66,9 +66,9 @@ fn each_form_settles_in_hover_with_and_without_delay_and_lag() {
     }
 }
 
-/// A flight along the turning sinusoid with a vehicle that is sent attitude and thrust, whose own
-/// loop answers at `on_board` rad/s about roll and pitch (`None`: as its file says) and is not
-/// known; `setting` is what the daemon is told of it. The RMS and the largest error, m.
+/// Flies the turning sinusoid with attitude and thrust setpoints. The vehicle's own loop has a
+/// bandwidth of `on_board` rad/s about roll and pitch (`None`: that of its file); the daemon does
+/// not know the loop and uses `setting` for it. Returns the RMS and the largest error, m.
 fn unknown_loop(vehicle: &str, on_board: Option<f64>, setting: Option<[f64; 3]>) -> (f64, f64) {
     let mut params = params(vehicle);
     if let Some(wn) = on_board {

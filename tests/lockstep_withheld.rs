@@ -82,7 +82,7 @@ fn exchanged() -> Downlink {
     })
 }
 
-/// What the log is told of vehicles and of flights, in order.
+/// The records of vehicles and of flights in the log, in order.
 fn facts_and_flights(bench: &Bench) -> Vec<String> {
     let words = bench.records.iter().filter_map(|record| match record {
         Record::Facts(facts) => facts.get("autopilot").cloned(),

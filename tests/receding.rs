@@ -8,9 +8,10 @@ use std::sync::{Arc, Mutex};
 use downwash::control::Limits;
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
 use downwash::model::{ACCELERATIONS, Jacobian, Model, Point};
+use downwash::offboard::EffectiveVehicle;
 use downwash::plan::Trajectory;
 use downwash::plan::discretisation::{CommandedDynamics, Dynamics};
-use downwash::plan::planned::{Answer, CommandedInput, PlannedBody};
+use downwash::plan::planned::{Answer, CommandedInput};
 use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner};
 use downwash::plan::problem::StateVector;
 use downwash::plan::receding::{RecedingReference, RecedingSettings};
@@ -45,12 +46,7 @@ fn planner(model: Arc<dyn Model>) -> (Planner, Answer) {
     let params = vehicle();
     let attitude_pd = params.attitude_pd.expect("a loop");
     let planned = PlannedVehicle {
-        body: PlannedBody {
-            mass_kg: params.mass,
-            inertia: params.inertia,
-            gravity: params.gravity,
-            thrust_full_n: params.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
-        },
+        body: EffectiveVehicle::new(&params).expect("a vehicle").body(),
         attitude_pd,
         limits: Limits::default(),
     };

@@ -168,7 +168,7 @@ impl Vehicle {
         })
     }
 
-    /// What is due by itself.
+    /// The periodic messages and the delayed answers that are due at `now`.
     pub fn due(&mut self, now: HostTime) -> Vec<MavMessage> {
         let mut due = Vec::new();
         let elapsed = now.since(START);

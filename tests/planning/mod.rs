@@ -11,8 +11,8 @@ use downwash::model::hybrid::Hybrid;
 use downwash::model::learned::{Network, NetworkModel};
 use downwash::model::net::{Mlp, Normalization};
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
+use downwash::offboard::EffectiveVehicle;
 use downwash::plan::Trajectory;
-use downwash::plan::planned::PlannedBody;
 use downwash::plan::planner::{PlanSettings, PlannedVehicle, Planner};
 use downwash::plan::problem::StateVector;
 use downwash::plan::scp::Outcome;
@@ -32,12 +32,7 @@ pub fn attitude_pd() -> AttitudePd {
 pub fn planned_vehicle() -> PlannedVehicle {
     let vehicle = vehicle();
     PlannedVehicle {
-        body: PlannedBody {
-            mass_kg: vehicle.mass,
-            inertia: vehicle.inertia,
-            gravity: vehicle.gravity,
-            thrust_full_n: vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
-        },
+        body: EffectiveVehicle::new(&vehicle).expect("a vehicle").body(),
         attitude_pd: attitude_pd(),
         limits: Limits::default(),
     }
