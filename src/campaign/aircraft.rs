@@ -218,7 +218,7 @@ impl<'a> Aircraft<'a> {
         Seen {
             now_us,
             position: state.position.to_array(),
-            speed: state.velocity.norm(),
+            velocity: state.velocity.to_array(),
             tilt_rad: state.attitude.tilt(),
             is_armed: flight.armed(),
             obeys: flight.mode() == Mode::Offboard,

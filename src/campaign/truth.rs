@@ -14,6 +14,8 @@ const FENCE_M: f64 = 30.0;
 const TILT_MAX_RAD: f64 = 1.2;
 /// Largest speed, m/s.
 const SPEED_MAX_M_S: f64 = 6.0;
+/// Deceleration with which any vehicle here brakes, turning included, m/s^2.
+const BRAKE_M_S2: f64 = 3.0;
 /// Loss of thrust beyond which a rotor makes the vehicle impossible to fly.
 const FLYABLE_LOSS: f64 = 0.35;
 /// Time within which setpoints to such a vehicle must end, s: the tilt's dwell time, and the
@@ -27,8 +29,8 @@ pub struct Seen {
     pub now_us: u64,
     /// Position north, east, down, m.
     pub position: [f64; 3],
-    /// Speed, m/s.
-    pub speed: f64,
+    /// Velocity north, east, down, m/s.
+    pub velocity: [f64; 3],
     /// Tilt, rad.
     pub tilt_rad: f64,
     /// Whether its motors are armed.
@@ -63,7 +65,8 @@ pub(super) struct Envelope {
     high: [f64; 3],
     is_possible: bool,
     lost_us: Option<u64>,
-    /// Whether it left the envelope while no setpoints reached it, and has not been back since.
+    /// Whether it left the envelope while no setpoints reached it, or was then too fast to stop
+    /// within it, and has not been back since.
     is_astray: bool,
 }
 
@@ -98,16 +101,24 @@ impl Envelope {
             self.origin = [north, east];
         }
         let place = [north - self.origin[0], east - self.origin[1], down];
-        let is_near = (0..3).all(|axis| (self.low[axis]..=self.high[axis]).contains(&place[axis]));
-        let is_well = is_near && seen.tilt_rad <= TILT_MAX_RAD && seen.speed <= SPEED_MAX_M_S;
+        let speed = seen.velocity.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let stop_s = speed / (2.0 * BRAKE_M_S2);
+        let is_near_in = |time_s: f64| {
+            (0..3).all(|axis| {
+                let there = place[axis] + seen.velocity[axis] * time_s;
+                (self.low[axis]..=self.high[axis]).contains(&there)
+            })
+        };
+        let is_well = is_near_in(0.0) && seen.tilt_rad <= TILT_MAX_RAD && speed <= SPEED_MAX_M_S;
+        let can_stop = is_near_in(stop_s);
         if !(seen.is_armed && seen.obeys && is_led) {
             self.lost_us = None;
-            self.is_astray = !is_well;
+            self.is_astray = !(is_well && can_stop);
             return None;
         }
         let what = format!("{seen:?}");
         if self.is_possible {
-            self.is_astray &= !is_well;
+            self.is_astray &= !(is_well && can_stop);
             return (!is_well && !self.is_astray).then_some((Rule::Envelope, what));
         }
         // The controller is not responsible for its position and speed, but must notice that it
@@ -119,5 +130,42 @@ impl Envelope {
         let lost_us = *self.lost_us.get_or_insert(seen.now_us);
         let for_s = seen.now_us.saturating_sub(lost_us) as f64 * 1e-6;
         (for_s > LET_GO_S).then_some((Rule::LetGo, what))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::draw;
+
+    /// The rule that is broken by a vehicle that moves east from `east` at `speed`. Setpoints reach
+    /// it from `lost_s` on.
+    fn judged(east: f64, speed: f64, lost_s: f64) -> Option<Rule> {
+        let script = Script { faults: Vec::new(), ..draw::script(1, 1) };
+        let mut envelope = Envelope::new(&script, &[[0.0, 0.0, -1.0]]);
+        let still = Seen {
+            now_us: 0,
+            position: [0.0; 3],
+            velocity: [0.0; 3],
+            tilt_rad: 0.1,
+            is_armed: false,
+            obeys: true,
+        };
+        envelope.sees(&still, false);
+        (0..200u64).find_map(|k| {
+            let t = k as f64 * 0.01;
+            let position = [0.0, east + speed * t, -1.0];
+            let velocity = [0.0, speed, 0.0];
+            let seen = Seen { now_us: k * 10_000, position, velocity, is_armed: true, ..still };
+            envelope.sees(&seen, t >= lost_s).map(|(rule, _)| rule)
+        })
+    }
+
+    #[test]
+    fn a_vehicle_that_was_too_fast_to_stop_when_setpoints_came_back_is_nobodys_fault() {
+        assert_eq!(judged(0.0, 2.5, 0.0), Some(Rule::Envelope), "flown out");
+        assert_eq!(judged(0.0, 2.5, 0.3), Some(Rule::Envelope), "it could have stopped");
+        assert_eq!(judged(0.0, 2.5, 0.9), None, "it could not");
+        assert_eq!(judged(2.9, 0.5, 0.0), Some(Rule::Envelope), "slow, and flown out");
     }
 }

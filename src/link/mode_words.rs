@@ -38,6 +38,9 @@ pub(super) struct ModeWord<'a> {
     pub is_newer: bool,
     /// Whether the places of the last second are certain.
     pub is_settled: bool,
+    /// Whether it follows the frame before it in the vehicle's sequence, which a copy does only by
+    /// chance.
+    pub is_next: bool,
 }
 
 /// The vehicle's recent mode reports.
@@ -65,17 +68,24 @@ impl ModeWords {
     /// equals an older one; the next one resolves that. A report that withdraws permission is
     /// doubtful, and not dropped, if it seems older than what is known and the places are not
     /// settled.
+    ///
+    /// A copy out of its place does not confirm a known permission either: the vehicle may have
+    /// left the mode since.
     pub fn judge(&mut self, heard: &ModeWord) -> Newness {
-        let ModeWord { frame, word, obeys, is_newer, is_settled } = *heard;
+        let ModeWord { frame, word, obeys, is_newer, is_settled, is_next } = *heard;
         let is_known = !self.is_in_doubt && self.newest == Some(word);
         if !is_newer {
             let takes = obeys.is_some_and(|obeys| obeys != word) && !is_known;
             return if takes && !is_settled { Newness::Doubtful } else { Newness::Old };
         }
         let hash = crc32fast::hash(frame);
-        let gives = obeys == Some(word) && !is_known;
-        if gives && (!is_settled || self.hashes.contains(&hash)) {
-            return Newness::Doubtful;
+        if obeys == Some(word) {
+            let is_repeated = self.hashes.contains(&hash);
+            match is_known {
+                false if is_repeated || !is_settled => return Newness::Doubtful,
+                true if is_repeated && !is_next => return Newness::Old,
+                _ => {}
+            }
         }
         if self.hashes.len() == REMEMBERED {
             self.hashes.pop_front();
@@ -94,7 +104,14 @@ mod tests {
 
     /// A report in its place, in a settled order.
     fn word(frame: &[u8], word: u32) -> ModeWord<'_> {
-        ModeWord { frame, word, obeys: Some(OFFBOARD), is_newer: true, is_settled: true }
+        ModeWord {
+            frame,
+            word,
+            obeys: Some(OFFBOARD),
+            is_newer: true,
+            is_settled: true,
+            is_next: true,
+        }
     }
     const START: HostTime = HostTime::from_ns(1_700_000_000_000_000_000);
 
@@ -142,6 +159,16 @@ mod tests {
         assert_eq!(words.judge(&older(true, 3)), Newness::Old);
         assert_eq!(words.judge(&older(false, 3)), Newness::Doubtful);
         assert_eq!(words.judge(&older(false, 6)), Newness::Old, "it gives");
+    }
+
+    #[test]
+    fn a_copy_out_of_its_place_does_not_confirm_the_mode() {
+        let mut words = ModeWords::default();
+        let copy = |frame, mode| ModeWord { is_next: false, ..word(frame, mode) };
+        words.heard(at(0));
+        assert_eq!(words.judge(&copy(b"offboard 1", 6)), Newness::New, "its first arrival");
+        assert_eq!(words.judge(&copy(b"offboard 1", 6)), Newness::Old);
+        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New, "next in the sequence");
     }
 
     #[test]

@@ -19,6 +19,8 @@ const SILENCE: Duration = Duration::from_secs(1);
 /// Time after a restart for which the order is not settled: an apparent restart may be frames that
 /// arrive a hundred late.
 const UNSETTLED: Duration = Duration::from_secs(1);
+/// Least time over which the rate of the frames is measured.
+const PACE_SPAN: Duration = Duration::from_secs(1);
 /// Remembered frames with one number.
 const WRAPS: usize = 4;
 /// A copy of the link's frames continues within this many numbers.
@@ -61,7 +63,33 @@ pub(super) struct Sequence {
     at: HostTime,
     /// When the sequence last seemed to restart.
     anew: Option<HostTime>,
+    pace: Pace,
     lost: u64,
+}
+
+/// How fast the sender counts.
+#[derive(Debug, Default)]
+struct Pace {
+    /// Begin of the measurement, and the place then.
+    from: Option<(HostTime, u64)>,
+    /// Frames per second in the last full measurement.
+    per_s: f64,
+}
+
+impl Pace {
+    fn count(&mut self, now: HostTime, place: u64) {
+        let (since, first) = *self.from.get_or_insert((now, place));
+        let passed = now.since(since);
+        if passed >= PACE_SPAN {
+            self.per_s = place.saturating_sub(first) as f64 / passed.as_secs_f64();
+            self.from = Some((now, place));
+        }
+    }
+
+    /// Frames that the sender counts in `time`.
+    fn frames(&self, time: Duration) -> f64 {
+        self.per_s * time.as_secs_f64()
+    }
 }
 
 impl Default for Sequence {
@@ -74,6 +102,7 @@ impl Default for Sequence {
             behind: 0,
             at: HostTime::default(),
             anew: None,
+            pace: Pace::default(),
             lost: 0,
         }
     }
@@ -85,7 +114,13 @@ impl Sequence {
         self.lost
     }
 
-    /// Whether the sequence seemed to restart recently.
+    /// Whether a frame with this number follows the newest without a gap.
+    pub(super) fn is_next(&self, number: u8) -> bool {
+        self.newest.is_some_and(|newest| number == (newest as u8).wrapping_add(1))
+    }
+
+    /// Whether the sequence seemed to restart recently, or was silent for so long that its numbers
+    /// may have wrapped.
     pub(super) fn is_unsettled(&self, now: HostTime) -> bool {
         self.anew.is_some_and(|anew| now.since(anew) < UNSETTLED)
     }
@@ -105,19 +140,23 @@ impl Sequence {
         is_unique: bool,
     ) -> Order {
         let hash = hash(bytes);
-        let is_silent = now.since(self.at) > SILENCE;
+        let passed = now.since(self.at);
+        let is_silent = passed > SILENCE;
         self.at = now;
-        let Some(newest) = self.newest else { return self.begin(number, hash) };
+        let Some(newest) = self.newest else { return self.begin(now, number, hash) };
         if let Some(place) = self.copied(newest, number, hash, is_unique) {
             self.copy = Some((place, newest));
             return Order::Copy;
         }
         let step = number.wrapping_sub(newest as u8);
         let after_copy = self.copy_place(newest, number);
+        if step > COPY_STEP_MAX && self.pace.frames(passed) > f64::from(STEP_MAX) {
+            self.anew = Some(now);
+        }
         match step {
             // A sender that does not count its frames.
-            0 => self.advance(newest + 256, hash),
-            1..=COPY_STEP_MAX => self.go_on(newest, step, hash),
+            0 => self.advance(now, newest + 256, hash),
+            1..=COPY_STEP_MAX => self.go_on(now, newest + u64::from(step), hash),
             _ if after_copy.is_some() => {
                 let place = after_copy.unwrap_or(newest);
                 self.copy = Some((place, newest));
@@ -125,14 +164,14 @@ impl Sequence {
                 self.remember(place, hash);
                 Order::Overtaken(place)
             }
-            _ if step <= STEP_MAX => self.go_on(newest, step, hash),
-            _ if is_silent => self.begin(number, hash),
+            _ if step <= STEP_MAX => self.go_on(now, newest + u64::from(step), hash),
+            _ if is_silent => self.begin(now, number, hash),
             _ => {
                 let behind = 256 - u64::from(step);
                 self.behind += 1;
                 if behind > BEHIND_MAX || self.behind >= RESTART {
                     self.anew = Some(now);
-                    return self.begin(number, hash);
+                    return self.begin(now, number, hash);
                 }
                 // It was counted as lost.
                 self.lost = self.lost.saturating_sub(1);
@@ -144,20 +183,21 @@ impl Sequence {
 
     /// Starts at the first frame, or at the first after a restart of the vehicle, which counts from
     /// zero.
-    fn begin(&mut self, number: u8, hash: u32) -> Order {
-        self.copy = None;
+    fn begin(&mut self, now: HostTime, number: u8, hash: u32) -> Order {
+        (self.copy, self.pace.from) = (None, None);
         let place = (self.floor / 256 + 1) * 256 + u64::from(number);
-        self.advance(place, hash)
+        self.advance(now, place, hash)
     }
 
-    fn go_on(&mut self, newest: u64, step: u8, hash: u32) -> Order {
-        self.lost += u64::from(step) - 1;
-        self.advance(newest + u64::from(step), hash)
+    fn go_on(&mut self, now: HostTime, place: u64, hash: u32) -> Order {
+        self.lost += place.saturating_sub(self.newest.unwrap_or(place) + 1);
+        self.advance(now, place, hash)
     }
 
-    fn advance(&mut self, place: u64, hash: u32) -> Order {
+    fn advance(&mut self, now: HostTime, place: u64, hash: u32) -> Order {
         (self.newest, self.floor) = (Some(place), place);
         self.behind = 0;
+        self.pace.count(now, place);
         self.remember(place, hash);
         Order::New(place)
     }
@@ -268,6 +308,27 @@ mod tests {
             let after: Vec<_> = (0..20u8).map(&mut take).collect();
             assert!(after[RESTART as usize..].iter().all(|o| matches!(o, Order::New(_))), "{last}");
         }
+    }
+
+    #[test]
+    fn the_order_is_unsettled_after_a_silence_in_which_the_numbers_wrap() {
+        // Frames at a rate, a silence, and a step of the number: whether the order is unsettled.
+        let after = |per_s: u32, silent_ms: u64, step: u8| {
+            let mut sequence = Sequence::default();
+            let frames = 3 * per_s;
+            let at = |k: u32| START + Duration::from_secs(1) * k / per_s;
+            for k in 0..frames {
+                sequence.take(at(k), k as u8, &k.to_le_bytes(), true);
+            }
+            let now = at(frames - 1) + Duration::from_millis(silent_ms);
+            let number = ((frames - 1) as u8).wrapping_add(step);
+            sequence.take(now, number, b"after", true);
+            sequence.is_unsettled(now)
+        };
+        assert!(after(600, 400, 248), "a fast link wraps in 0.4 s");
+        assert!(!after(100, 400, 248), "a slow one does not");
+        assert!(!after(600, 400, 1), "nothing was lost");
+        assert!(!after(600, 100, 60), "too short to wrap");
     }
 
     #[test]

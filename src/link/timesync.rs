@@ -30,10 +30,10 @@ const OPEN_MAX: usize = 5;
 const QUICK: Duration = Duration::from_millis(50);
 /// Worst drift between two crystal clocks.
 const DRIFT: f64 = 100e-6;
+/// Error of a reading from a clock that counts whole milliseconds, ns.
+const READING_NS: f64 = 1e6;
 /// Exchanges in a row that contradict the estimate before it is dropped.
 const CONTRADICTIONS: usize = 3;
-/// Least time between the two exchanges that give a skew, ns.
-const SKEW_SPAN_NS: f64 = 1.5e9;
 /// Time without an answer after which the estimate is dropped.
 const BELIEVED: Duration = Duration::from_secs(20);
 
@@ -184,11 +184,11 @@ impl TimeSync {
         let newer = self.exchanges.iter().skip(half).rev().min_by(least);
         let (Some(older), Some(newer)) = (older, newer) else { return };
         let span_ns = ns_between(older.at, newer.at);
-        if span_ns < SKEW_SPAN_NS {
+        let error = (older.half_trip_ns() + newer.half_trip_ns() + 2.0 * READING_NS) / span_ns;
+        if error.is_nan() || error >= SKEW_MAX {
             return;
         }
         let slope = newer.offset_ns.saturating_sub(older.offset_ns) as f64 / span_ns;
-        let error = (older.half_trip_ns() + newer.half_trip_ns()) / span_ns;
         let is_shown = slope.abs() > error + DRIFT;
         let found = Skew { value: if is_shown { slope } else { 0.0 }, error };
         let is_better = self.skew.is_none_or(|known| {
@@ -199,9 +199,14 @@ impl TimeSync {
         }
     }
 
-    /// Possible error of the skew over time. A skew too large for a crystal varies.
+    /// Likely error of the skew over time. A skew too large for a crystal varies.
     fn drift(&self) -> f64 {
         self.skew.map_or(SKEW_MAX, |skew| DRIFT + skew.value.abs())
+    }
+
+    /// Largest possible error of the skew over time.
+    fn drift_max(&self) -> f64 {
+        self.drift() + self.skew.map_or(0.0, |skew| skew.error)
     }
 
     fn choose(&mut self, now: HostTime) {
@@ -217,7 +222,7 @@ impl TimeSync {
             offset_ns: best.offset_ns,
             at: best.at,
             skew: self.skew.map_or(0.0, |skew| skew.value),
-            error_ns: Some(best.error_ns(now, self.drift()) as u64),
+            error_ns: Some(best.error_ns(now, self.drift_max()) as u64),
             source: ClockSource::Timesync,
         })
     }

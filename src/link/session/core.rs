@@ -238,6 +238,7 @@ impl Core {
     /// than the known one.
     fn newness(&mut self, now: HostTime, frame: &Frame) -> Newness {
         let (number, is_unique) = (frame.sequence(), codec::is_stamped(frame.id()));
+        let is_next = self.sequence.is_next(number);
         let place = match self.sequence.take(now, number, frame.bytes(), is_unique) {
             Order::Copy => return Newness::Old,
             Order::New(place) | Order::Overtaken(place) => place,
@@ -264,6 +265,7 @@ impl Core {
                     obeys: obeys.map(|mode| mode.custom_mode),
                     is_newer,
                     is_settled,
+                    is_next,
                 };
                 self.mode_words.judge(&heard)
             }
