@@ -2,6 +2,7 @@
 //! of the first block are what several tests share.
 
 mod damage;
+mod import_support;
 mod learn;
 mod link_world;
 mod lockstep;
@@ -52,6 +53,8 @@ mod lockstep_withheld;
 mod log_conditions;
 mod log_file;
 mod log_import;
+mod log_import_practice;
+mod log_import_telemetry;
 mod offboard_adjustment;
 mod offboard_control_ends;
 mod offboard_flight;
