@@ -41,6 +41,7 @@ mod learn_dataset;
 mod learn_training;
 mod link_connection;
 mod link_flood;
+mod link_identity;
 mod link_session;
 mod lockstep_adaptation;
 mod lockstep_autopilots;

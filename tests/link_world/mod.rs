@@ -13,6 +13,7 @@ use downwash::link::received::Received;
 use downwash::link::request::Outcome;
 use downwash::link::session::{Event, Heard, Session, Settings};
 use downwash::setpoint::Setpoint;
+use message::Inbound;
 use wire::dialect::*;
 use wire::transport::Peer;
 use wire::{Decoder, Encoder};
@@ -280,6 +281,17 @@ impl World {
             _ => None,
         });
         outcomes.collect()
+    }
+
+    /// The flight modes that the session passed on, in order of arrival.
+    pub fn modes(&self) -> Vec<u32> {
+        let modes = self.messages.iter().filter_map(|received| match received.message {
+            Inbound::Heartbeat { custom_mode, .. } | Inbound::CurrentMode { custom_mode, .. } => {
+                Some(custom_mode)
+            }
+            _ => None,
+        });
+        modes.collect()
     }
 }
 

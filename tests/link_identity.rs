@@ -1,0 +1,315 @@
+//! Which sender the session takes for its vehicle, and when it identifies the vehicle again.
+
+use downwash::link::counters::LinkState;
+use downwash::link::profile::Profile;
+use downwash::link::request::{FlightMode, Outcome, Request};
+use downwash::link::session::{Event, SetpointError, Settings};
+use wire::Encoder;
+use wire::dialect::*;
+
+use crate::link_world::*;
+
+#[test]
+fn a_vehicle_is_found_identified_and_streams_as_asked() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    world.run(&mut vehicle, seconds(5.0));
+    let found = world.session.vehicle().expect("found");
+    assert_eq!((found.system, found.component, found.peer), (1, 1, VEHICLE));
+    assert_eq!(world.session.profile(), Some(&Profile::BUNDLED));
+    assert_eq!(world.states(), [LinkState::Connected]);
+    assert_eq!(vehicle.requests_of_interval, 1, "a rate that comes is not asked for again");
+    let stats = world.session.stats();
+    let attitude = stats.messages.iter().find(|message| message.id == ATTITUDE_QUATERNION);
+    assert!((attitude.expect("counted").rate_hz - 100.0).abs() < 2.0);
+    assert_eq!((stats.foreign, stats.stray, stats.refused, stats.lost), (0, 0, 0, 0));
+    assert!((4..=6).contains(&vehicle.heartbeats_heard));
+    assert_eq!(world.frames as u64, stats.received.frames);
+}
+
+#[test]
+fn a_vehicle_that_does_not_tell_its_version_gets_the_safe_form() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    vehicle.version = None;
+    world.run(&mut vehicle, seconds(1.0));
+    let early = world.session.send_setpoint(world.now, &cleared(world.now, 0.0));
+    assert_eq!(early, Err(SetpointError::NotIdentified));
+    world.run(&mut vehicle, seconds(3.0));
+    assert_eq!(world.session.profile(), Some(&Profile::PX4));
+    world.session.send_setpoint(world.now, &cleared(world.now, 0.0)).expect("sent");
+    world.run(&mut vehicle, STEP);
+    assert_eq!(vehicle.setpoints[0].type_mask.bits(), 0x07);
+    assert_eq!(vehicle.setpoints[0].target_system, 1);
+}
+
+#[test]
+fn others_never_take_the_vehicles_place() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    world.run(&mut vehicle, seconds(2.0));
+    let heard = world.messages.len();
+
+    // Another autopilot, a ground station, and someone with the vehicle's ids elsewhere.
+    let mut other = Vehicle::new(2);
+    let bytes = other.encode(&other.heartbeat());
+    world.deliver(STRANGER, &bytes);
+    let mut station = Encoder::new(255, 190);
+    let mut bytes = Vec::new();
+    let data = HEARTBEAT_DATA { mavtype: MavType::MAV_TYPE_GCS, ..Default::default() };
+    station.encode(&MavMessage::HEARTBEAT(data), &mut bytes);
+    world.deliver(STRANGER, &bytes);
+    let mut twin = Vehicle::new(1);
+    let bytes = twin.encode(&twin.heartbeat());
+    world.deliver(STRANGER, &bytes);
+
+    assert_eq!(world.messages.len(), heard);
+    let stats = world.session.stats();
+    assert_eq!((stats.foreign, stats.stray), (2, 1));
+    assert_eq!(world.session.vehicle().map(|v| (v.system, v.peer)), Some((1, VEHICLE)));
+}
+
+#[test]
+fn a_configured_system_is_waited_for() {
+    let settings = Settings { vehicle_system: Some(3), ..settings() };
+    let mut world = World::new(settings);
+    world.run(&mut Vehicle::new(1), seconds(2.0));
+    assert_eq!(world.session.vehicle(), None);
+    assert_eq!(world.session.state(), LinkState::Searching);
+    world.run(&mut Vehicle::new(3), seconds(2.0));
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.system), Some(3));
+}
+
+#[test]
+fn silence_is_stale_then_lost_and_the_vehicle_is_found_again_elsewhere() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    world.run(&mut vehicle, seconds(2.0));
+    let pending = Request::ReadParameter("X".to_owned());
+    world.session.request(world.now, pending);
+    world.silence(seconds(6.0));
+    use LinkState::{Connected, Lost, Stale};
+    assert_eq!(world.states(), [Connected, Stale, Lost]);
+    assert_eq!(world.outcomes(), [Outcome::NoAnswer]);
+    world.session.request(world.now, Request::Arm);
+    world.silence(STEP);
+    assert_eq!(world.outcomes(), [Outcome::NoAnswer, Outcome::NotConnected]);
+    assert_eq!(
+        world.session.send_setpoint(world.now, &cleared(world.now, 0.0)),
+        Err(SetpointError::NotConnected)
+    );
+    let bytes = vehicle.encode(&vehicle.heartbeat());
+    world.deliver(STRANGER, &bytes);
+    world.silence(seconds(0.1));
+    assert_eq!(world.states(), [Connected, Stale, Lost, Connected]);
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.peer), Some(STRANGER));
+    assert_eq!(world.session.profile(), None, "it is identified anew");
+}
+
+#[test]
+fn a_closed_connection_is_relearnt_at_once() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    world.run(&mut vehicle, seconds(2.0));
+    assert!(!world.session.peer_closed(STRANGER) && world.session.peer_closed(VEHICLE));
+    assert_eq!(
+        world.session.send_setpoint(world.now, &cleared(world.now, 0.0)),
+        Err(SetpointError::NotConnected)
+    );
+    let bytes = vehicle.encode(&vehicle.heartbeat());
+    world.deliver(STRANGER, &bytes);
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.peer), Some(STRANGER));
+    assert!(world.session.send_setpoint(world.now, &cleared(world.now, 0.0)).is_ok());
+    assert_eq!(world.states(), [LinkState::Connected]);
+}
+
+#[test]
+fn a_new_connection_counts_anew_and_silence_does_not() {
+    for is_closed in [true, false] {
+        let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+        world.run(&mut vehicle, seconds(2.0));
+        if is_closed {
+            assert!(world.session.peer_closed(VEHICLE));
+        } else {
+            world.silence(seconds(3.0));
+            assert_eq!(world.session.state(), LinkState::Stale);
+        }
+        for _ in 0..50 {
+            vehicle.encode(&vehicle.heartbeat());
+        }
+        // A closed tcp: connection is opened again under the number that it had.
+        let bytes = vehicle.encode(&vehicle.heartbeat());
+        world.deliver(VEHICLE, &bytes);
+        assert_eq!(world.session.vehicle().map(|vehicle| vehicle.peer), Some(VEHICLE));
+        assert_eq!(world.session.stats().lost, if is_closed { 0 } else { 50 }, "{is_closed}");
+    }
+}
+
+#[test]
+fn a_vehicle_whose_clock_is_another_is_identified_anew() {
+    // Started now, or long before.
+    for booted in [START + seconds(3.0), START - seconds(300.0)] {
+        let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+        world.run(&mut vehicle, seconds(3.0));
+        assert_eq!(world.session.profile(), Some(&Profile::BUNDLED));
+        // Another one with the same ids, at once: it must not get setpoints of the old one's form.
+        let is_back = booted > vehicle.booted;
+        vehicle.booted = booted;
+        vehicle.version = None;
+        world.run(&mut vehicle, seconds(0.6));
+        assert_eq!(world.session.profile(), None);
+        world.run(&mut vehicle, seconds(3.0));
+        assert_eq!(world.session.profile(), Some(&Profile::PX4));
+        let jumps = world.events.iter().filter_map(|event| match event {
+            Event::ClockJump { by_ns } => Some(*by_ns < 0),
+            _ => None,
+        });
+        assert_eq!(jumps.collect::<Vec<_>>(), [is_back]);
+    }
+}
+
+#[test]
+fn another_autopilot_under_the_vehicles_ids_is_identified_anew() {
+    for is_silent in [true, false] {
+        let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+        world.run(&mut vehicle, seconds(2.0));
+        if is_silent {
+            world.silence(seconds(3.0));
+        }
+        world.session.request(world.now, Request::SetMode(FlightMode::Offboard));
+        world.session.transmit(|_, _| true);
+        // It was started with the other, so that no clock tells the two apart.
+        vehicle.autopilot = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA;
+        let mode = vehicle.custom_mode;
+        let bytes = vehicle.encode(&vehicle.heartbeat());
+        world.deliver(VEHICLE, &bytes);
+        assert_eq!(world.session.profile(), None);
+        let early = world.session.send_setpoint(world.now, &cleared(world.now, 0.0));
+        assert_eq!(early, Err(SetpointError::NotIdentified));
+        world.run(&mut vehicle, seconds(2.0));
+        assert_eq!(world.session.profile(), Some(&Profile::ARDUCOPTER), "{is_silent}");
+        assert_eq!(vehicle.custom_mode, mode, "the other's modes mean something else to it");
+        assert_eq!(world.outcomes(), [Outcome::Withdrawn]);
+        let replaced = world.events.iter().any(|e| matches!(e, Event::VehicleReplaced(_)));
+        assert!(replaced, "{:?}", world.events);
+    }
+}
+
+#[test]
+fn a_ground_station_is_no_vehicle_whatever_it_calls_its_autopilot() {
+    let mut world = World::new(settings());
+    for mavtype in [MavType::MAV_TYPE_GCS, MavType::MAV_TYPE_ONBOARD_CONTROLLER] {
+        let data = HEARTBEAT_DATA {
+            mavtype,
+            autopilot: MavAutopilot::MAV_AUTOPILOT_GENERIC,
+            ..Default::default()
+        };
+        let mut bytes = Vec::new();
+        Encoder::new(255, 190).encode(&MavMessage::HEARTBEAT(data), &mut bytes);
+        world.deliver(STRANGER, &bytes);
+    }
+    assert_eq!(world.session.vehicle(), None);
+    assert_eq!(world.session.stats().foreign, 2);
+}
+
+/// A HEARTBEAT of these ids.
+fn heartbeat_of(system: u8, component: u8, autopilot: MavAutopilot, mavtype: MavType) -> Vec<u8> {
+    let data = HEARTBEAT_DATA { autopilot, mavtype, ..Default::default() };
+    let mut bytes = Vec::new();
+    Encoder::new(system, component).encode(&MavMessage::HEARTBEAT(data), &mut bytes);
+    bytes
+}
+
+#[test]
+fn a_companion_with_the_autopilots_ids_says_nothing_of_the_vehicle() {
+    use MavAutopilot::{MAV_AUTOPILOT_GENERIC, MAV_AUTOPILOT_INVALID};
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    world.run(&mut vehicle, seconds(2.0));
+    let heard = world.modes().len();
+    for (autopilot, mavtype) in [
+        (MAV_AUTOPILOT_INVALID, MavType::MAV_TYPE_ONBOARD_CONTROLLER),
+        (MAV_AUTOPILOT_INVALID, MavType::MAV_TYPE_QUADROTOR),
+        (MAV_AUTOPILOT_GENERIC, MavType::MAV_TYPE_GIMBAL),
+        (MAV_AUTOPILOT_GENERIC, MavType::MAV_TYPE_QUADROTOR),
+    ] {
+        world.deliver(VEHICLE, &heartbeat_of(1, 1, autopilot, mavtype));
+    }
+    assert_eq!(world.modes().len(), heard);
+    assert_eq!(world.session.profile(), Some(&Profile::BUNDLED));
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.autopilot), Some(12));
+}
+
+#[test]
+fn a_known_autopilot_takes_the_place_of_an_unknown_one_and_never_the_other_way() {
+    use MavAutopilot::MAV_AUTOPILOT_GENERIC;
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    let unknown = heartbeat_of(1, 154, MAV_AUTOPILOT_GENERIC, MavType::MAV_TYPE_GENERIC);
+    world.deliver(VEHICLE, &unknown);
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.component), Some(154));
+    world.run(&mut vehicle, seconds(2.0));
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.component), Some(1));
+    assert_eq!(world.session.profile(), Some(&Profile::BUNDLED));
+    world.deliver(VEHICLE, &unknown);
+    world.run(&mut vehicle, seconds(1.0));
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.component), Some(1));
+    assert!(!world.events.iter().any(|e| matches!(e, Event::AnotherAutopilot { .. })));
+}
+
+#[test]
+fn two_autopilots_are_both_named_once() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(2));
+    world.run(&mut vehicle, seconds(1.5));
+    let mut other = Vehicle::new(1);
+    for _ in 0..3 {
+        let bytes = other.encode(&other.heartbeat());
+        world.deliver(STRANGER, &bytes);
+        world.run(&mut vehicle, seconds(0.5));
+    }
+    let named: Vec<_> = world
+        .events
+        .iter()
+        .filter_map(|event| match event {
+            Event::AnotherAutopilot { vehicle, other } => Some((vehicle.system, other.system)),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(named, [(2, 1)]);
+    assert_eq!(world.session.others().len(), 1);
+    // Where one was chosen there is nothing to ask.
+    let mut world = World::new(Settings { vehicle_system: Some(2), ..settings() });
+    world.run(&mut vehicle, seconds(1.5));
+    let bytes = other.encode(&other.heartbeat());
+    world.deliver(STRANGER, &bytes);
+    assert!(world.session.others().is_empty());
+}
+
+#[test]
+fn a_signed_vehicle_is_known_by_its_first_frame() {
+    let mut world = World::new(settings());
+    let vehicle = &mut Vehicle::new(1);
+    let mut bytes = vehicle.encode(&vehicle.heartbeat());
+    world.deliver(VEHICLE, &bytes);
+    assert!(!world.session.is_signed());
+    // The flag, the checksum over it, and a signature, which is not checked here.
+    bytes[2] = 1;
+    let extra_crc = <MavMessage as mavlink::Message>::extra_crc(0);
+    let end = bytes.len() - 2;
+    let crc = mavlink::calculate_crc(&bytes[1..end], extra_crc).to_le_bytes();
+    bytes[end..].copy_from_slice(&crc);
+    bytes.extend([7; 13]);
+    let mut world = World::new(settings());
+    world.deliver(VEHICLE, &bytes);
+    assert!(world.session.is_signed());
+    assert_eq!(world.session.vehicle().map(|vehicle| vehicle.system), Some(1));
+}
+
+#[test]
+fn a_vehicle_that_speaks_mavlink_1_only_is_spoken_to_in_it() {
+    let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+    vehicle.encoder.set_version(mavlink::MavlinkVersion::V1);
+    vehicle.version = None;
+    world.run(&mut vehicle, seconds(4.0));
+    assert_eq!(world.session.protocol(), Some(1));
+    world.session.send_setpoint(world.now, &cleared(world.now, 0.0)).expect("sent");
+    let mut markers = Vec::new();
+    world.session.transmit(|_, bytes| {
+        markers.push(bytes[0]);
+        true
+    });
+    assert_eq!(markers.last(), Some(&mavlink::MAV_STX), "{markers:?}");
+}
