@@ -242,7 +242,7 @@ def drawn(name: str, rng: random.Random) -> Any:
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", sorted(public()))
-def test_any_arguments_of_any_function_give_a_result_or_an_exception(
+def test_every_function_gives_a_result_or_an_exception(
     name: str, instances: dict[type, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -275,19 +275,19 @@ def test_any_arguments_of_any_function_give_a_result_or_an_exception(
             assert "internal error" not in str(refused), named
 
 
-def test_results_are_finite_where_arguments_are() -> None:
+def test_finite_arguments_give_finite_results() -> None:
     states = dw.rollouts(np.linspace(0, 1, 2 * 5 * 4).reshape(2, 5, 4), steps=100)
     assert np.isfinite(states).all() and states.shape == (2, 5, 13)
 
 
-def test_what_is_contiguous_is_not_copied_and_nothing_is_written_to() -> None:
+def test_read_only_and_strided_arrays_are_accepted() -> None:
     outputs = np.full((10, 4), 0.5)
     outputs.setflags(write=False)
     turned = np.full((4, 10), 0.5).T
     assert np.array_equal(PLANT.copy().rollout(outputs), PLANT.copy().rollout(turned))
 
 
-def test_kept_arrays_do_not_change_later() -> None:
+def test_returned_arrays_do_not_change_later() -> None:
     plant = dw.Plant(state=[0, 0, -10, *[0] * 3, 1, *[0] * 6])
     first = plant.step([0.5] * 4)
     kept = first.copy()

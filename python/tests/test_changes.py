@@ -19,7 +19,7 @@ LAW = {
 }
 
 
-def test_an_effect_that_sets_in_is_dated(tmp_path: Path) -> None:
+def test_the_onset_of_an_effect_is_dated(tmp_path: Path) -> None:
     lost = {"rotor_loss": {"rotor": 2, "scale": 0.9}}
     (row,) = dw.fly("quad1200", "figure-8", onsets=[(22.0, lost)], logs=tmp_path)
     assert row["onsets"] == [{"at_s": 22.0, "effects": lost}]
@@ -34,20 +34,20 @@ def test_an_effect_that_sets_in_is_dated(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("onsets", "said"),
+    ("onsets", "words"),
     [
         ([(-1.0, {"mass": {"mass_kg": 1.0}})], "onsets: @-1"),
         ([(1.0, {"gusts": {"sigma_m_s": 1.0}})], "gusts cannot start"),
         ([(1.0, {"win": {}})], "onsets"),
     ],
 )
-def test_an_onset_is_refused_by_name(onsets: list[tuple[float, dict[str, dict[str, float]]]], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_an_invalid_onset_is_refused_by_name(onsets: list[tuple[float, dict[str, dict[str, float]]]], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
         dw.fly(trajectory={"family": "hover", "altitude_m": 1.0, "duration_s": 2.0}, onsets=onsets)
 
 
 @pytest.mark.long
-def test_a_law_is_discovered_and_flown(tmp_path: Path) -> None:
+def test_a_law_is_discovered_and_saved(tmp_path: Path) -> None:
     logs = []
     for seed, name in enumerate(["figure-8", "sinusoid-xz", "random-waypoints", "sinusoid-yaw"]):
         rows = dw.fly(trajectory=name, effects=LAW, seeds=seed, logs=tmp_path / name)  # type: ignore[arg-type]
@@ -59,7 +59,7 @@ def test_a_law_is_discovered_and_flown(tmp_path: Path) -> None:
     assert (tmp_path / "law.toml").exists() == (found.law_file is not None) == found.law["named"]
 
 
-def test_the_fastest_way_is_planned_and_flown() -> None:
+def test_a_time_optimal_plan_is_flown() -> None:
     plan = dw.plan("race")
     assert plan.not_flyable is None and plan.passed_s is not None
     assert plan.passed_s == sorted(plan.passed_s) and plan.passed_s[-1] <= plan.duration_s
@@ -71,7 +71,7 @@ def test_the_fastest_way_is_planned_and_flown() -> None:
         dw.fly(trajectory="race")
 
 
-def test_adaptation_is_a_setting_of_the_controller() -> None:
+def test_adaptation_reduces_the_error_of_a_wrong_mass() -> None:
     heavy = {"mass": {"mass_kg": 0.036}}
     plain, adaptive = (
         dw.fly(trajectory="hover", effects=heavy, controller={"adaptive": adaptive})[0] for adaptive in (False, True)
@@ -79,8 +79,8 @@ def test_adaptation_is_a_setting_of_the_controller() -> None:
     assert adaptive["true_position_rmse_m"] < plain["true_position_rmse_m"]
 
 
-def test_what_was_interrupted_ends_soon(logs: list[Path]) -> None:
-    def spent(work: object) -> float:
+def test_an_interrupted_diagnosis_stops_computing(logs: list[Path]) -> None:
+    def cpu_s(work: object) -> float:
         began = time.process_time()
         with pytest.raises(KeyboardInterrupt):
             dw.diagnose("crazyflie", logs, twins=40, progress=work)  # type: ignore[arg-type]
@@ -93,14 +93,14 @@ def test_what_was_interrupted_ends_soon(logs: list[Path]) -> None:
             last = now
         return time.process_time() - began
 
-    def at(name: str) -> object:
-        def told(stage: str, *_: int) -> None:
+    def interrupt_at(name: str) -> object:
+        def interrupt(stage: str, *_: int) -> None:
             if stage == name:
                 signal.raise_signal(signal.SIGINT)
 
-        return told
+        return interrupt
 
     # All stages up to the last; and broken off in the longest of them.
-    whole = spent(at("flying again in simulation"))
-    short = spent(at("simulating twins without an effect"))
+    whole = cpu_s(interrupt_at("flying again in simulation"))
+    short = cpu_s(interrupt_at("simulating twins without an effect"))
     assert short < 0.5 * whole, (short, whole)

@@ -9,7 +9,7 @@ import pytest
 from conftest import ROOT
 
 
-def test_the_job_is_an_indexed_job_of_kubernetes() -> None:
+def test_the_sweep_job_is_a_kubernetes_indexed_job() -> None:
     yaml = pytest.importorskip("yaml")
     job: dict[str, Any] = yaml.safe_load((ROOT / "config/sweep-job.yaml").read_text())
     jsonschema = pytest.importorskip("jsonschema")
@@ -69,7 +69,7 @@ def test_the_job_is_an_indexed_job_of_kubernetes() -> None:
     assert inner["containers"][0]["args"][0].endswith(f"/{job['spec']['completions']}")
 
 
-def test_the_container_is_built_of_files_that_are_there() -> None:
+def test_the_containerfile_builds_existing_files() -> None:
     lines = (ROOT / "Containerfile").read_text().splitlines()
     words = [line.split() for line in lines if line and not line.startswith("#")]
     assert {word[0] for word in words} <= {"FROM", "WORKDIR", "COPY", "RUN", "ENTRYPOINT", "CMD"}

@@ -14,19 +14,19 @@ import vehicles  # noqa: E402
 DRAWN = [vehicles.draw(1, index) for index in range(40)]
 
 
-def test_a_vehicle_depends_on_seed_and_index_alone() -> None:
+def test_a_vehicle_depends_only_on_seed_and_index() -> None:
     assert vehicles.draw(1, 7) == DRAWN[7]
     assert vehicles.draw(2, 7) != DRAWN[7]
 
 
-def test_files_fit_and_hold_no_effect() -> None:
+def test_vehicle_files_are_valid_without_effects() -> None:
     for drawn in DRAWN:
         vehicle = drawn.vehicle()
         assert vehicle.check() == []
         assert vehicle.to_dict()["modelled_effects"] == {}
 
 
-def test_every_kind_acts_on_the_plant_or_on_what_it_reports() -> None:
+def test_every_kind_but_trim_changes_the_motion() -> None:
     drawn = vehicles.draw(1, 0)
     rng = np.random.default_rng(1)
     outputs = np.array([0.45, 0.5, 0.55, 0.5]) * np.linspace(0.8, 1.2, 200)[:, None]
@@ -41,7 +41,7 @@ def test_every_kind_acts_on_the_plant_or_on_what_it_reports() -> None:
             assert not np.allclose(end(effects), end(None), rtol=0, atol=1e-6), kind
 
 
-def test_vehicles_lie_within_what_raptor_was_trained_on() -> None:
+def test_vehicles_are_within_raptors_training_range() -> None:
     masses = [drawn.file["mass"] for drawn in DRAWN]
     assert min(masses) < 0.1 < 1.5 < max(masses)
     assert all(vehicles.within(drawn) for drawn in DRAWN)

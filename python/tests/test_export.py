@@ -217,7 +217,7 @@ def error(replay: Replay, windows: list[tuple[NUMBERS, NUMBERS, NUMBERS, NUMBERS
     ],
     ids=["casadi", "casadi-without-lag", "drone-models", "mujoco", "rotorpy"],
 )
-def test_a_found_vehicle_flies_elsewhere_as_here(
+def test_exports_reproduce_the_found_effects(
     peer: Callable[[dict[str, Any]], Replay], nominal: dict[str, Any], found: dict[str, Any]
 ) -> None:
     windows = flown(found)
@@ -235,6 +235,6 @@ def test_every_shipped_vehicle_is_exported(name: str, vehicle: str) -> None:
     assert len(text.splitlines()) > 15
 
 
-def test_another_name_is_refused() -> None:
+def test_an_unknown_simulator_is_refused() -> None:
     with pytest.raises(ValueError, match="rotorpy"):
         dw.Vehicle().export("gazebo")

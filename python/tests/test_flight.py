@@ -15,7 +15,7 @@ import pytest
 from conftest import SHORT
 
 
-def test_a_row_depends_on_the_seed_alone() -> None:
+def test_a_row_depends_only_on_its_seed() -> None:
     at_once = dw.fly(trajectory=SHORT, seeds=range(6), jobs=3)
     alone = [dw.fly(trajectory=SHORT, seeds=seed)[0] for seed in range(6)]
     assert list(at_once) == alone
@@ -23,7 +23,7 @@ def test_a_row_depends_on_the_seed_alone() -> None:
     assert all(row["end"] == "done" and row["exit"] == 0 for row in alone)
 
 
-def test_effects_and_settings_act_and_are_in_the_row() -> None:
+def test_effects_and_settings_act_and_are_recorded() -> None:
     wind = {"wind": {"north_m_s": 2.0}, "rotor_drag": {"d_xy": 0.03}}
     (still,) = dw.fly(trajectory=SHORT)
     (blown,) = dw.fly(trajectory=SHORT, effects=wind, controller={"position_m": [1.0, 1.0, 1.0]})
@@ -32,7 +32,7 @@ def test_effects_and_settings_act_and_are_in_the_row() -> None:
     assert blown["settings"] == {"control.position_m": [1.0, 1.0, 1.0]}
 
 
-def test_logs_are_kept_where_asked(tmp_path: Path) -> None:
+def test_logs_are_written_to_the_given_folder(tmp_path: Path) -> None:
     rows = dw.fly(trajectory=SHORT, seeds=[3, 4], logs=tmp_path)
     for row, seed in zip(rows, [3, 4]):
         assert Path(row["log"]).parent == tmp_path / f"seed-{seed}"
@@ -46,11 +46,11 @@ def test_rows_become_a_table() -> None:
     assert isinstance(rows.to_pandas(), pandas.DataFrame)
 
 
-def test_the_command_of_the_wheel_gives_the_same_row() -> None:
+def test_the_wheels_command_gives_the_same_row() -> None:
     command = Path(sys.executable).with_name("downwash")
     run = [command, "simulate", "hover", "--no-log", "--json", "--seed", "5"]
-    told = subprocess.run(run, capture_output=True, check=True, text=True)
-    assert json.loads(told.stdout) == dw.fly(trajectory="hover", seeds=5)[0]
+    reported = subprocess.run(run, capture_output=True, check=True, text=True)
+    assert json.loads(reported.stdout) == dw.fly(trajectory="hover", seeds=5)[0]
     wrong = subprocess.run([command, "simulate", "nowhere.toml"], capture_output=True, text=True)
     assert wrong.returncode == 2 and "nowhere.toml" in wrong.stderr
 
@@ -66,7 +66,7 @@ def test_the_command_of_the_wheel_gives_the_same_row() -> None:
         ({"controller": {"rate_hz": -1}}, "rate_hz"),
     ],
 )
-def test_what_cannot_be_flown_is_refused_in_the_command_lines_words(
+def test_unflyable_arguments_give_the_command_lines_errors(
     arguments: dict[str, object], words: str
 ) -> None:
     with pytest.raises(dw.DownwashError, match=words) as refused:
@@ -74,7 +74,7 @@ def test_what_cannot_be_flown_is_refused_in_the_command_lines_words(
     assert refused.value.exit_code in (2, 4)
 
 
-def test_vehicles_and_trajectories_can_be_sent_to_other_processes() -> None:
+def test_vehicles_and_trajectories_can_be_pickled() -> None:
     vehicle = dw.Vehicle().with_effects({"motor_lag": {"tau_s": 0.05}})
     again = pickle.loads(pickle.dumps(vehicle))
     assert again.to_dict() == vehicle.to_dict()
@@ -82,7 +82,7 @@ def test_vehicles_and_trajectories_can_be_sent_to_other_processes() -> None:
     assert dw.fly(again, trajectory) == dw.fly(vehicle, SHORT)
 
 
-def test_a_forked_process_flies_too() -> None:
+def test_flights_work_in_a_forked_process() -> None:
     code = f"""
 import os, downwash as dw
 here = dw.fly(trajectory={SHORT!r}, seeds=[1, 2])
@@ -94,13 +94,13 @@ assert os.waitpid(child, 0)[1] == 0
     subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=120)
 
 
-def test_progress_is_told_to_the_end() -> None:
-    told: list[tuple[str, int, int]] = []
-    dw.fly(trajectory=SHORT, seeds=range(4), progress=lambda *news: told.append(news))
-    assert sorted(told) == [("flights", done, 4) for done in range(1, 5)]
+def test_progress_reports_every_flight() -> None:
+    reported: list[tuple[str, int, int]] = []
+    dw.fly(trajectory=SHORT, seeds=range(4), progress=lambda *news: reported.append(news))
+    assert sorted(reported) == [("flights", done, 4) for done in range(1, 5)]
 
 
-def test_an_error_in_what_is_told_is_the_callers() -> None:
+def test_an_exception_in_the_progress_callback_propagates() -> None:
     def fail(stage: str, done: int, of: int) -> None:
         raise LookupError(stage)
 
@@ -117,7 +117,7 @@ def test_ctrl_c_ends_flights() -> None:
         dw.fly(trajectory=SHORT, seeds=range(100_000), progress=interrupt)
 
 
-def test_the_interpreter_goes_on_while_flights_are_flown() -> None:
+def test_flights_release_the_gil() -> None:
     ticks = 0
     over = threading.Event()
 

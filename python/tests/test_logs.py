@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 
-def test_a_log_is_arrays(logs: list[Path]) -> None:
+def test_a_log_reads_as_arrays(logs: list[Path]) -> None:
     log = dw.read(logs[0])
     position = log["position"]
     assert position.values.shape == (len(position.time_s), 3)
@@ -26,7 +26,7 @@ def test_a_log_is_arrays(logs: list[Path]) -> None:
         log["altitude"]
 
 
-def test_a_log_is_a_table(logs: list[Path]) -> None:
+def test_a_log_converts_to_a_table(logs: list[Path]) -> None:
     pandas = pytest.importorskip("pandas")
     log = dw.read(logs[0])
     frame = log.to_pandas()
@@ -64,7 +64,7 @@ def test_a_learner_learns_and_predicts(logs: list[Path], tmp_path: Path) -> None
     assert plan.states.shape == (len(plan.inputs) + 1, 12)
 
 
-def test_a_plan_is_flown_closer_than_its_trajectory(tmp_path: Path) -> None:
+def test_a_planned_flight_tracks_closer_than_feedback_alone(tmp_path: Path) -> None:
     trajectory = dw.Trajectory("sinusoid-yaw")
     plan = dw.plan(trajectory)
     assert plan.not_flyable is None
@@ -75,7 +75,7 @@ def test_a_plan_is_flown_closer_than_its_trajectory(tmp_path: Path) -> None:
     assert planned["position_rmse_m"] < 0.2 * feedback["position_rmse_m"]
 
 
-def test_a_comparison_says_which_flights_are_worse(tmp_path: Path) -> None:
+def test_a_comparison_finds_the_worse_flights(tmp_path: Path) -> None:
     seeds = [1, 2, 3]
 
     def logs_of(name: str, effects: dict[str, dict[str, float]]) -> list[Path]:
@@ -91,7 +91,7 @@ def test_a_comparison_says_which_flights_are_worse(tmp_path: Path) -> None:
         dw.compare(plain, dragged, align="way")  # type: ignore[arg-type]
 
 
-def test_a_diagnosis_finds_the_drag_and_its_vehicle_flies(logs: list[Path], tmp_path: Path) -> None:
+def test_a_diagnosis_finds_the_drag_and_saves_its_vehicle(logs: list[Path], tmp_path: Path) -> None:
     stages: list[str] = []
     found = dw.diagnose("crazyflie", logs, twins=4, progress=lambda stage, *_: stages.append(stage))
     assert found.verdict == "effect" and found.effects[0]["id"] == "rotor_drag"
@@ -116,11 +116,11 @@ try:
 except KeyboardInterrupt:
     print("interrupted")
 """
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
-    assert told.stdout == "interrupted\n", told
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stdout == "interrupted\n", done
 
 
-def test_from_the_wheel_to_a_diagnosed_px4_log(practice: Path) -> None:
+def test_the_documented_diagnosis_of_px4_logs(practice: Path) -> None:
     # The five lines of the documentation.
     logs = sorted((practice / "px4_drag").glob("*.ulg"))
     found = dw.diagnose(practice / "px4_drag/vehicle.json", logs, twins=8)

@@ -25,7 +25,7 @@ def test_wind_carries_a_falling_vehicle_with_drag() -> None:
     np.testing.assert_allclose(blown.air_velocity_m_s, [3, 0, 0])
 
 
-def test_a_batch_is_its_vehicles_one_by_one() -> None:
+def test_a_batch_matches_single_vehicles() -> None:
     rng = np.random.default_rng(1)
     outputs = rng.uniform(0.3, 0.7, (5, 40, 4))
     start = np.tile(dw.REST, (5, 1))
@@ -45,7 +45,7 @@ def test_a_batch_is_its_vehicles_one_by_one() -> None:
         np.testing.assert_allclose(alone, states[vehicle], rtol=1e-10, atol=1e-10)
 
 
-def test_gusts_of_a_batch_are_seeded_one_by_one() -> None:
+def test_each_vehicle_of_a_batch_has_its_gust_seed() -> None:
     outputs = np.full((3, 50, 4), 0.5)
     gusts = {"gusts": {"sigma_m_s": 2.0}, "rotor_drag": {"d_xy": 0.05}}
     three = dw.rollouts(outputs, effects=gusts, seed=7)
@@ -54,7 +54,7 @@ def test_gusts_of_a_batch_are_seeded_one_by_one() -> None:
     assert not np.array_equal(three[0], three[1])
 
 
-def test_a_copy_goes_its_own_way() -> None:
+def test_a_copy_is_independent() -> None:
     plant = dw.Plant(state=[0, 0, -10, *[0] * 3, 1, *[0] * 6])
     copy = plant.copy()
     copy.step([1, 1, 1, 1], 100)
@@ -63,7 +63,7 @@ def test_a_copy_goes_its_own_way() -> None:
 
 
 @pytest.mark.parametrize("dtype, apart", [(np.float64, 1e-9), (np.float32, 1e-4)])
-def test_a_fleet_flies_as_plants_do(dtype: type, apart: float) -> None:
+def test_a_fleet_matches_single_plants(dtype: type, apart: float) -> None:
     start = np.tile(dw.REST, (100, 1))
     start[:, :3] = np.random.default_rng(3).normal(size=(100, 3))
     start[:, 2] -= 20

@@ -59,7 +59,7 @@ def worker(manifest: Path, out: Path, shard: int, shards: int) -> "subprocess.Po
     return subprocess.Popen([*run, "--shard", f"{shard}/{shards}"], stdout=null, stderr=null)
 
 
-def test_every_row_is_right_and_failures_are_among_them(whole: bytes) -> None:
+def test_rows_hold_results_and_failures(whole: bytes) -> None:
     rows = list(csv.DictReader(whole.decode().splitlines()))
     assert [int(row["point"]) for row in rows] == list(range(POINTS))
     for row in rows:
@@ -76,13 +76,13 @@ def test_every_row_is_right_and_failures_are_among_them(whole: bytes) -> None:
     assert flown["position_rmse_m"] == float(row["position_rmse_m"])
 
 
-def test_seven_shards_give_the_bytes_of_one(manifest: Path, whole: bytes, tmp_path: Path) -> None:
+def test_seven_shards_give_the_same_bytes_as_one(manifest: Path, whole: bytes, tmp_path: Path) -> None:
     workers = [worker(manifest, tmp_path, shard, 7) for shard in range(1, 8)]
     assert all(each.wait(120) == 0 for each in workers)
     assert (tmp_path / "table.csv").read_bytes() == whole
 
 
-def test_workers_may_be_killed(manifest: Path, whole: bytes, tmp_path: Path) -> None:
+def test_killed_workers_do_not_change_the_table(manifest: Path, whole: bytes, tmp_path: Path) -> None:
     rng = random.Random(1)
     workers = [worker(manifest, tmp_path, shard, 7) for shard in range(1, 8)]
     for each in workers[::3]:
@@ -102,7 +102,7 @@ def test_workers_may_be_killed(manifest: Path, whole: bytes, tmp_path: Path) -> 
     assert not list(tmp_path.glob("*.part"))
 
 
-def test_rows_of_another_manifest_are_not_mixed_in(manifest: Path, tmp_path: Path) -> None:
+def test_rows_of_another_manifest_are_refused(manifest: Path, tmp_path: Path) -> None:
     other = manifest.with_name("other.toml")
     other.write_text(MANIFEST.replace("0.3", "0.4"))
     dw.sweep(manifest, tmp_path, shard=(1, POINTS))
@@ -112,14 +112,14 @@ def test_rows_of_another_manifest_are_not_mixed_in(manifest: Path, tmp_path: Pat
         dw.table(tmp_path)
 
 
-def test_a_manifest_is_refused_by_name(tmp_path: Path) -> None:
+def test_an_invalid_manifest_is_refused_by_name(tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.toml"
     wrong.write_text("schema_version = 1\n[grid]\nspeed = [1, 2]\n")
-    told = subprocess.run([COMMAND, "sweep", wrong], capture_output=True, text=True, cwd=tmp_path)
-    assert told.returncode == 2 and '"speed": expected vehicle' in told.stderr
+    result = subprocess.run([COMMAND, "sweep", wrong], capture_output=True, text=True, cwd=tmp_path)
+    assert result.returncode == 2 and '"speed": expected vehicle' in result.stderr
 
 
-def test_the_table_becomes_parquet(manifest: Path, tmp_path: Path) -> None:
+def test_the_table_converts_to_parquet(manifest: Path, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     dw.sweep(manifest, tmp_path / "out")
     table = dw.table(tmp_path / "out")
@@ -139,18 +139,18 @@ def test_the_table_becomes_parquet(manifest: Path, tmp_path: Path) -> None:
         ("sweep_submitit.py", "submitit"),
     ],
 )
-def test_a_recipe_gives_the_same_bytes(
+def test_each_recipe_gives_the_same_bytes(
     recipe: str, needs: str, manifest: Path, whole: bytes, tmp_path: Path
 ) -> None:
     pytest.importorskip(needs)
     run = [sys.executable, EXAMPLES / recipe, manifest, tmp_path / "out", "4"]
     environment = os.environ | {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
-    told = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=300)
-    assert told.returncode == 0, told.stderr
+    result = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=300)
+    assert result.returncode == 0, result.stderr
     assert (tmp_path / "out/table.csv").read_bytes() == whole
 
 
-def test_a_task_index_is_all_that_a_scheduler_needs(manifest: Path, whole: bytes, tmp_path: Path) -> None:
+def test_slurm_task_indices_give_the_same_bytes(manifest: Path, whole: bytes, tmp_path: Path) -> None:
     for index in range(1, 4):
         line = f'"{COMMAND}" sweep "{manifest}" --out "{tmp_path}" --shard "$SLURM_ARRAY_TASK_ID/3"'
         environment = os.environ | {"SLURM_ARRAY_TASK_ID": str(index)}
@@ -158,7 +158,7 @@ def test_a_task_index_is_all_that_a_scheduler_needs(manifest: Path, whole: bytes
     assert (tmp_path / "table.csv").read_bytes() == whole
 
 
-def test_the_job_of_kubernetes_gives_the_same_bytes(manifest: Path, whole: bytes, tmp_path: Path) -> None:
+def test_the_kubernetes_job_gives_the_same_bytes(manifest: Path, whole: bytes, tmp_path: Path) -> None:
     job = (ROOT / "config/sweep-job.yaml").read_text()
     (line,) = re.findall(r'args: \["(.*)"\]', job)
     shards = int(line.rpartition("/")[2])
@@ -184,7 +184,7 @@ def test_gnu_parallel_gives_the_same_bytes(manifest: Path, whole: bytes, tmp_pat
 def test_optuna_improves_the_tracking() -> None:
     pytest.importorskip("optuna")
     run = [sys.executable, EXAMPLES / "tune.py", "12"]
-    told = subprocess.run(run, capture_output=True, text=True, timeout=300)
-    assert told.returncode == 0, told.stderr
-    shipped, tuned = (float(line.split()[1]) for line in told.stdout.splitlines())
+    result = subprocess.run(run, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stderr
+    shipped, tuned = (float(line.split()[1]) for line in result.stdout.splitlines())
     assert tuned < shipped

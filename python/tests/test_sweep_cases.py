@@ -76,7 +76,7 @@ def test_every_case_has_its_row(whole: bytes) -> None:
     assert without["input.without.0"] == "rotor_drag" and not without["effects.rotor_drag.d_xy"]
 
 
-def test_a_row_is_what_diagnose_says(folder: Path, whole: bytes) -> None:
+def test_a_row_matches_diagnose(folder: Path, whole: bytes) -> None:
     rows = list(csv.DictReader(whole.decode().splitlines()))
     case = folder / "cases/three"
     found = dw.diagnose(case / "vehicle.toml", sorted(case.glob("*.mcap")), twins=0)
@@ -109,7 +109,7 @@ def test_a_changed_case_is_another_sweep(folder: Path, whole: bytes) -> None:
         (folder / "cases/empty/flight_0.tlog").write_bytes(b"no log")
 
 
-def test_an_exam_is_the_same_by_any_workers(folder: Path, tmp_path: Path) -> None:
+def test_an_exam_does_not_depend_on_its_workers(folder: Path, tmp_path: Path) -> None:
     manifest = folder / "exam.toml"
     one = dw.sweep(manifest, tmp_path / "one")
     assert one["points"] == one["done"] == 2 and one["failures"] == 0
@@ -124,16 +124,16 @@ def test_an_exam_is_the_same_by_any_workers(folder: Path, tmp_path: Path) -> Non
     assert sorted(row["kind"] for row in rows).count("null") == 1
     # As the command examines, with the same seed.
     run = [COMMAND, "exam", "--cases", "1", "--nulls", "1", "--seconds", "10", "--twins", "0", "--seed", "5"]
-    told = subprocess.run([*run, "--out", tmp_path / "exam", "--json"], capture_output=True, text=True)
-    assert told.returncode == 0, told.stderr
-    cases = {case["case"]: case for case in json.loads(told.stdout)["cases"]}
+    result = subprocess.run([*run, "--out", tmp_path / "exam", "--json"], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    cases = {case["case"]: case for case in json.loads(result.stdout)["cases"]}
     for row in rows:
         case = cases[row["case"]]
         assert (row["verdict"], row["grade"], row["brier"]) == (case["verdict"], case["grade"], case["brier"])
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "words"),
     [
         ('of = "diagnose"\nspeed = 1\n', '"speed": expected one of case, vehicle'),
         ('of = "diagnose"\n[grid]\nkinds = ["null"]\n', '"kinds": expected one of case'),
@@ -143,9 +143,9 @@ def test_an_exam_is_the_same_by_any_workers(folder: Path, tmp_path: Path) -> Non
         ('of = "audit"\n', "simulate"),
     ],
 )
-def test_a_manifest_is_refused_by_name(text: str, said: str, tmp_path: Path) -> None:
+def test_an_invalid_manifest_is_refused_by_name(text: str, words: str, tmp_path: Path) -> None:
     manifest = tmp_path / "wrong.toml"
     manifest.write_text("schema_version = 1\n" + text)
     with pytest.raises(dw.DownwashError) as refused:
         dw.sweep(manifest, tmp_path / "out")
-    assert said in str(refused.value)
+    assert words in str(refused.value)

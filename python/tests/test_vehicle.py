@@ -18,7 +18,7 @@ def test_the_catalogue_has_equation_unit_and_range() -> None:
     assert all(row["least"] < row["most"] and row["equation"] for row in rows)
 
 
-def test_effects_go_into_the_file_and_its_comments_stay(tmp_path: Path) -> None:
+def test_added_effects_keep_the_files_comments(tmp_path: Path) -> None:
     source = ROOT / "config/vehicles/crazyflie.toml"
     vehicle = dw.Vehicle(source).with_effects({"rotor_drag": {"d_xy": 0.02}})
     vehicle.save(tmp_path / "v.toml")
@@ -32,7 +32,7 @@ def test_effects_go_into_the_file_and_its_comments_stay(tmp_path: Path) -> None:
     assert dw.Vehicle(tmp_path / "v.json").to_dict() == vehicle.to_dict()
 
 
-def test_a_vehicle_is_made_of_measured_numbers_or_told_what_is_missing() -> None:
+def test_init_builds_a_vehicle_or_names_missing_values() -> None:
     measured = {
         "mass_kg": 1.0,
         "arm_m": 0.2,
@@ -48,7 +48,7 @@ def test_a_vehicle_is_made_of_measured_numbers_or_told_what_is_missing() -> None
         dw.Vehicle.init(name="mine", arm_m=0.2)
 
 
-def test_a_vehicle_is_made_of_a_log_of_px4(practice: Path) -> None:
+def test_init_builds_a_vehicle_from_a_px4_log(practice: Path) -> None:
     try:
         vehicle = dw.Vehicle.init(practice / "px4_drag/flight_1.ulg", mass_kg=1.0)
     except dw.DownwashError as lacking:

@@ -23,7 +23,7 @@ def pytest_configure(config):
 
 # Where both signals take one path, the second one is for tests/run --all.
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
-SIGNALS_AT_LENGTH = pytest.mark.parametrize(
+SIGNALS_TERM_LONG = pytest.mark.parametrize(
     "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)], ids=["int", "term"]
 )
 

@@ -13,7 +13,7 @@ EFFECT = ROOT / "examples/effect/arm_drag.rs"
 
 @pytest.mark.long
 @pytest.mark.computes
-def test_an_effect_of_one_file_is_flown_learned_and_diagnosed(tmp_path):
+def test_an_added_effect_is_flown_learned_and_diagnosed(tmp_path):
     assert len(EFFECT.read_text().splitlines()) <= 80
     sources = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True)
     for name in sources.stdout.decode().split("\0"):

@@ -42,7 +42,7 @@ def changed_vehicle(folder, pattern, text):
         ("^gravity = .*", "gravity = 'down'", ["gravity"]),
     ],
 )
-def test_vehicle_files(program, hover, tmp_path, pattern, text, words):
+def test_bad_vehicle_files_are_refused(program, hover, tmp_path, pattern, text, words):
     vehicle = changed_vehicle(tmp_path, pattern, text)
     if "0.0, 0.0" in text:
         # Every rotor at the same place: torques cannot be told apart.
@@ -64,7 +64,7 @@ def test_vehicle_files(program, hover, tmp_path, pattern, text, words):
         ("\x00\x01", 2, ["hover.toml"]),
     ],
 )
-def test_trajectory_files(program, hover, tmp_path, text, code, words):
+def test_bad_trajectory_files_are_refused(program, hover, tmp_path, text, code, words):
     hover.write_text(text)
     refused(program, fly(hover, tmp_path), code, *words)
     # Refused before anything is connected or logged.
@@ -82,7 +82,7 @@ def test_trajectory_files(program, hover, tmp_path, text, code, words):
         ("schema_version = 99\n", ["99"]),
     ],
 )
-def test_configuration_files(program, hover, tmp_path, text, words):
+def test_bad_configuration_files_are_refused(program, hover, tmp_path, text, words):
     path = tmp_path / "config.toml"
     path.write_text(text)
     refused(program, [*fly(hover, tmp_path), "--config", path], 2, "config.toml", *words)
@@ -98,11 +98,11 @@ def test_configuration_files(program, hover, tmp_path, text, words):
         ("tcp:127.0.0.1", "port"),
     ],
 )
-def test_urls(program, hover, tmp_path, url, word):
+def test_bad_urls_are_refused(program, hover, tmp_path, url, word):
     refused(program, fly(hover, tmp_path, connect=url), 2, word)
 
 
-def test_no_vehicle_on_a_busy_port(program, hover, tmp_path):
+def test_a_busy_port_without_a_vehicle_is_reported(program, hover, tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         url = f"udpin:127.0.0.1:{other.getsockname()[1]}"
@@ -112,7 +112,7 @@ def test_no_vehicle_on_a_busy_port(program, hover, tmp_path):
 
 
 @pytest.mark.parametrize("content, code", [(b"", 2), (b"\x89MCAP0\r\n", 2), (b"not a log" * 99, 2), (b"\x89MCAP0\r\n" + b"\xff" * 999, 0)])
-def test_log_info_of_what_is_no_whole_log(program, tmp_path, content, code):
+def test_log_info_on_incomplete_logs_and_other_files(program, tmp_path, content, code):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     one = program("log", "info", path)
@@ -121,7 +121,7 @@ def test_log_info_of_what_is_no_whole_log(program, tmp_path, content, code):
     assert "unfinished" in out if found == 0 else "a.mcap" in one.err
 
 
-def test_missing_files(program, hover, tmp_path):
+def test_missing_files_are_named(program, hover, tmp_path):
     refused(program, fly(tmp_path / "none.toml", tmp_path), 2, "none.toml")
     refused(program, fly(hover, tmp_path, vehicle=tmp_path / "none.toml"), 2, "none.toml")
     refused(program, ["daemon", "--config", tmp_path / "none.toml"], 2, "none.toml")

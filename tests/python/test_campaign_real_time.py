@@ -20,7 +20,7 @@ def fly(program, folder, flights, seed=SEED):
 
 
 @pytest.mark.long
-def test_ten_scripts_at_once(program, tmp_path):
+def test_ten_random_fault_scripts(program, tmp_path):
     summary = fly(program, tmp_path / "out", 10)
     assert summary["setpoints"] > 1000
     # Nothing is left of flights in which every rule held but their rows.
@@ -29,11 +29,11 @@ def test_ten_scripts_at_once(program, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.computes
-def test_two_hundred_scripts(program, tmp_path):
+def test_two_hundred_random_fault_scripts(program, tmp_path):
     fly(program, tmp_path / "out", 200)
 
 
-def test_stopped_killed_and_taken_over(program, tmp_path):
+def test_a_script_with_a_restart_a_pause_and_a_takeover(program, tmp_path):
     """One script with what only a process can be done to, and a pilot."""
 
     def at(at_s, for_s, **fault):

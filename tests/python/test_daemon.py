@@ -84,7 +84,7 @@ def test_two_flights_and_a_takeover(program, hover, hand_made, tmp_path):
     assert time.monotonic() - started < 5
 
 
-def test_started_in_offboard_it_stays_silent(program, hover, hand_made, tmp_path):
+def test_no_setpoints_after_a_start_in_offboard(program, hover, hand_made, tmp_path):
     vehicle, url = hand_made
     vehicle.set_mode(OFFBOARD)
     daemon = program("daemon", "--config", configuration(tmp_path, url, hover))
@@ -100,7 +100,7 @@ def test_started_in_offboard_it_stays_silent(program, hover, hand_made, tmp_path
     assert vehicle.setpoints[0][0] - other >= 1.0
 
 
-def test_stopped_in_flight_it_lands_first(program, hover, hand_made, tmp_path):
+def test_sigterm_in_flight_lands_before_exit(program, hover, hand_made, tmp_path):
     vehicle, url = hand_made
     daemon = program("daemon", "--config", configuration(tmp_path, url, hover))
     line = daemon.says(" standby: ")
@@ -114,7 +114,7 @@ def test_stopped_in_flight_it_lands_first(program, hover, hand_made, tmp_path):
 
 
 @bounds_time
-def test_service_manager_is_told(program, hover, hand_made, tmp_path):
+def test_systemd_notifications(program, hover, hand_made, tmp_path):
     _, url = hand_made
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
@@ -137,7 +137,7 @@ def test_service_manager_is_told(program, hover, hand_made, tmp_path):
 
 
 @bounds_time
-def test_a_serial_line_pulled_in_flight(program, hover, sitl, pilot, tmp_path):
+def test_unplugging_the_serial_line_in_flight(program, hover, sitl, pilot, tmp_path):
     # The daemon's bytes, searched for the heads of SET_ATTITUDE_TARGET frames: v2, system 254, component 191, id 82.
     setpoints = []
 
@@ -186,7 +186,7 @@ def test_a_serial_line_pulled_in_flight(program, hover, sitl, pilot, tmp_path):
         cable.close()
 
 
-def test_a_vehicle_that_comes_later_and_restarts(program, hover, sitl, tmp_path):
+def test_a_vehicle_that_starts_later_and_restarts(program, hover, sitl, tmp_path):
     """Nobody listens where the daemon sends to: refusals of the network are no end."""
     url = f"udpin:127.0.0.1:{free_port()}"
     daemon = program("daemon", "--config", configuration(tmp_path, url.replace("udpin", "udpout"), hover))

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.computes
 
 MAPPING = ROOT / "config/mappings/motion-capture.toml"
 COLUMNS = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat"
-ENDS_S = 120
+TIMEOUT_S = 120
 
 
 def table(path, axis, seconds=8.0, size=0.4):
@@ -31,10 +31,10 @@ def table(path, axis, seconds=8.0, size=0.4):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2], ids=["roll", "pitch", "yaw"])
-def test_the_audit_says_what_one_axis_does_not_show(program, tmp_path, axis):
+def test_audit_estimates_no_rotation_about_the_motion_axis(program, tmp_path, axis):
     path = table(tmp_path / "flight.csv", axis)
     one = program("log", "audit", path, "--mapping", MAPPING, "--json")
-    code, out = one.finish(ENDS_S)
+    code, out = one.finish(TIMEOUT_S)
     assert code == 0, one.err
     assert "NaN" not in out
     for pair in ("attitude", "position"):
@@ -45,19 +45,19 @@ def test_the_audit_says_what_one_axis_does_not_show(program, tmp_path, axis):
 
 @pytest.mark.parametrize("axis", [0, 1, 2], ids=["roll", "pitch", "yaw"])
 @pytest.mark.parametrize("command", ["train", "diagnose"])
-def test_what_learns_from_one_axis_ends(program, tmp_path, command, axis):
+def test_training_and_diagnosis_of_one_axis_motion_end(program, tmp_path, command, axis):
     path = table(tmp_path / "flight.csv", axis)
     few = ["-o", tmp_path / "model", "--passes", 5, "--hidden", 5, "--regularization", "1e-5"]
     more = few if command == "train" else ["--twins", 4]
     one = program(command, "--vehicle", CRAZYFLIE, path, "--mapping", MAPPING, *more)
-    code, _ = one.finish(ENDS_S)
+    code, _ = one.finish(TIMEOUT_S)
     assert code in (0, 2) and "panicked" not in one.err, one.err
 
 
 @pytest.mark.parametrize("command", ["train", "diagnose"])
-def test_too_little_names_its_file(program, tmp_path, command):
+def test_a_log_that_is_too_short_is_named(program, tmp_path, command):
     path = table(tmp_path / "short.csv", 1, seconds=4.0)
     more = ["-o", tmp_path / "model"] if command == "train" else []
     one = program(command, "--vehicle", CRAZYFLIE, path, "--mapping", MAPPING, *more)
-    assert one.finish(ENDS_S)[0] == 2, one.err
+    assert one.finish(TIMEOUT_S)[0] == 2, one.err
     assert "short.csv" in one.err.splitlines()[-1]

@@ -1,4 +1,4 @@
-"""A flight in a crowd: garbage, strangers' frames and many peers on the vehicle's own port."""
+"""A flight in a flood: garbage, flooder' frames and many peers on the vehicle's own port."""
 
 import random
 import socket
@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import all as dialect
 RATE_HZ = 2000
 
 
-def crowd(port, stop, sent):
+def flood(port, stop, sent):
     draw = random.Random(1)
     sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(200)]
     due = time.monotonic()
@@ -34,24 +34,24 @@ def crowd(port, stop, sent):
             each.close()
 
 
-def test_a_crowd_on_the_vehicles_port_does_not_end_the_flight(tmp_path):
+def test_a_flooded_port_does_not_end_the_flight(tmp_path):
     port = free_port()
     (tmp_path / "hover.toml").write_text(SHORT_HOVER)
     vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
     daemon = Program("fly", tmp_path / "hover.toml", "--vehicle", CRAZYFLIE, "--connect", f"udpin:127.0.0.1:{port}",
                      "--system", 1, "--log-dir", tmp_path)
     stop, sent = threading.Event(), [0]
-    strangers = threading.Thread(target=crowd, args=(port, stop, sent))
+    flooder = threading.Thread(target=flood, args=(port, stop, sent))
     try:
         deadline = time.monotonic() + 30
         while not vehicle.setpoints and time.monotonic() < deadline:
             time.sleep(0.05)
-        strangers.start()
+        flooder.start()
         code = daemon.process.wait(timeout=90)
     finally:
         stop.set()
-        if strangers.ident:
-            strangers.join()
+        if flooder.ident:
+            flooder.join()
         vehicle.stop()
         if daemon.process.poll() is None:
             daemon.process.kill()

@@ -37,7 +37,7 @@ def finish(daemon, timeout=60):
     return daemon.returncode, out, err
 
 
-def test_flies_a_foreign_px4_with_attitude_and_thrust_only(flight):
+def test_px4_is_sent_attitude_and_thrust_only(flight):
     vehicle, daemon, folder = flight
     code, out, err = finish(daemon)
     assert code == 0, err
@@ -52,7 +52,7 @@ def test_flies_a_foreign_px4_with_attitude_and_thrust_only(flight):
     assert {"/state", "/setpoint", "/reference", "/mavlink/rx", "/mavlink/tx"} <= topics
 
 
-def test_arming_refusal_is_reported_in_the_vehicles_words(flight):
+def test_arming_refusal_reports_the_vehicles_reason(flight):
     vehicle, daemon, _ = flight
     vehicle.refuse_arming = True
     code, _, err = finish(daemon)
@@ -61,7 +61,7 @@ def test_arming_refusal_is_reported_in_the_vehicles_words(flight):
 
 
 @bounds_time
-def test_pilot_takes_over_and_control_never_comes_back(flight):
+def test_no_setpoints_after_the_pilot_takes_over(flight):
     vehicle, daemon, _ = flight
     taken = []
 
@@ -79,7 +79,7 @@ def test_pilot_takes_over_and_control_never_comes_back(flight):
 
 
 @bounds_time
-def test_telemetry_that_stops_ends_the_setpoints(flight):
+def test_setpoints_stop_when_telemetry_stops(flight):
     vehicle, daemon, _ = flight
     stopped = []
 
@@ -127,7 +127,7 @@ def pause_in_flight(vehicle, daemon, pause_s, at=lambda vehicle, since_s: None):
 
 
 @bounds_time
-def test_a_pilot_who_takes_over_while_the_process_is_paused_keeps_the_vehicle(flight):
+def test_a_takeover_during_a_process_pause_is_respected(flight):
     vehicle, daemon, _ = flight
 
     def take_over(vehicle, since_s):
@@ -144,7 +144,7 @@ def test_a_pilot_who_takes_over_while_the_process_is_paused_keeps_the_vehicle(fl
 
 
 @bounds_time
-def test_a_failsafe_during_a_pause_is_left_alone(flight):
+def test_a_failsafe_during_a_process_pause_is_respected(flight):
     vehicle, daemon, _ = flight
     returning = 4 << 16 | 5 << 24
 
@@ -162,7 +162,7 @@ def test_a_failsafe_during_a_pause_is_left_alone(flight):
 
 @bounds_time
 @pytest.mark.parametrize("stall_s", [0.07, 0.15])
-def test_what_lay_unread_during_a_short_stall_is_not_answered(flight, stall_s):
+def test_samples_queued_during_a_short_stall_are_not_answered(flight, stall_s):
     """Shorter than a pause after which the mode is doubted: the samples that lay in the socket look fresh."""
     vehicle, daemon, _ = flight
     times = []

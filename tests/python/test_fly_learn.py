@@ -20,7 +20,7 @@ def events(log):
         return [decoded.message for *_, decoded in reader.iter_decoded_messages(topics=["/log"])]
 
 
-def test_the_second_lap_is_planned_through_what_the_first_showed(tmp_path):
+def test_the_second_lap_uses_the_model_of_the_first(tmp_path):
     (tmp_path / "lap.toml").write_text(LAP)
     effects = [word for effect in HIDDEN for word in ("--effect", effect)]
     vehicle = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], effects)
@@ -35,6 +35,6 @@ def test_the_second_lap_is_planned_through_what_the_first_showed(tmp_path):
     rms = [float(lap) for lap in re.findall(r"lap \d: ([0-9.]+) m RMS", done.stderr)]
     assert len(rms) == 2 and rms[1] < 0.8 * rms[0], done.stderr
     # The log has the same event, with the latency.
-    said = "\n".join(events(next(tmp_path.glob("*.mcap"))))
-    assert re.search(r"lap 2 now uses the model learned in .* first setpoint [0-9.]+ s after", said), said
+    logged = "\n".join(events(next(tmp_path.glob("*.mcap"))))
+    assert re.search(r"lap 2 now uses the model learned in .* first setpoint [0-9.]+ s after", logged), logged
     assert json.loads(done.stdout)["end"] == "done"

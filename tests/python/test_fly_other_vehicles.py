@@ -16,21 +16,21 @@ COPTER_MODES = {HOLD: 17, LAND: 9, OFFBOARD: 4}
 
 
 class Vehicle(HandMadeVehicle):
-    """The hand-made vehicle with other habits. They are set before it is heard."""
+    """The hand-made vehicle with other traits. They are set before it is heard."""
 
-    def __init__(self, url, system=1, **habits):
+    def __init__(self, url, system=1, **traits):
         # Its clock against real time, and what it loses at once after so many seconds.
-        self.clock_rate = habits.pop("clock_rate", 1.0)
-        self.stall = habits.pop("stall", (math.inf, 0.0))
-        self.answers_timesync = habits.pop("answers_timesync", True)
-        self.mode_from = habits.pop("mode_from", "CURRENT_MODE")
-        self.state_from = habits.pop("state_from", "ODOMETRY")
-        self.mavlink = habits.pop("mavlink", 2)
-        self.autopilot = habits.pop("autopilot", 12)
-        self.frame = habits.pop("frame", None)
-        self.battery = habits.pop("battery", None)
-        self.mav_type = habits.pop("mav_type", 2)
-        assert not habits
+        self.clock_rate = traits.pop("clock_rate", 1.0)
+        self.stall = traits.pop("stall", (math.inf, 0.0))
+        self.answers_timesync = traits.pop("answers_timesync", True)
+        self.mode_from = traits.pop("mode_from", "CURRENT_MODE")
+        self.state_from = traits.pop("state_from", "ODOMETRY")
+        self.mavlink = traits.pop("mavlink", 2)
+        self.autopilot = traits.pop("autopilot", 12)
+        self.frame = traits.pop("frame", None)
+        self.battery = traits.pop("battery", None)
+        self.mav_type = traits.pop("mav_type", 2)
+        assert not traits
         super().__init__(url)
         self.link.mav.srcSystem = system
         if self.autopilot == 3:
@@ -46,12 +46,12 @@ class Vehicle(HandMadeVehicle):
         elapsed -= lost if elapsed > at + lost else max(0.0, elapsed - at)
         return int((5.0 + elapsed * self.clock_rate) * 1e9)
 
-    def _word(self):
+    def _custom_mode(self):
         return COPTER_MODES.get(self.mode, 0) if self.autopilot == 3 else self.mode
 
     def _send_heartbeat(self):
         base = 1 | (128 if self.armed else 0)
-        self.link.mav.heartbeat_send(self.mav_type, self.autopilot, base, self._word(), 4 if self.armed else 3)
+        self.link.mav.heartbeat_send(self.mav_type, self.autopilot, base, self._custom_mode(), 4 if self.armed else 3)
         if self.battery is not None:
             cells = [3700] + [65535] * 9
             self.link.mav.battery_status_send(0, 0, 1, 32767, cells, -1, -1, -1, self.battery)
@@ -99,12 +99,12 @@ def flight(tmp_path, program):
     """Starts vehicles and `downwash fly` on them."""
     vehicles = []
 
-    def start(*habits, trajectory=SHORT_HOVER, options=()):
+    def start(*traits, trajectory=SHORT_HOVER, options=()):
         port = free_port()
         url = f"udpin:127.0.0.1:{port}"
         file = tmp_path / "hover.toml"
         file.write_text(trajectory)
-        for number, these in enumerate(habits):
+        for number, these in enumerate(traits):
             vehicles.append(Vehicle(f"udpout:127.0.0.1:{port}", **these))
         daemon = program(
             "fly", file, "--connect", url, "--vehicle", CRAZYFLIE, "--log-dir", tmp_path, "--json", *options
@@ -125,13 +125,13 @@ def flight(tmp_path, program):
         pytest.param(1.03, True, marks=pytest.mark.long),
     ],
 )
-def test_a_vehicle_whose_clock_slips_is_flown(flight, rate, answers):
+def test_a_vehicle_with_a_drifting_clock_is_flown(flight, rate, answers):
     _, daemon = flight({"clock_rate": rate, "answers_timesync": answers}, trajectory=LONG_HOVER)
     code, _ = daemon.finish(90)
     assert code == 0, daemon.err
 
 
-def test_a_stall_of_the_vehicle_on_the_ground_is_forgotten(flight):
+def test_a_clock_stall_on_the_ground_is_tolerated(flight):
     (vehicle,), daemon = flight({"stall": (1.5, 0.43)})
     code, _ = daemon.finish(60)
     assert code == 0, daemon.err
@@ -148,20 +148,20 @@ def supported():
 @pytest.mark.parametrize("name, protocol, mode_from, state_from", supported())
 def test_supported_autopilots_are_flown(flight, name, protocol, mode_from, state_from):
     autopilot = 3 if name.startswith("ArduCopter") else 12
-    habits = {"mavlink": int(protocol), "mode_from": mode_from, "state_from": state_from, "autopilot": autopilot}
-    (vehicle,), daemon = flight(habits)
+    traits = {"mavlink": int(protocol), "mode_from": mode_from, "state_from": state_from, "autopilot": autopilot}
+    (vehicle,), daemon = flight(traits)
     code, _ = daemon.finish(60)
     assert code == 0, daemon.err
     assert 0.6 < vehicle.highest < 1.2
-    is_told = "sends no CURRENT_MODE" in daemon.err
-    assert is_told == (mode_from == "HEARTBEAT" and autopilot == 12), daemon.err
+    is_reported = "sends no CURRENT_MODE" in daemon.err
+    assert is_reported == (mode_from == "HEARTBEAT" and autopilot == 12), daemon.err
 
 
 def test_the_table_of_supported_autopilots_is_not_empty():
     assert len(supported()) >= 4
 
 
-def test_two_vehicles_are_named_and_none_is_flown_until_one_is_chosen(flight):
+def test_two_vehicles_are_refused_until_one_is_chosen(flight):
     (second, first), daemon = flight({"system": 2}, {"system": 1})
     started = time.monotonic()
     code, _ = daemon.finish(30)
@@ -188,7 +188,7 @@ def says_within(daemon, words, seconds):
 @pytest.mark.parametrize(
     "mav_type, autopilot, kind", [(1, 12, "an aeroplane"), (20, 12, "a VTOL"), (4, 3, "a helicopter"), (10, 3, "a rover")]
 )
-def test_what_is_no_multirotor_is_named_and_not_flown(flight, mav_type, autopilot, kind):
+def test_other_vehicle_types_are_refused(flight, mav_type, autopilot, kind):
     (vehicle,), daemon = flight({"mav_type": mav_type, "autopilot": autopilot})
     assert daemon.finish(20)[0] == 4, daemon.err
     assert f"the vehicle is {kind} (MAV_TYPE {mav_type} in its HEARTBEAT)" in daemon.err, daemon.err
@@ -196,20 +196,20 @@ def test_what_is_no_multirotor_is_named_and_not_flown(flight, mav_type, autopilo
 
 
 @bounds_time
-def test_a_refused_frame_is_named(flight):
+def test_an_unsupported_frame_is_named(flight):
     _, daemon = flight({"frame": 20})
     says_within(daemon, "MAV_FRAME_LOCAL_FRD", 5.0)
     says_within(daemon, "have the vehicle send", 5.0)
 
 
 @bounds_time
-def test_nothing_heard_is_said_with_the_port(flight):
+def test_a_silent_port_is_reported_with_its_address(flight):
     _, daemon = flight()
     says_within(daemon, "0 bytes received on udpin:127.0.0.1:", 4.0)
 
 
 @bounds_time
-def test_bytes_that_are_no_mavlink_are_said(flight):
+def test_bytes_other_than_mavlink_are_reported(flight):
     _, daemon = flight()
     port = int(daemon.process.args[daemon.process.args.index("--connect") + 1].rsplit(":", 1)[1])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as noise:
@@ -220,19 +220,19 @@ def test_bytes_that_are_no_mavlink_are_said(flight):
 
 
 @bounds_time
-def test_a_low_battery_is_said_at_once(flight):
+def test_a_low_battery_is_reported_at_once(flight):
     _, daemon = flight({"battery": 12})
     says_within(daemon, "waiting: battery: expected at least 30 %, found 12 %", 6.0)
 
 
 @bounds_time
-def test_a_wrong_parameter_is_said_at_once_with_the_cure(flight):
+def test_a_wrong_parameter_is_reported_at_once(flight):
     (vehicle,), daemon = flight({"autopilot": 3, "mode_from": "HEARTBEAT", "state_from": "attitude and position"})
     vehicle.params["GUID_OPTIONS"] = 0.0
     says_within(daemon, "waiting: parameter GUID_OPTIONS", 6.0)
 
 
-def test_check_makes_the_checks_and_nothing_else(flight):
+def test_check_sends_no_mode_arming_or_setpoints(flight):
     (vehicle,), daemon = flight({}, options=["--check"])
     code, out = daemon.finish(30)
     assert code == 0, daemon.err
@@ -240,14 +240,14 @@ def test_check_makes_the_checks_and_nothing_else(flight):
     assert not vehicle.setpoints and not [c for c in vehicle.commands if c[0] in (176, 400)]
 
 
-def test_check_that_fails_says_why(flight):
+def test_a_failed_check_gives_the_reason(flight):
     (vehicle,), daemon = flight({"battery": 12}, options=["--check"])
     code, _ = daemon.finish(30)
     assert code == 4 and "battery" in daemon.err, daemon.err
     assert not vehicle.setpoints
 
 
-def test_signing_is_said_in_one_line(flight):
+def test_a_signing_vehicle_is_reported(flight):
     (vehicle,), daemon = flight({})
     vehicle.link.setup_signing(b"s" * 32, sign_outgoing=True)
     vehicle.link.mav.signing.allow_unsigned_callback = lambda *_: False
@@ -256,9 +256,9 @@ def test_signing_is_said_in_one_line(flight):
 
 
 class TestDoctor:
-    def ask(self, program, habits, command="doctor", seconds="4"):
+    def listen(self, program, traits, command="doctor", seconds="4"):
         port = free_port()
-        vehicle = Vehicle(f"udpout:127.0.0.1:{port}", **habits)
+        vehicle = Vehicle(f"udpout:127.0.0.1:{port}", **traits)
         url = f"udpin:127.0.0.1:{port}"
         try:
             running = program(command, "--connect", url, "--json", "--seconds", seconds)
@@ -269,8 +269,8 @@ class TestDoctor:
         assert not changed and not vehicle.setpoints, "it only looks"
         return code, json.loads(out), running.err
 
-    def test_a_sound_vehicle(self, program):
-        code, answer, err = self.ask(program, {"clock_rate": 0.95}, seconds="8")
+    def test_a_flyable_vehicle(self, program):
+        code, answer, err = self.listen(program, {"clock_rate": 0.95}, seconds="8")
         assert code == 0, (answer["findings"], err)
         report = answer["report"]
         assert answer["verdict"] == "can be flown"
@@ -280,10 +280,10 @@ class TestDoctor:
         assert report["parameters"]["COM_OF_LOSS_T"] == 1.0
         assert {finding["subject"] for finding in answer["findings"]} >= {"parameter COM_OF_LOSS_T", "clock"}
 
-    def test_what_would_be_refused(self, program):
-        habits = {"autopilot": 3, "mode_from": "HEARTBEAT", "state_from": "attitude and position", "battery": 5}
+    def test_findings_that_refuse_the_flight(self, program):
+        traits = {"autopilot": 3, "mode_from": "HEARTBEAT", "state_from": "attitude and position", "battery": 5}
         port = free_port()
-        vehicle = Vehicle(f"udpout:127.0.0.1:{port}", **habits)
+        vehicle = Vehicle(f"udpout:127.0.0.1:{port}", **traits)
         vehicle.params["GUID_OPTIONS"] = 0.0
         try:
             running = program("doctor", "--connect", f"udpin:127.0.0.1:{port}", "--json", "--seconds", "4")
@@ -293,14 +293,14 @@ class TestDoctor:
         refused = {f["subject"] for f in json.loads(out)["findings"] if f["weight"] == "refuses"}
         assert code == 4 and refused == {"parameter GUID_OPTIONS", "battery"}
 
-    def test_nobody(self, program):
+    def test_no_vehicle_on_the_link(self, program):
         running = program("doctor", "--connect", f"udpin:127.0.0.1:{free_port()}", "--seconds", "1")
         code, out = running.finish(30)
         assert code == 3 and "0 bytes received" in out
         assert "listening on udpin" in running.err
 
-    def test_inspect_is_a_table_on_a_pipe(self, program):
-        code, answer, _ = self.ask(program, {}, "inspect", "3")
+    def test_inspect_reports_message_rates(self, program):
+        code, answer, _ = self.listen(program, {}, "inspect", "3")
         assert code == 0
         rows = {row["name"]: row for row in answer["messages"]}
         assert 80 < rows["ODOMETRY"]["rate_hz"] < 110

@@ -53,7 +53,7 @@ def plan(tmp_path_factory):
     return out
 
 
-def test_a_plan_is_flown_closer_than_its_trajectory_without_one(program, plan, sitl, tmp_path):
+def test_a_planned_flight_tracks_closer_than_an_unplanned_one(program, plan, sitl, tmp_path):
     # Side by side, each with a vehicle of its own.
     flights = {}
     for name, trajectory in (("plan", plan), ("desired", plan.parent / "turn.toml")):
@@ -70,7 +70,7 @@ def test_a_plan_is_flown_closer_than_its_trajectory_without_one(program, plan, s
     assert errors["plan"] < 0.5 * errors["desired"], errors
 
 
-def test_plans_that_may_not_be_flown_are_refused_with_the_reason(plan, tmp_path):
+def test_unflyable_plans_are_refused_with_the_reason(plan, tmp_path):
     good = json.loads(plan.read_text())
 
     def refused(change, code, words, vehicle=CRAZYFLIE):
@@ -92,7 +92,7 @@ def test_plans_that_may_not_be_flown_are_refused_with_the_reason(plan, tmp_path)
     refused(lambda bad: [state.__setitem__(2, state[2] + 5.0) for state in bad["states"]], 4, "lowest height")
 
 
-def test_the_goal_moves_with_its_file_in_flight(program, tmp_path):
+def test_editing_the_goal_file_moves_the_goal(program, tmp_path):
     goal = tmp_path / "goal.toml"
     goal.write_text(stay(0.0, 8.0))
     vehicle = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
@@ -116,7 +116,7 @@ def test_the_goal_moves_with_its_file_in_flight(program, tmp_path):
 
 @pytest.mark.computes
 @pytest.mark.timeout(300)
-def test_the_experiment_learns_plans_flies_and_compares(tmp_path):
+def test_the_demo_learns_plans_flies_and_compares(tmp_path):
     trajectory = tmp_path / "turn.toml"
     trajectory.write_text(TURN)
     done = run("demo", "--out", tmp_path / "out", "--trajectory", trajectory, "--learn", 60, "--fly", "model-free,physics,replanned", "--json")

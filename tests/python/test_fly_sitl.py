@@ -66,7 +66,7 @@ def flights(tmp_path_factory):
 # One worker has the flights.
 @pytest.mark.xdist_group("flights")
 @pytest.mark.parametrize("transport", ["udpout", "udpin", "tcp", "serial"])
-def test_a_flight_over(flights, transport):
+def test_a_flight_over_each_transport(flights, transport):
     program, folder = flights[transport]
     code, out = program.finish()
     assert code == 0, program.err
@@ -94,7 +94,7 @@ def test_a_flight_over(flights, transport):
     assert tlog.recv_match(type="SET_ATTITUDE_TARGET") is not None
 
 
-def test_a_flight_over_tcp_the_other_way(program, hover, tmp_path):
+def test_a_flight_over_tcp_with_downwash_listening(program, hover, tmp_path):
     port = free_port(socket.SOCK_STREAM)
     flight = fly(program, hover, f"tcpin:127.0.0.1:{port}", tmp_path)
     flight.says("link open")
@@ -107,7 +107,7 @@ def test_a_flight_over_tcp_the_other_way(program, hover, tmp_path):
     assert "done" in out and "RMSE" in out
 
 
-def test_killed_in_flight_the_log_opens_and_the_vehicle_lands(program, hover, sitl, pilot, tmp_path):
+def test_after_a_kill_the_log_opens_and_the_vehicle_lands(program, hover, sitl, pilot, tmp_path):
     vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
     hover.write_text(SHORT_HOVER.replace("duration_s = 1.0", "duration_s = 30.0"))
     flight = fly(program, hover, vehicle.peer_url(), tmp_path)
@@ -140,7 +140,7 @@ def test_killed_in_flight_the_log_opens_and_the_vehicle_lands(program, hover, si
 
 
 @pytest.mark.parametrize("moment", ["heard", "track"])
-def test_a_serial_line_pulled_for_good_ends_the_flight(program, sitl, tmp_path, hover, moment):
+def test_an_unplugged_serial_line_ends_the_flight(program, sitl, tmp_path, hover, moment):
     cable = SerialCable(tmp_path)
     try:
         sitl(cable.url(0), file=CRAZYFLIE)
@@ -189,7 +189,7 @@ def garbage(seed):
         yield draw.choice(kinds)()
 
 
-def test_garbage_is_counted_and_the_flight_goes_on(program, hover, sitl, tmp_path):
+def test_garbage_is_counted_and_the_flight_continues(program, hover, sitl, tmp_path):
     port = free_port()
     vehicle = sitl(f"udpout:127.0.0.1:{port}", "udpin:127.0.0.1:0", file=CRAZYFLIE)
     # Among the garbage is the HEARTBEAT of another autopilot: the vehicle is chosen.

@@ -42,7 +42,7 @@ def beside(program, hover, hand_made, tmp_path):
         station.close()
 
 
-def hear(station, kind, accept=lambda message: True, timeout=20.0):
+def receive(station, kind, accept=lambda message: True, timeout=20.0):
     end = time.monotonic() + timeout
     while time.monotonic() < end:
         message = station.recv_match(type=kind, blocking=True, timeout=timeout)
@@ -51,11 +51,11 @@ def hear(station, kind, accept=lambda message: True, timeout=20.0):
     raise AssertionError(f"no {kind}")
 
 
-def test_a_station_beside_the_daemon_sees_the_vehicle_and_is_not_heard(beside):
+def test_a_station_sees_the_vehicle_but_cannot_command_it(beside):
     daemon, station, vehicle = beside([])
-    beat = hear(station, "HEARTBEAT")
+    beat = receive(station, "HEARTBEAT")
     assert (beat.get_srcSystem(), beat.get_srcComponent()) == (1, 1)
-    hear(station, ["ATTITUDE", "ATTITUDE_QUATERNION", "ODOMETRY"])
+    receive(station, ["ATTITUDE", "ATTITUDE_QUATERNION", "ODOMETRY"])
     # What it sends is said, and goes nowhere.
     before = dict(vehicle.params)
     station.mav.param_set_send(1, 1, b"MIS_TAKEOFF_ALT", 9.0, 9)
@@ -70,9 +70,9 @@ def test_a_station_beside_the_daemon_sees_the_vehicle_and_is_not_heard(beside):
     assert station.messages.get("HEARTBEAT").get_srcSystem() == 1
 
 
-def test_what_the_list_allows_passes_and_nothing_else(beside):
+def test_only_allowed_messages_pass(beside):
     daemon, station, vehicle = beside(["COMMAND_LONG"])
-    hear(station, "HEARTBEAT")
+    receive(station, "HEARTBEAT")
     station.mav.param_set_send(1, 1, b"MIS_TAKEOFF_ALT", 9.0, 9)
     daemon.says("PARAM_SET from udpout:127.0.0.1:")
     # MAV_CMD_REQUEST_MESSAGE for a message that nobody else asks for.
@@ -84,21 +84,21 @@ def test_what_the_list_allows_passes_and_nothing_else(beside):
     assert vehicle.params["MIS_TAKEOFF_ALT"] == 2.5
 
 
-def test_garbage_of_a_station_harms_nobody(beside):
+def test_garbage_from_a_station_is_ignored(beside):
     daemon, station, vehicle = beside(["COMMAND_LONG"])
-    hear(station, "HEARTBEAT")
+    receive(station, "HEARTBEAT")
     for size in (1, 7, 280, 1500, 60000):
         station.write(bytes((7 * index + size) % 256 for index in range(size)))
     station.mav.param_set_send(1, 1, b"MIS_TAKEOFF_ALT", 9.0, 9)
     daemon.says("PARAM_SET from udpout:127.0.0.1:")
-    hear(station, "HEARTBEAT")
+    receive(station, "HEARTBEAT")
 
 
 @pytest.mark.parametrize(
     "allow, words",
     [(["HEARTBEET"], "no message is called"), (["SET_ATTITUDE_TARGET"], "only this program may send")],
 )
-def test_a_list_with_what_is_none_is_refused(beside, allow, words):
+def test_a_list_with_invalid_messages_is_refused(beside, allow, words):
     daemon, _, _ = beside(allow)
     code, _ = daemon.finish()
     assert code == 2

@@ -1,4 +1,4 @@
-"""Every command that flies no vehicle ends within two seconds of SIGINT or SIGTERM, with exit code
+"""Every command that flies no vehicle ends_after within two seconds of SIGINT or SIGTERM, with exit code
 130 and without half a file; one that flies says within a second what it does.
 """
 
@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from conftest import CRAZYFLIE, DOWNWASH, ROOT, SHORT_HOVER, SIGNALS, SIGNALS_AT_LENGTH
+from conftest import CRAZYFLIE, DOWNWASH, ROOT, SHORT_HOVER, SIGNALS, SIGNALS_TERM_LONG
 
 MAPPING = ROOT / "config/mappings/motion-capture.toml"
 
@@ -23,7 +23,7 @@ def flights(tmp_path_factory):
     return sorted(folder.glob("*.mcap"))
 
 
-def ends(one, number):
+def ends_after(one, number):
     """Sends the signal; what the program had printed at its end."""
     sent = time.monotonic()
     one.signal(number)
@@ -38,11 +38,11 @@ def ends(one, number):
 @pytest.mark.computes
 @SIGNALS
 @pytest.mark.parametrize("stage", ["... logs", "... physics", "... networks"])
-def test_train(program, flights, tmp_path, number, stage):
+def test_interrupted_train(program, flights, tmp_path, number, stage):
     model = tmp_path / "model.safetensors"
     one = program("train", "--vehicle", CRAZYFLIE, *flights, "-o", model, "--passes", 100_000)
     one.says(stage)
-    ends(one, number)
+    ends_after(one, number)
     assert not model.exists() and not list(tmp_path.glob("*.part"))
     if stage == "... networks":
         assert "--resume" in one.err
@@ -50,34 +50,34 @@ def test_train(program, flights, tmp_path, number, stage):
 
 
 @pytest.mark.computes
-@SIGNALS_AT_LENGTH
-def test_trained_networks_are_kept_before_they_are_judged(program, flights, tmp_path, number):
+@SIGNALS_TERM_LONG
+def test_interrupted_evaluation_keeps_the_trained_networks(program, flights, tmp_path, number):
     model = tmp_path / "model.safetensors"
     few = ["--passes", 15, "--hidden", 20, "--regularization", "1e-5"]
     one = program("train", "--vehicle", CRAZYFLIE, *flights, "-o", model, *few)
     one.says("... errors")
-    ends(one, number)
+    ends_after(one, number)
     assert (tmp_path / "model.safetensors.checkpoint").exists() and not model.exists()
 
 
 @pytest.mark.computes
 @SIGNALS
-def test_diagnose(program, flights, tmp_path, number):
+def test_interrupted_diagnose(program, flights, tmp_path, number):
     out = tmp_path / "improved.toml"
     one = program("diagnose", "--vehicle", CRAZYFLIE, *flights, "-o", out)
     one.says("... assessing the vehicle file")
-    ends(one, number)
+    ends_after(one, number)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.computes
-@SIGNALS_AT_LENGTH
+@SIGNALS_TERM_LONG
 @pytest.mark.parametrize("stage", ["... flying", "... diagnosing"])
-def test_exam(program, tmp_path, number, stage):
+def test_interrupted_exam(program, tmp_path, number, stage):
     # What it does in the second stage is the work of other processes.
     one = program("exam", "--out", tmp_path / "exam", "--cases", 2, "--nulls", 0, "--seed", 3)
     one.says(stage, timeout=240)
-    ends(one, number)
+    ends_after(one, number)
     children = subprocess.run(
         ["pgrep", "-f", str(tmp_path)], capture_output=True, text=True
     ).stdout.split()
@@ -88,7 +88,7 @@ def test_exam(program, tmp_path, number, stage):
 
 @pytest.mark.computes
 @SIGNALS
-def test_plan(program, tmp_path, number):
+def test_interrupted_plan(program, tmp_path, number):
     long = tmp_path / "long.toml"
     long.write_text(
         "family = 'sinusoid-yaw'\naltitude_m = 1.0\nduration_s = 4.0\namplitude_m = 0.4\n"
@@ -96,17 +96,17 @@ def test_plan(program, tmp_path, number):
     )
     one = program("plan", long, "-o", tmp_path / "plan.json", "--solver", "penalty", "--json")
     one.says("planning")
-    summary = json.loads(ends(one, number))
+    summary = json.loads(ends_after(one, number))
     assert summary["status"] == "stopped" and (tmp_path / "plan.json").exists()
 
 
 @pytest.mark.computes
-@SIGNALS_AT_LENGTH
+@SIGNALS_TERM_LONG
 @pytest.mark.parametrize("stage", ["... flying", "... physics"])
-def test_demo(program, tmp_path, number, stage):
+def test_interrupted_demo(program, tmp_path, number, stage):
     one = program("demo", "--out", tmp_path / "demo", "--learn", 40)
     one.says(stage, timeout=240)
-    ends(one, number)
+    ends_after(one, number)
 
 
 READERS = {
@@ -129,27 +129,27 @@ READERS = {
 
 @SIGNALS
 @pytest.mark.parametrize("command", READERS)
-def test_a_command_that_reads(program, tmp_path, number, command):
+def test_interrupted_while_reading_a_file(program, tmp_path, number, command):
     # A pipe that nobody writes to. Opening it waits until the command reads.
     pipe = tmp_path / "input"
     os.mkfifo(pipe)
     places = {"INPUT": pipe, "LOG": pipe, "OUT": tmp_path / "out"}
     one = program(*(places.get(word, word) for word in READERS[command]))
     with pipe.open("wb"):
-        ends(one, number)
+        ends_after(one, number)
     assert list(tmp_path.iterdir()) == [pipe]
 
 
 @SIGNALS
 @pytest.mark.parametrize("command", ["doctor", "inspect"])
-def test_a_command_that_listens(program, number, command):
+def test_interrupted_while_listening(program, number, command):
     one = program(command, "--connect", "udpin:127.0.0.1:0", "--seconds", "60")
     one.says("listening")
-    ends(one, number)
+    ends_after(one, number)
 
 
 @SIGNALS
-def test_a_flight_says_at_once_what_it_does_and_lands(program, sitl, tmp_path, number):
+def test_an_interrupted_flight_reports_at_once_and_lands(program, sitl, tmp_path, number):
     trajectory = tmp_path / "hover.toml"
     trajectory.write_text(SHORT_HOVER.replace("1.0", "30.0"))
     vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
@@ -163,7 +163,7 @@ def test_a_flight_says_at_once_what_it_does_and_lands(program, sitl, tmp_path, n
 
 
 @SIGNALS
-def test_a_simulated_collection_says_at_once_that_it_ends(program, tmp_path, number):
+def test_an_interrupted_collection_reports_at_once(program, tmp_path, number):
     one = program("collect", "--out", tmp_path, "--seconds", 3000)
     line = one.says("... flying")
     one.signal(number)

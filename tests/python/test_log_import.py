@@ -40,7 +40,7 @@ def write_table(path, rows=100):
     path.write_text("\n".join(lines) + "\n")
 
 
-def test_a_table_becomes_a_log_that_mcap_reads(tmp_path):
+def test_a_table_imports_as_a_readable_mcap_log(tmp_path):
     table, out = tmp_path / "flight.csv", tmp_path / "flight.mcap"
     write_table(table)
     done = run(table, "--mapping", MAPPING, "-o", out, "--json")
@@ -65,7 +65,7 @@ def test_a_table_becomes_a_log_that_mcap_reads(tmp_path):
     assert topics["/flight/voltage"][0].voltage_v == 11.1
 
 
-def test_an_imported_log_is_imported_again(tmp_path):
+def test_reimporting_a_log_changes_nothing(tmp_path):
     table, first, second = (tmp_path / name for name in ("a.csv", "b.mcap", "c.mcap"))
     write_table(table)
     assert run(table, "--mapping", MAPPING, "-o", first).returncode == 0
@@ -78,7 +78,7 @@ def test_an_imported_log_is_imported_again(tmp_path):
     assert bodies[0] == bodies[1]
 
 
-def test_what_is_wrong_is_said_with_its_file(tmp_path):
+def test_import_errors_name_the_file(tmp_path):
     table, out = tmp_path / "flight.csv", tmp_path / "flight.mcap"
     write_table(table)
     done = run(table, "-o", out)
@@ -96,7 +96,7 @@ def test_what_is_wrong_is_said_with_its_file(tmp_path):
     assert not out.exists()
 
 
-def test_a_mapping_is_proposed_shipped_and_edited(tmp_path):
+def test_proposed_and_shipped_mappings_import(tmp_path):
     table, out, mapping = tmp_path / "flight.csv", tmp_path / "flight.mcap", tmp_path / "map.toml"
     write_table(table)
     done = run("--propose", table)
@@ -113,7 +113,7 @@ def test_a_mapping_is_proposed_shipped_and_edited(tmp_path):
     assert done.returncode == 2 and "--out" in done.stderr
 
 
-def test_what_holds_no_flight_ends_with_2_and_says_why(tmp_path):
+def test_files_without_a_flight_are_refused_with_the_reason(tmp_path):
     from mcap.writer import Writer
 
     out = tmp_path / "out.mcap"
@@ -142,7 +142,7 @@ def test_what_holds_no_flight_ends_with_2_and_says_why(tmp_path):
     assert not out.exists()
 
 
-def test_an_audit_of_many_logs_says_which_is_none(tmp_path):
+def test_an_audit_of_several_logs_names_the_bad_one(tmp_path):
     table, empty = tmp_path / "flight.csv", tmp_path / "empty.tlog"
     write_table(table)
     empty.write_bytes(b"")
@@ -152,7 +152,7 @@ def test_an_audit_of_many_logs_says_which_is_none(tmp_path):
     assert "flight.csv" in done.stdout
 
 
-def test_a_long_wait_is_said(program, tmp_path):
+def test_slow_reads_report_progress(program, tmp_path):
     # A pipe that nobody writes to, as a file of gigabytes.
     pipe = tmp_path / "flight.ulg"
     os.mkfifo(pipe)

@@ -83,7 +83,7 @@ def test_run_and_vehicle_file_are_in_the_log(log):
     assert len(attachments) == 2
 
 
-def test_state_has_units_in_its_fields_and_a_unit_quaternion(messages):
+def test_state_has_unit_suffixes_and_a_unit_quaternion(messages):
     assert len(messages["/state"]) > 100
     for _, state in messages["/state"]:
         norm = math.hypot(state.q_w, state.q_x, state.q_y, state.q_z)
@@ -125,7 +125,7 @@ def test_tracking_error_is_state_minus_reference(messages):
     assert checked > 100
 
 
-def test_times_ascend_and_samples_are_not_newer_than_their_arrival(messages):
+def test_times_ascend_and_samples_precede_their_arrival(messages):
     times = [record.log_time for record, _ in messages["/state"]]
     assert times == sorted(times)
     # Half a millisecond for what the clocks' offset does not know.

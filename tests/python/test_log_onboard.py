@@ -37,14 +37,14 @@ def imported(path, tmp_path):
     return json.loads(done.stdout), {topic: np.array(table, float) for topic, table in rows.items()}
 
 
-def same(found, expected, most):
+def assert_close(found, expected, most):
     assert found.shape == expected.shape
     assert np.nanmax(np.abs(found - expected)) < most
 
 
 @pytest.mark.skipif(not ULOGS, reason=ABSENT)
 @pytest.mark.parametrize("path", ULOGS, ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_a_ulog_is_what_pyulog_reads(path, tmp_path):
+def test_ulog_import_matches_pyulog(path, tmp_path):
     summary, topics = imported(path, tmp_path)
     assert summary["format"] == "ulog" and summary["tier"] == "T2"
     assert "PX4" in summary["vehicle"]["autopilot"]
@@ -55,25 +55,25 @@ def test_a_ulog_is_what_pyulog_reads(path, tmp_path):
         return np.column_stack([np.asarray(data[topic][name], float) for name in names])
 
     attitude = columns("vehicle_attitude", *(f"q[{i}]" for i in range(4)))
-    same(topics["/flight/attitude"][:, 0], data["vehicle_attitude"]["timestamp_sample"] * 1e-6, 1e-9)
-    same(topics["/flight/attitude"][:, 1:], attitude, 1e-6)
-    same(topics["/flight/position"][:, 1:], columns("vehicle_local_position", "x", "y", "z"), 1e-9)
-    same(topics["/flight/velocity"][:, 1:], columns("vehicle_local_position", "vx", "vy", "vz"), 1e-9)
+    assert_close(topics["/flight/attitude"][:, 0], data["vehicle_attitude"]["timestamp_sample"] * 1e-6, 1e-9)
+    assert_close(topics["/flight/attitude"][:, 1:], attitude, 1e-6)
+    assert_close(topics["/flight/position"][:, 1:], columns("vehicle_local_position", "x", "y", "z"), 1e-9)
+    assert_close(topics["/flight/velocity"][:, 1:], columns("vehicle_local_position", "vx", "vy", "vz"), 1e-9)
     sensors = data["sensor_combined"]
     middle = sensors["timestamp"] * 1e-6 - 0.5e-6 * sensors["gyro_integral_dt"]
-    same(topics["/flight/body_rate"][:, 0], middle, 1e-9)
-    same(topics["/flight/body_rate"][:, 1:], columns("sensor_combined", *(f"gyro_rad[{i}]" for i in range(3))), 1e-9)
+    assert_close(topics["/flight/body_rate"][:, 0], middle, 1e-9)
+    assert_close(topics["/flight/body_rate"][:, 1:], columns("sensor_combined", *(f"gyro_rad[{i}]" for i in range(3))), 1e-9)
     force = columns("sensor_combined", *(f"accelerometer_m_s2[{i}]" for i in range(3)))
-    same(topics["/flight/specific_force"][:, 1:], force, 1e-9)
+    assert_close(topics["/flight/specific_force"][:, 1:], force, 1e-9)
     outputs = columns("actuator_motors", *(f"control[{i}]" for i in range(4)))
-    same(topics["/flight/outputs"][:, 1:], np.nan_to_num(outputs), 1e-9)
+    assert_close(topics["/flight/outputs"][:, 1:], np.nan_to_num(outputs), 1e-9)
     voltage = columns("battery_status", "voltage_v")
-    same(topics["/flight/voltage"][:, 1:], voltage[voltage[:, 0] > 0], 1e-9)
+    assert_close(topics["/flight/voltage"][:, 1:], voltage[voltage[:, 0] > 0], 1e-9)
 
 
 @pytest.mark.skipif(not DATAFLASHES, reason=ABSENT)
 @pytest.mark.parametrize("path", DATAFLASHES, ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_a_dataflash_log_is_what_dfreader_reads(path, tmp_path):
+def test_dataflash_import_matches_dfreader(path, tmp_path):
     summary, topics = imported(path, tmp_path)
     assert summary["format"] == "dataflash"
     assert "ArduCopter" in summary["vehicle"]["autopilot"] and summary["vehicle"]["motors"] == 4
@@ -87,8 +87,8 @@ def test_a_dataflash_log_is_what_dfreader_reads(path, tmp_path):
         return np.array([[getattr(message, field) for field in ("TimeUS", *fields)] for message in kept], float)
 
     def check(topic, expected, scale=1.0, most=1e-9):
-        same(topics[topic][:, 0], expected[:, 0] * 1e-6, 1e-9)
-        same(topics[topic][:, 1:], expected[:, 1:] * scale, most)
+        assert_close(topics[topic][:, 0], expected[:, 0] * 1e-6, 1e-9)
+        assert_close(topics[topic][:, 1:], expected[:, 1:] * scale, most)
 
     degree = np.pi / 180
     first = lambda message: message.C == 0  # noqa: E731

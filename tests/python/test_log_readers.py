@@ -136,7 +136,7 @@ def recovery(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_rerun_finds_nothing_wrong(logs, kind):
+def test_rerun_check_passes(logs, kind):
     done = run(python_tool("rerun"), "mcap", "check", "--full", *recovery(kind), logs[kind])
     rows = [line.split() for line in done.stdout.splitlines()]
     states = {row[3]: row[0] for row in rows if len(row) > 3 and row[3].startswith("/")}
@@ -145,7 +145,7 @@ def test_rerun_finds_nothing_wrong(logs, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_rerun_converts(logs, kind, tmp_path):
+def test_rerun_converts_every_kind(logs, kind, tmp_path):
     out = tmp_path / "flight.rrd"
     done = run(python_tool("rerun"), "mcap", "convert", *recovery(kind), logs[kind], "-o", out)
     said = done.stdout + done.stderr

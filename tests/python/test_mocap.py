@@ -57,7 +57,7 @@ def summary(one, number=signal.SIGINT, code=130):
 
 
 @bounds_time
-def test_a_hover_is_flown_on_the_room(program, vehicle, tmp_path):
+def test_a_hover_on_motion_capture_poses(program, vehicle, tmp_path):
     port = free_port()
     quad = vehicle("--mocap", f"127.0.0.1:{port}", "--mocap-x-heading", "30")
     one = bridge(program, quad, f"stream:127.0.0.1:{port}", "quad", "--x-heading", "30")
@@ -78,7 +78,7 @@ def test_a_hover_is_flown_on_the_room(program, vehicle, tmp_path):
 @bounds_time
 @pytest.mark.long
 @pytest.mark.parametrize("fault, words", [("freeze", "the tracker hangs"), ("swap", "swapped the two")])
-def test_a_room_that_lies_in_flight_ends_it(program, vehicle, tmp_path, fault, words):
+def test_frozen_or_swapped_poses_end_the_flight(program, vehicle, tmp_path, fault, words):
     port = free_port()
     quad = vehicle("--mocap", f"127.0.0.1:{port}", "--mocap-fault", f"{fault}@5")
     one = bridge(program, quad, f"stream:127.0.0.1:{port}")
@@ -95,13 +95,13 @@ def test_a_room_that_lies_in_flight_ends_it(program, vehicle, tmp_path, fault, w
     faults = said["poses"]["faults"]
     assert faults[key] >= 1 and said["poses"]["losses"] == 1, said
     # Nothing was forwarded after it: the counters account for every pose that was heard.
-    told = said["poses"]
+    counted = said["poses"]
     refused = sum(count for name, count in faults.items() if name not in ("malformed", "silent"))
-    assert told["good"] + refused == told["heard"], said
+    assert counted["good"] + refused == counted["heard"], said
 
 
 @bounds_time
-def test_motive_is_understood_as_the_simulated_room_speaks_it(program, vehicle, pilot):
+def test_natnet_poses_give_a_px4_its_position(program, vehicle, pilot):
     port = free_port()
     quad = vehicle("--mocap-natnet", f"127.0.0.1:{port}", "--mocap-up", "y", autopilot="px4")
     watcher = pilot(quad.peer_url(0))
@@ -133,7 +133,7 @@ def sender(port, stop, body="quad"):
 
 
 @bounds_time
-def test_each_wait_is_said(program, vehicle, tmp_path):
+def test_each_wait_is_reported(program, vehicle, tmp_path):
     port = free_port()
     quad = vehicle("--mocap", f"127.0.0.1:{free_port()}")
     nobody = program("mocap", "--room", f"stream:127.0.0.1:{port}", "--body", "quad", "--connect", f"udpin:127.0.0.1:{free_port()}")
@@ -170,13 +170,13 @@ def test_each_wait_is_said(program, vehicle, tmp_path):
         (["--room", "stream:198.51.100.1:5005"], 2, "cannot open"),
     ],
 )
-def test_what_cannot_be_is_refused(program, options, code, words):
+def test_invalid_options_are_refused(program, options, code, words):
     one = program("mocap", "--body", "quad", "--connect", f"udpin:127.0.0.1:{free_port()}", *options)
     assert one.finish(10)[0] == code
     assert words in one.err
 
 
-def test_odometry_is_refused_to_arducopter(program, vehicle):
+def test_odometry_is_refused_for_arducopter(program, vehicle):
     quad = vehicle("--mocap", f"127.0.0.1:{free_port()}", autopilot="arducopter")
     one = bridge(program, quad, "stream:127.0.0.1:0", "quad", "--as", "odometry")
     assert one.finish(20)[0] == 4, one.err

@@ -58,7 +58,7 @@ def trained(flights, tmp_path_factory):
     return SimpleNamespace(world=models["world"], report=folder / "report", models=models)
 
 
-def test_info_says_what_is_in_the_file(trained):
+def test_model_info_matches_the_training_report(trained):
     info = json.loads(run("model", "info", trained.world, "--json").stdout)
     assert (info["schema"], info["schema_version"]) == ("downwash.model_info", 1)
     assert info["vehicle"] == "crazyflie" and info["hidden"] == [20, 20]
@@ -112,7 +112,7 @@ def by_hand(weights, model, features, velocity, body_rate, attitude, control):
 
 @pytest.mark.parametrize("features", ["world", "heading", "body"])
 @pytest.mark.parametrize("kind, model", [("net", "net"), ("hybrid", "residual")])
-def test_onnx_gives_what_the_weights_give(trained, tmp_path, features, kind, model):
+def test_onnx_matches_the_weights(trained, tmp_path, features, kind, model):
     path, onnx = trained.models[features], tmp_path / "model.onnx"
     run("model", "export", "--model", path, "--onnx", onnx, "--kind", kind)
     session = onnxruntime.InferenceSession(str(onnx), providers=["CPUExecutionProvider"])
@@ -134,7 +134,7 @@ def test_onnx_gives_what_the_weights_give(trained, tmp_path, features, kind, mod
         assert (np.abs(found - expected) <= 1e-4 * scale + 1e-12).all()
 
 
-def test_physics_have_no_network_to_export(trained, tmp_path):
+def test_exporting_the_physics_model_is_refused(trained, tmp_path):
     done = run("model", "export", "--model", trained.world, "--onnx", tmp_path / "a.onnx", "--kind", "physics", code=2)
     assert "[possible values: net, hybrid]" in done.stderr and not (tmp_path / "a.onnx").exists()
 
@@ -236,7 +236,7 @@ meaning = "thrust_fraction"
 """
 
 
-def test_tables_are_trained_on_and_predicted_row_by_row(flights, tmp_path):
+def test_training_and_prediction_from_tables(flights, tmp_path):
     mapping = tmp_path / "mapping.toml"
     mapping.write_text(MAPPING)
     tables = [write_table(log, tmp_path) for log in flights]
@@ -262,7 +262,7 @@ def test_tables_are_trained_on_and_predicted_row_by_row(flights, tmp_path):
     assert np.median(errors) < 0.01
 
 
-def test_eval_judges_on_logs(trained, flights):
+def test_eval_scores_every_predictor(trained, flights):
     found = json.loads(run("model", "eval", "--model", trained.world, *flights[:2], "--json").stdout)
     assert (found["schema"], len(found["logs"]), found["refused"]) == ("downwash.model_eval", 2, [])
     assert [one["model"] for one in found["one_step"]] == ["net", "physics", "hybrid"]
@@ -307,7 +307,7 @@ def test_logs_of_another_vehicle_are_refused(flights, tmp_path):
     assert "another vehicle" in done.stderr and "mass" in done.stderr and not model.exists()
 
 
-def test_an_interrupted_training_goes_on_to_the_same_file(program, flights, tmp_path):
+def test_a_resumed_training_gives_the_same_file(program, flights, tmp_path):
     long = ["--passes", "60", "--hidden", "24", "--regularization", "1e-5"]
     whole, model = tmp_path / "whole.safetensors", tmp_path / "model.safetensors"
     run("train", "--vehicle", CRAZYFLIE, *flights, "-o", whole, *long)
@@ -326,7 +326,7 @@ def test_an_interrupted_training_goes_on_to_the_same_file(program, flights, tmp_
     assert "no checkpoint" in run(*arguments, "--resume", code=2).stderr
 
 
-def test_the_report_stands_alone(trained):
+def test_the_report_loads_nothing_external(trained):
     page = (trained.report / "report.html").read_text()
     for word in ("http:", "https:", "<link", "src=", "@import", "url("):
         assert word not in page.replace("http://www.w3.org/2000/svg", "")

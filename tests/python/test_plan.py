@@ -59,7 +59,7 @@ def test_the_file_holds_the_plan(planned):
     assert summary["cost"] == plan["cost"] and summary["subproblems"] == len(plan["records"])
 
 
-def test_the_report_stands_alone(planned):
+def test_the_report_loads_nothing_external(planned):
     folder = planned[0].parent / "report"
     page = (folder / "report.html").read_text()
     for word in ("http:", "https:", "<link", "src=", "@import", "url("):
@@ -73,7 +73,7 @@ def fly(plan, folder, vehicle=CRAZYFLIE, code=4):
     ).stderr
 
 
-def test_only_its_own_vehicle_flies_it(planned, tmp_path):
+def test_a_plan_is_refused_for_another_vehicle(planned, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text(CRAZYFLIE.read_text().replace('name = "crazyflie"', 'name = "wasp"'))
     error = fly(planned[0], tmp_path, other)
@@ -86,7 +86,7 @@ def test_only_its_own_vehicle_flies_it(planned, tmp_path):
     assert not list(tmp_path.glob("*.mcap"))
 
 
-def test_a_plan_that_misses_its_dynamics_is_not_flown(planned, tmp_path):
+def test_a_plan_that_violates_its_dynamics_is_refused(planned, tmp_path):
     plan = json.loads(planned[0].read_text())
     plan["violation"]["defect"] = 0.02
     said = tmp_path / "said.json"
@@ -103,7 +103,7 @@ def test_damaged_plans_are_refused(planned, tmp_path):
         assert "damaged.json" in error and "plan it again" in error
 
 
-def test_no_time_leaves_a_file_that_is_not_flown(trajectory, tmp_path):
+def test_a_zero_time_limit_gives_an_unflyable_plan(trajectory, tmp_path):
     out = tmp_path / "plan.json"
     summary = json.loads(
         run("plan", trajectory, "-o", out, "--time-limit", 0, "--json", code=6).stdout
@@ -138,7 +138,7 @@ def test_an_interrupt_leaves_the_best_plan_so_far(program, tmp_path):
         ("keep_outs = []", ["keep_outs"]),
     ],
 )
-def test_impossible_settings(trajectory, tmp_path, text, words):
+def test_invalid_settings_are_refused(trajectory, tmp_path, text, words):
     config = tmp_path / "downwash.toml"
     config.write_text(f"[plan]\n{text}\n")
     error = run("plan", trajectory, "--config", config, "-o", tmp_path / "plan.json", code=2).stderr
@@ -146,7 +146,7 @@ def test_impossible_settings(trajectory, tmp_path, text, words):
         assert word in error
 
 
-def test_what_is_too_long_to_plan_is_refused_with_a_way_on(tmp_path):
+def test_a_trajectory_too_long_to_plan_suggests_replan(tmp_path):
     long = tmp_path / "long.csv"
     rows = (f"{0.05 * n:.2f},{(n % 40) / 100},0,-1\n" for n in range(100_000))
     long.write_text("t_s,n_m,e_m,d_m\n" + "".join(rows))
@@ -154,7 +154,7 @@ def test_what_is_too_long_to_plan_is_refused_with_a_way_on(tmp_path):
     assert "at most 100 s" in error and "--replan" in error and "--time-limit" not in error
 
 
-def test_an_absurd_trajectory_ends_with_a_reason(tmp_path):
+def test_an_unflyable_trajectory_gives_the_reason(tmp_path):
     wild = tmp_path / "wild.toml"
     wild.write_text(SHORT.replace("amplitude_m = 0.4", "amplitude_m = 5.0").replace("\nperiod_s = 3.0", "\nperiod_s = 0.6"))
     out = tmp_path / "plan.json"
@@ -162,6 +162,6 @@ def test_an_absurd_trajectory_ends_with_a_reason(tmp_path):
     assert json.loads(done.stdout)["not_flyable"] and "cannot be flown" in done.stderr
 
 
-def test_the_example_configuration_plans(trajectory, tmp_path):
+def test_the_example_configuration_gives_a_plan(trajectory, tmp_path):
     config = ROOT / "config/downwash.toml"
     run("plan", trajectory, "--config", config, "-o", tmp_path / "plan.json", "--time-limit", 60)

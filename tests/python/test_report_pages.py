@@ -108,13 +108,13 @@ PAGES = ("flight", "recording", "compare", "diagnosis", "onset", "plan")
 @pytest.mark.computes
 @pytest.mark.parametrize("name", ("experiment", "training", "exam"))
 @pytest.mark.parametrize(("width", "dark"), LOOKS)
-def test_a_page_of_long_work_fits_and_can_be_read(slow_pages, browser, name, width, dark):
+def test_slow_pages_fit_and_are_legible(slow_pages, browser, name, width, dark):
     check_look(slow_pages, browser, name, width, dark)
 
 
 @pytest.mark.parametrize("name", PAGES)
 @pytest.mark.parametrize(("width", "dark"), LOOKS)
-def test_a_page_fits_and_can_be_read(pages, browser, name, width, dark):
+def test_pages_fit_and_are_legible(pages, browser, name, width, dark):
     check_look(pages, browser, name, width, dark)
 
 
@@ -132,7 +132,7 @@ def check_look(pages, browser, name, width, dark):
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_a_page_is_whole_without_scripts(pages, browser, name):
+def test_pages_are_complete_without_scripts(pages, browser, name):
     browser.open(pages[name], 400, scripts=False)
     text = pages[name].read_text()
     assert str(pages[name].parent) not in text and str(ROOT) not in text
@@ -178,7 +178,7 @@ def test_charts_zoom_together_and_show_their_values(pages, browser):
     assert browser.complaints == []
 
 
-def test_a_legend_switches_its_curve(pages, browser):
+def test_a_legend_toggles_its_curve(pages, browser):
     browser.open(pages["flight"])
     curves = "[...document.querySelectorAll('#desired-and-flown .chart')][0].querySelectorAll('.curve[data-name=desired].off').length"
     assert browser.value(curves) == 0
@@ -186,7 +186,7 @@ def test_a_legend_switches_its_curve(pages, browser):
     assert browser.value(curves) == 3
 
 
-def test_an_event_leads_to_its_instant_and_the_path_turns(pages, browser):
+def test_an_event_link_zooms_and_the_path_rotates(pages, browser):
     browser.open(pages["flight"])
     at = browser.value(
         "(() => { const a = [...document.querySelectorAll('a[data-at]')].pop(); a.click(); return Number(a.dataset.at); })()"
@@ -226,7 +226,7 @@ def test_labels_of_the_path_do_not_overlap(pages, browser):
             assert browser.value(outside) == [], (name, width)
 
 
-def test_ten_minutes_of_flight_are_a_small_page(browser, tmp_path):
+def test_a_ten_minute_flight_makes_a_small_page(browser, tmp_path):
     (tmp_path / "long.toml").write_text(
         "family = 'sinusoid-xy'\naltitude_m = 1.0\nduration_s = 600.0\namplitude_m = [0.8, 0.6]\nperiod_s = [4.0, 4.0]\n"
     )

@@ -47,10 +47,10 @@ def check(schemas, name, text):
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
-    """A short programme, with what `collect` said of it."""
+    """A short programme, with what `collect` collected of it."""
     folder = tmp_path_factory.mktemp("flights")
-    said = run("collect", "--out", folder, "--seconds", 60, "--json", *DRAG)
-    return sorted(folder.glob("*.mcap")), said
+    collected = run("collect", "--out", folder, "--seconds", 60, "--json", *DRAG)
+    return sorted(folder.glob("*.mcap")), collected
 
 
 @pytest.fixture(scope="module")
@@ -58,12 +58,12 @@ def vehicle():
     return ROOT / "config/vehicles/crazyflie.toml"
 
 
-def test_every_schema_is_one(schemas):
+def test_every_schema_is_valid(schemas):
     for schema in schemas.values():
         jsonschema.Draft202012Validator.check_schema(schema)
 
 
-def test_the_pages_are_of_this_program(tmp_path):
+def test_the_reference_pages_are_current(tmp_path):
     run("reference", "--out", tmp_path)
     made = sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*.*"))
     kept = sorted(path.relative_to(ROOT / "docs/reference") for path in (ROOT / "docs/reference").rglob("*.*"))
@@ -73,7 +73,7 @@ def test_the_pages_are_of_this_program(tmp_path):
         assert text == (tmp_path / page).read_text(), f"{page}: downwash reference --out docs/reference"
 
 
-def test_vehicles_and_settings(schemas, vehicle):
+def test_vehicle_and_config_output(schemas, vehicle):
     check(schemas, "downwash.vehicle.list", run("vehicle", "list", "--json"))
     check(schemas, "downwash.vehicle.check", run("vehicle", "check", vehicle, "--json"))
     check(schemas, "downwash.vehicle.init", run("vehicle", "init", "--mass", 1, "--arm", 0.2, "--json"))
@@ -81,7 +81,7 @@ def test_vehicles_and_settings(schemas, vehicle):
 
 
 @pytest.mark.computes
-def test_sweeps_of_diagnoses_and_exams(schemas, flights, vehicle, tmp_path):
+def test_diagnosis_and_exam_sweep_output(schemas, flights, vehicle, tmp_path):
     (logs, _) = flights
     diagnoses, exam = tmp_path / "diagnoses.toml", tmp_path / "exam.toml"
     names = json.dumps([str(log) for log in logs])
@@ -97,7 +97,7 @@ def test_sweeps_of_diagnoses_and_exams(schemas, flights, vehicle, tmp_path):
     check(schemas, "downwash.sweep.exam", (tmp_path / "exam/summary.json").read_text())
 
 
-def test_simulate_and_sweep(schemas, tmp_path):
+def test_simulate_and_sweep_output(schemas, tmp_path):
     check(schemas, "downwash.simulate", run("simulate", "hover", "--out", tmp_path / "s", "--json", *DRAG))
     manifest = tmp_path / "sweep.toml"
     manifest.write_text("schema_version = 1\ntrajectory = 'hover'\n[grid]\nvehicle = ['crazyflie', 'none']\n")
@@ -112,9 +112,9 @@ def test_simulate_and_sweep(schemas, tmp_path):
         check(schemas, "downwash.sweep.point", line)
 
 
-def test_logs(schemas, flights, tmp_path):
-    logs, said = flights
-    check(schemas, "downwash.collect", said)
+def test_log_output(schemas, flights, tmp_path):
+    logs, collected = flights
+    check(schemas, "downwash.collect", collected)
     check(schemas, "downwash.log.info", run("log", "info", logs[0], "--json"))
     check(schemas, "downwash.log.audit", run("log", "audit", *logs, "--json"))
     check(schemas, "downwash.log.import", run("log", "import", logs[0], "-o", tmp_path / "i.mcap", "--json"))
@@ -122,7 +122,7 @@ def test_logs(schemas, flights, tmp_path):
 
 
 @pytest.mark.computes
-def test_models_and_plans(schemas, flights, vehicle, tmp_path):
+def test_model_and_plan_output(schemas, flights, vehicle, tmp_path):
     logs, _ = flights
     model = tmp_path / "m.safetensors"
     train = ["--hidden", 8, "--passes", 4, "--vehicle", vehicle, "-o", model, "--json"]
@@ -139,10 +139,10 @@ def test_models_and_plans(schemas, flights, vehicle, tmp_path):
 
 
 @pytest.mark.computes
-def test_diagnoses(schemas, flights, vehicle, tmp_path):
+def test_diagnose_output(schemas, flights, vehicle, tmp_path):
     logs, _ = flights
-    asked = ["--vehicle", vehicle, "--twins", 4, "--next-flight", tmp_path / "next.toml", "--json"]
-    answer = check(schemas, "downwash.diagnose", run("diagnose", *logs, *asked))
+    options = ["--vehicle", vehicle, "--twins", 4, "--next-flight", tmp_path / "next.toml", "--json"]
+    answer = check(schemas, "downwash.diagnose", run("diagnose", *logs, *options))
     assert answer["verdict"] == "effect"
     # Noise alone, and one flight.
     still = run("simulate", "figure-8", "--out", tmp_path / "s", "--json")
@@ -151,14 +151,14 @@ def test_diagnoses(schemas, flights, vehicle, tmp_path):
 
 
 @pytest.mark.computes
-def test_demos(schemas, tmp_path):
+def test_demo_output(schemas, tmp_path):
     demo = ["--fly", "model-free,physics", "--learn", 60, "--out", tmp_path / "demo", "--json"]
     check(schemas, "downwash.demo", run("demo", *demo, *DRAG))
 
 
 @pytest.mark.computes
 @pytest.mark.long
-def test_long_ones(schemas, tmp_path):
+def test_repair_demo_and_exam_output(schemas, tmp_path):
     repair = ["--diagnose", "--excite", 60, "--out", tmp_path / "repair", "--json"]
     check(schemas, "downwash.demo.diagnose", run("demo", *repair))
     exam = ["--cases", 2, "--nulls", 1, "--seed", 1, "--twins", 4, "--out", tmp_path / "exam", "--json"]

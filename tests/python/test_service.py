@@ -53,7 +53,7 @@ def in_flight(program, url):
             return metrics
 
 
-def test_a_flight_is_told_as_health_status_and_metrics(flight):
+def test_a_flight_serves_health_status_and_metrics(flight):
     program, url = flight()
     metrics = in_flight(program, url)
     assert value(metrics, "link_connected") == 1 and value(metrics, "armed") == 1
@@ -64,8 +64,8 @@ def test_a_flight_is_told_as_health_status_and_metrics(flight):
     for line in metrics.splitlines():
         assert re.fullmatch(r'# (HELP|TYPE) downwash_\w+ .+|downwash_\w+(\{\w+="[\w.]+"\})? -?[\d.e-]+', line), line
     status, text = get(f"{url}/status")
-    told = json.loads(text)
-    assert status == 200 and told["schema"] == "downwash.status" and told["armed"]
+    report = json.loads(text)
+    assert status == 200 and report["schema"] == "downwash.status" and report["armed"]
     assert get(f"{url}/health") == (200, "ok\n")
     # A control line that stands still is not well, and is well again.
     program.signal(signal.SIGSTOP)

@@ -48,7 +48,7 @@ def fly(folder, url, *options, **process):
     return run("fly", hover(folder), *arguments, **process)
 
 
-def test_a_key_is_the_owners_and_never_shown(tmp_path, key_file, config):
+def test_a_key_file_is_private_and_never_printed(tmp_path, key_file, config):
     assert key_file.stat().st_mode & 0o777 == 0o600
     assert len(key_of(key_file)) == 32
     secret = key_file.read_text().strip()
@@ -61,7 +61,7 @@ def test_a_key_is_the_owners_and_never_shown(tmp_path, key_file, config):
     assert "0600" in refused.stderr and secret not in refused.stderr
 
 
-def test_a_signed_flight_of_the_bundled_vehicle_leaves_no_key_in_its_log(tmp_path, key_file, config):
+def test_a_signed_flight_leaves_no_key_in_its_log(tmp_path, key_file, config):
     sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], ["--signing-key", str(key_file)])
     try:
         # Without the key only unsigned frames are readable, and the vehicle obeys none.
@@ -85,7 +85,7 @@ def test_a_signed_flight_of_the_bundled_vehicle_leaves_no_key_in_its_log(tmp_pat
 
 
 @pytest.mark.parametrize("right", [True, False], ids=["same-key", "other-key"])
-def test_pymavlink_signs_with_the_same_key_or_is_not_believed(tmp_path, key_file, config, right):
+def test_a_pymavlink_vehicle_needs_the_same_key(tmp_path, key_file, config, right):
     port = free_port()
     vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
     key = key_of(key_file) if right else bytes(range(32))
@@ -107,7 +107,7 @@ def test_pymavlink_signs_with_the_same_key_or_is_not_believed(tmp_path, key_file
         assert not vehicle.setpoints and not vehicle.armed
 
 
-def test_setup_gives_and_takes_a_key(tmp_path, key_file, config):
+def test_setup_installs_changes_and_removes_a_key(tmp_path, key_file, config):
     sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
     try:
         url = sitl.peer_url()
@@ -130,14 +130,14 @@ def test_setup_gives_and_takes_a_key(tmp_path, key_file, config):
         sitl.stop()
 
 
-def as_they_should_be():
+def expected_results():
     return [(name, right, right) for name, right, _ in ATTACKS]
 
 
 def test_the_bundled_vehicle_refuses_every_attack(key_file):
     sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], ["--signing-key", str(key_file)])
     try:
-        assert attack(sitl.peer_url(), key_of(key_file), "station") == as_they_should_be()
+        assert attack(sitl.peer_url(), key_of(key_file), "station") == expected_results()
     finally:
         sitl.stop()
 
@@ -146,13 +146,13 @@ def test_downwash_refuses_every_attack(tmp_path, key_file, config):
     port = free_port()
     listener = Program("inspect", "--connect", f"udpin:127.0.0.1:{port}", "--config", config, "--seconds", 60)
     try:
-        assert attack(f"udpout:127.0.0.1:{port}", key_of(key_file), "vehicle") == as_they_should_be()
+        assert attack(f"udpout:127.0.0.1:{port}", key_of(key_file), "vehicle") == expected_results()
     finally:
         listener.process.kill()
         listener.process.wait()
 
 
-def test_what_pymavlink_believes_is_what_the_docs_say(key_file):
+def test_attacks_that_pymavlink_accepts_match_the_docs(key_file):
     port = free_port()
     responder = subprocess.Popen([sys.executable, str(SUITE), f"udpin:127.0.0.1:{port}", "--key", str(key_file),
                                   "--respond"], stdout=subprocess.PIPE, text=True)

@@ -43,7 +43,7 @@ def answers(gcs, number, *params):
     return results, texts
 
 
-def test_px4(autopilot, pilot):
+def test_px4_behaviour(autopilot, pilot):
     gcs = pilot(autopilot("--autopilot", "px4").peer_url())
     assert gcs.wait("HEARTBEAT").autopilot == PX4
     gcs.link.mav.command_long_send(1, 1, REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
@@ -60,7 +60,7 @@ def test_px4(autopilot, pilot):
     assert gcs.wait("SERVO_OUTPUT_RAW").servo1_raw == 900
 
 
-def test_arducopter(autopilot, pilot):
+def test_arducopter_behaviour(autopilot, pilot):
     gcs = pilot(autopilot("--autopilot", "arducopter").peer_url())
     heartbeat = gcs.wait("HEARTBEAT")
     assert (heartbeat.autopilot, heartbeat.custom_mode) == (ARDUPILOT, 0)
@@ -76,7 +76,7 @@ def test_arducopter(autopilot, pilot):
     gcs.texts("Arming motors")
 
 
-def test_a_slipping_clock_is_told_by_timesync(autopilot, pilot):
+def test_timesync_shows_clock_drift(autopilot, pilot):
     gcs = pilot(autopilot(config="autopilot = 'px4'\n[clock]\nrate = 0.9\n").peer_url())
 
     def vehicle_and_host_ns():
@@ -93,7 +93,7 @@ def test_a_slipping_clock_is_told_by_timesync(autopilot, pilot):
     assert rate == pytest.approx(0.9, abs=0.02)
 
 
-def test_a_parameter_that_there_is_not_is_named(vehicle_file, tmp_path):
+def test_an_unknown_parameter_is_named(vehicle_file, tmp_path):
     path = tmp_path / "sitl.toml"
     path.write_text("autopilot = 'px4'\n[parameters]\nGUID_OPTIONS = 8\n")
     with pytest.raises(RuntimeError, match="parameters.GUID_OPTIONS"):

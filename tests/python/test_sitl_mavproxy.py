@@ -58,7 +58,7 @@ class MavProxy:
 
 
 @pytest.mark.parametrize("link", ["udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"])
-def test_session(sitl, pilot, tmp_path, link):
+def test_a_mavproxy_session(sitl, pilot, tmp_path, link):
     vehicle = sitl(link, "udpin:127.0.0.1:0")
     proxy = MavProxy(vehicle.peer_url(0), tmp_path)
     try:

@@ -34,7 +34,7 @@ def drone(sitl, request):
 
 
 @pytest.mark.parametrize("drone", [("udpin", "udpout"), ("tcpin", "tcpout")], indirect=True)
-def test_flight(drone):
+def test_a_mavsdk_flight(drone):
     action, telemetry, offboard = Action(drone), Telemetry(drone), Offboard(drone)
     until("health", telemetry.health_all_ok)
 

@@ -27,7 +27,7 @@ def as_float(value):
 
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("link", ["udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"])
-def test_flight(sitl, pilot, version, link):
+def test_a_pymavlink_flight(sitl, pilot, version, link):
     """Arm, take off, fly in OFFBOARD, land, disarm."""
     speed = 8
     vehicle = sitl(link, speed=speed)
@@ -57,7 +57,7 @@ def test_flight(sitl, pilot, version, link):
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_refusals(sitl, pilot, version):
+def test_refused_commands(sitl, pilot, version):
     gcs = pilot(sitl(speed=4).peer_url(), version=version)
     assert gcs.set_mode(OFFBOARD) == ACCEPTED, "any mode may be chosen while disarmed"
     assert gcs.arm() == REJECTED
@@ -76,7 +76,7 @@ def test_refusals(sitl, pilot, version):
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_parameters(sitl, pilot, version):
+def test_parameter_protocol(sitl, pilot, version):
     gcs = pilot(sitl().peer_url(), version=version)
     action = gcs.parameter("COM_OBL_RC_ACT")
     assert (action.param_type, as_int(action.param_value)) == (6, 4)
@@ -102,8 +102,8 @@ def test_parameters(sitl, pilot, version):
 @bounds_time
 def test_message_intervals_are_met(sitl, pilot):
     gcs = pilot(sitl().peer_url())
-    asked = {"ATTITUDE_QUATERNION": (31, 250), "HIGHRES_IMU": (105, 250), "ODOMETRY": (331, 100)}
-    for number, rate in asked.values():
+    requested = {"ATTITUDE_QUATERNION": (31, 250), "HIGHRES_IMU": (105, 250), "ODOMETRY": (331, 100)}
+    for number, rate in requested.values():
         assert gcs.command(SET_INTERVAL, number, 1e6 / rate) == ACCEPTED
     assert gcs.command(SET_INTERVAL, 30, -1) == ACCEPTED
     counts, first, last = {}, {}, {}
@@ -117,13 +117,13 @@ def test_message_intervals_are_met(sitl, pilot):
         stamp = getattr(message, "time_usec", 1000 * getattr(message, "time_boot_ms", 0))
         first.setdefault(name, stamp)
         last[name] = stamp
-    for name, (_, rate) in asked.items():
+    for name, (_, rate) in requested.items():
         got = (counts[name] - 1) / (last[name] - first[name]) * 1e6
         assert got == pytest.approx(rate, rel=0.02), name
     assert counts.get("ATTITUDE", 0) <= 1
 
 
-def test_it_says_what_it_is(sitl, pilot):
+def test_mode_version_and_timesync_replies(sitl, pilot):
     gcs = pilot(sitl().peer_url())
     assert gcs.wait("CURRENT_MODE", timeout=3).intended_custom_mode == HOLD << 24 | AUTO << 16
     gcs.link.mav.command_long_send(1, 1, REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
@@ -173,7 +173,7 @@ def test_the_pilot_takes_over(sitl, pilot):
     daemon.wait_mode(POSCTL, between=daemon.setpoint)
 
 
-def test_serial_line(sitl, pilot):
+def test_a_serial_line(sitl, pilot):
     """Through a pseudo-terminal: the vehicle on one end, pymavlink's bytes on the other."""
     ours, theirs = pty.openpty()
     name = os.ttyname(theirs)
@@ -224,7 +224,7 @@ def test_a_busy_port_is_an_error(sitl, vehicle_file):
         (["--effect", "mass:mass_kg=-1"], "mass_kg"),
     ],
 )
-def test_wrong_options_are_explained(vehicle_file, options, words):
+def test_invalid_options_are_explained(vehicle_file, options, words):
     command = sitl_command()
     if "--vehicle" not in options:
         command += ["--vehicle", str(vehicle_file)]
@@ -233,7 +233,7 @@ def test_wrong_options_are_explained(vehicle_file, options, words):
     assert words in done.stderr
 
 
-def test_terminate_is_a_clean_end(vehicle_file):
+def test_sigterm_ends_cleanly(vehicle_file):
     import signal
 
     vehicle = Sitl(vehicle_file, ["udpin:127.0.0.1:0"])

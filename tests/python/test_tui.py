@@ -82,7 +82,7 @@ def flight(tmp_path):
         vehicle.stop()
 
 
-def test_a_flight_on_one_screen_from_take_off_to_landing(flight):
+def test_the_screen_follows_a_flight_to_its_landing(flight):
     screen = flight(duration=1.0)
     screen.until("state", "link", "events", "q or Ctrl-C: land and stop")
     screen.until("state track", "mode Offboard", "armed", "link connected", "attitude roll", "error n")
@@ -94,7 +94,7 @@ def test_a_flight_on_one_screen_from_take_off_to_landing(flight):
 
 
 @pytest.mark.parametrize("key", ["q", "\x03"], ids=["q", "ctrl-c"])
-def test_a_key_lands_and_the_exit_code_says_so(flight, key):
+def test_the_quit_key_lands_with_exit_code_130(flight, key):
     screen = flight()
     screen.until("state track")
     screen.child.send(key)
@@ -103,7 +103,7 @@ def test_a_key_lands_and_the_exit_code_says_so(flight, key):
     assert screen.is_restored()
 
 
-def test_a_signal_leaves_the_terminal_as_it_was(flight):
+def test_a_signal_restores_the_terminal(flight):
     screen = flight()
     screen.until("state track")
     for _ in range(2):
@@ -113,7 +113,7 @@ def test_a_signal_leaves_the_terminal_as_it_was(flight):
     assert screen.is_restored()
 
 
-def test_the_terminal_s_settings_are_given_back(flight):
+def test_terminal_settings_are_restored(flight):
     """A shell goes on in the same terminal: its settings are as before."""
     screen = flight()
     screen.until("state")

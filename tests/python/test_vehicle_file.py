@@ -69,13 +69,13 @@ def px4(tmp_path):
     vehicle.stop()
 
 
-def test_a_file_is_made_of_what_the_vehicle_on_the_link_says(px4, tmp_path):
+def test_init_makes_a_file_from_the_connected_vehicle(px4, tmp_path):
     vehicle, url = px4
     before = dict(vehicle.params)
     done = downwash(tmp_path, "vehicle", "init", "--connect", url, "-o", "quad.toml", "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert (told["schema"], told["autopilot"], told["missing"]) == ("downwash.vehicle.init", "PX4", [])
+    summary = json.loads(done.stdout)
+    assert (summary["schema"], summary["autopilot"], summary["missing"]) == ("downwash.vehicle.init", "PX4", [])
     # Nothing was set, no stream was asked for, nothing was armed.
     assert vehicle.params == before
     assert {command for command, _, _ in vehicle.commands} <= {512}
@@ -96,7 +96,7 @@ def test_a_file_is_made_of_what_the_vehicle_on_the_link_says(px4, tmp_path):
     assert done.returncode == 2 and "--force" in done.stderr
 
 
-def test_nobody_on_the_link_is_told_within_seconds(tmp_path):
+def test_init_reports_a_silent_link_within_seconds(tmp_path):
     command = [*DOWNWASH, "vehicle", "init", "--connect", f"udpin:127.0.0.1:{free_port()}"]
     waiting = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
@@ -108,7 +108,7 @@ def test_nobody_on_the_link_is_told_within_seconds(tmp_path):
     assert waiting.returncode == 130
 
 
-def test_a_parameter_file_does_as_well(tmp_path):
+def test_init_reads_a_parameter_file(tmp_path):
     rows = [f"1\t1\t{name}\t{value:.18f}\t{6 if isinstance(value, int) else 9}" for name, value in SIH.items()]
     (tmp_path / "my.params").write_text("# Onboard parameters for Vehicle 1\n" + "\n".join(rows) + "\n")
     done = downwash(tmp_path, "vehicle", "init", "my.params", "--mass", "1.2", "--name", "mine", "--inertia", "0.02,0.02,0.03")
@@ -119,7 +119,7 @@ def test_a_parameter_file_does_as_well(tmp_path):
     assert file["hover_thrust"] == pytest.approx(1.2 * 9.80665 / 20, rel=1e-4)
 
 
-def test_what_is_missing_is_named_with_the_way_to_measure_it(tmp_path):
+def test_init_names_each_missing_value_and_its_option(tmp_path):
     done = downwash(tmp_path, "vehicle", "init", "--arm", "0.22", "-o", "quad.toml")
     assert done.returncode == 0
     assert "missing: mass" in done.stderr and "--mass" in done.stderr
@@ -127,13 +127,13 @@ def test_what_is_missing_is_named_with_the_way_to_measure_it(tmp_path):
     assert done.returncode == 2 and "no key mass" in done.stderr
 
 
-def test_what_holds_no_parameters_is_refused_by_name(tmp_path):
+def test_a_file_without_parameters_is_refused_by_name(tmp_path):
     done = downwash(tmp_path, "vehicle", "init", CRAZYFLIE)
     assert done.returncode == 2
     assert "crazyflie.toml" in done.stderr and "parameter file" in done.stderr
 
 
-def test_a_mass_in_grams_is_told_before_any_use(tmp_path):
+def test_a_mass_in_grams_is_refused(tmp_path):
     text = CRAZYFLIE.read_text().replace("mass = 0.030", "mass = 30.0")
     (tmp_path / "grams.toml").write_text(text)
     (tmp_path / "hover.toml").write_text(SHORT_HOVER)
@@ -151,7 +151,7 @@ def test_a_mass_in_grams_is_told_before_any_use(tmp_path):
     assert done.returncode == 2 and "at most 1e6" in done.stderr
 
 
-def test_shipped_vehicles_and_trajectories_go_by_their_names_from_any_folder(tmp_path):
+def test_shipped_files_are_found_by_name(tmp_path):
     listed = json.loads(downwash(tmp_path, "vehicle", "list", "--json").stdout)
     vehicles = [vehicle["name"] for vehicle in listed["vehicles"]]
     assert "crazyflie" in vehicles and "figure-8" in [entry["name"] for entry in listed["trajectories"]]
@@ -163,7 +163,7 @@ def test_shipped_vehicles_and_trajectories_go_by_their_names_from_any_folder(tmp
     assert done.returncode == 2 and "crazyflie, quad1200" in done.stderr
 
 
-def test_a_file_is_held_against_a_flight(tmp_path):
+def test_check_compares_a_file_with_a_flight(tmp_path):
     done = downwash(tmp_path, "collect", "--out", "flights", "--seconds", "40", "--vehicle", "crazyflie", timeout=300)
     assert done.returncode == 0, done.stderr
     (flight,) = (tmp_path / "flights").glob("*unstructured*.mcap")

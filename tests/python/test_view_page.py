@@ -47,7 +47,7 @@ def check_clean(browser, url):
     assert set(browser.requests) <= {url, "data:,"}
 
 
-def test_a_flight_is_seen_as_it_happens(program, browser, tmp_path):
+def test_the_page_shows_a_flight_live(program, browser, tmp_path):
     (tmp_path / "hover.toml").write_text(HOVER)
     flight = program("simulate", tmp_path / "hover.toml", "--no-log", "--view=127.0.0.1:0")
     url = address(flight)
@@ -68,7 +68,7 @@ def test_a_flight_is_seen_as_it_happens(program, browser, tmp_path):
     browser.until("document.getElementById('link').className === 'bad'")
 
 
-def test_a_log_is_played_paused_and_sought_in(program, browser, log):
+def test_a_log_plays_pauses_and_seeks(program, browser, log):
     replay = program("replay", log, "--view=127.0.0.1:0", "--paused")
     url = address(replay)
     browser.open(url, 1400, 1000)
@@ -123,7 +123,7 @@ def writable(program, tmp_path):
     sitl.stop()
 
 
-def test_the_goal_is_moved_from_the_page(writable, browser, tmp_path):
+def test_the_page_moves_the_goal(writable, browser, tmp_path):
     flight, url = writable
     browser.open(url, 1400, 1000)
     browser.until(f"{STATE} === 'track' && !document.getElementById('change').hidden")
@@ -132,7 +132,7 @@ def test_the_goal_is_moved_from_the_page(writable, browser, tmp_path):
     before = browser.value("known.state.p")
     fill = """(values => { [...document.querySelectorAll('#writable input')].forEach((input, i) => input.value = values[i]);
         document.querySelector('#change button').click(); })"""
-    # Too far is refused, and said so; nothing moves.
+    # Too far is refused, and logged so; nothing moves.
     browser.value(f"{fill}([9, 0, 0, 1])")
     browser.until("document.getElementById('events').textContent.includes('a goal moves by at most 3 m')")
     browser.value(f"{fill}([1, -0.5, 0.4, 1.2])")
@@ -146,14 +146,14 @@ def test_the_goal_is_moved_from_the_page(writable, browser, tmp_path):
     flight.signal(2)
     flight.finish()
     # Both are in the log.
-    said = logged_events(next(tmp_path.glob("*.mcap")))
-    assert any("a viewer's change is refused (goal 9.00 m north" in text for text in said)
-    assert any("a viewer's change: goal 1.00 m north, -0.50 m east, 0.40 m up" in text for text in said)
+    logged = logged_events(next(tmp_path.glob("*.mcap")))
+    assert any("a viewer's change is refused (goal 9.00 m north" in text for text in logged)
+    assert any("a viewer's change: goal 1.00 m north, -0.50 m east, 0.40 m up" in text for text in logged)
 
 
 @pytest.mark.parametrize("width", [1400, 400])
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_what_can_be_changed_fits(writable, browser, width, dark):
+def test_the_change_form_fits(writable, browser, width, dark):
     _, url = writable
     browser.open(url, width, 1000, dark=dark)
     browser.until("!document.getElementById('change').hidden && known.state")
@@ -164,7 +164,7 @@ def test_what_can_be_changed_fits(writable, browser, width, dark):
     check_clean(browser, url)
 
 
-def test_nothing_is_served_unless_asked_for(program, hover, tmp_path):
+def test_without_view_no_port_is_opened(program, hover, tmp_path):
     """A flight without --view listens on no TCP port."""
     flight = program("fly", hover, "--connect", "udpin:127.0.0.1:0", "--vehicle", "crazyflie", "--log-dir", tmp_path)
     flight.says("link open")

@@ -8,7 +8,7 @@ from conftest import CRAZYFLIE
 QUICK = "[offboard.supervisor]\nhold_s = 0.5\n"
 
 
-def test_a_second_flight_frees_the_vehicle_from_offboard(program, hover, sitl, pilot, tmp_path):
+def test_a_second_flight_leaves_offboard_before_arming(program, hover, sitl, pilot, tmp_path):
     vehicle = sitl("udpin:127.0.0.1:0", "udpin:127.0.0.1:0", file=CRAZYFLIE)
     watcher = pilot(vehicle.peer_url(1))
     for turn in (1, 2):
@@ -25,7 +25,7 @@ def test_a_second_flight_frees_the_vehicle_from_offboard(program, hover, sitl, p
         assert len(list(tmp_path.glob("*.mcap"))) == turn
 
 
-def test_collect_flies_one_flight_after_the_other(program, sitl, tmp_path):
+def test_collect_flies_in_sequence_and_resumes(program, sitl, tmp_path):
     vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
     configuration = tmp_path / "quick.toml"
     configuration.write_text(QUICK)

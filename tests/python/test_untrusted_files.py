@@ -1,4 +1,4 @@
-"""Files of strangers cost bounded time and memory: lengths of 2^63, a depth of a million, gigabytes of
+"""Files of strangers cost set_limits time and memory: lengths of 2^63, a depth of a million, gigabytes of
 zeros that take no room, and much that is packed in little."""
 
 import io
@@ -20,14 +20,14 @@ HUGE = 1 << 63
 SPARSE = 8 << 30
 
 
-def bounded():
+def set_limits():
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
 
 
-def ends(program, *arguments, codes=(2,), words=()):
-    """The command ends with one of the codes: not by a signal, a panic or without memory."""
-    one = program(*arguments, preexec_fn=bounded)
+def exits(program, *arguments, codes=(2,), words=()):
+    """The command exits with one of the codes: not by a signal, a panic or without memory."""
+    one = program(*arguments, preexec_fn=set_limits)
     code, _ = one.finish(120)
     assert code in codes, (code, one.err)
     assert "panicked" not in one.err, one.err
@@ -120,28 +120,28 @@ LOGS = {
 
 
 @pytest.mark.parametrize("name", LOGS)
-def test_a_log(program, tmp_path, name):
+def test_hostile_logs(program, tmp_path, name):
     path = tmp_path / name
     path.write_bytes(LOGS[name])
     # Some hold nothing, some a little that is read; a log that is none is refused.
     codes = (0, 1, 2, 5, 10)
-    ends(program, "log", "import", path, "--out", tmp_path / "out", codes=codes)
+    exits(program, "log", "import", path, "--out", tmp_path / "out", codes=codes)
     if name.endswith(".mcap"):
-        ends(program, "log", "info", path, codes=codes)
-    ends(program, "audit", path, codes=codes)
+        exits(program, "log", "info", path, codes=codes)
+    exits(program, "audit", path, codes=codes)
 
 
 HEADS = {"a.mcap": MAGIC, "a.ulg": ULOG, "a.bin": dataflash(), "a.csv": b"t,x\n0,1\n"}
 
 
 @pytest.mark.parametrize("name", HEADS)
-def test_a_log_of_one_length(program, tmp_path, name):
+def test_headers_followed_by_zeros(program, tmp_path, name):
     """What follows a log's beginning is zeros, of which no record begins."""
     path = tmp_path / name
     with open(path, "wb") as file:
         file.write(HEADS[name])
         file.truncate(16 << 20)
-    ends(program, "log", "import", path, "--out", tmp_path / "out", codes=(0, 1, 2, 5, 10))
+    exits(program, "log", "import", path, "--out", tmp_path / "out", codes=(0, 1, 2, 5, 10))
 
 
 # --- models -------------------------------------------------------------------------------------
@@ -175,10 +175,10 @@ MODELS = {
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_model(program, tmp_path, name):
+def test_hostile_models(program, tmp_path, name):
     path = tmp_path / "model.safetensors"
     path.write_bytes(MODELS[name]())
-    ends(program, "model", "info", path, words=["model.safetensors"])
+    exits(program, "model", "info", path, words=["model.safetensors"])
 
 
 # --- files that people write --------------------------------------------------------------------
@@ -196,59 +196,59 @@ def deep_json(key="mass"):
     return f'{{"{key}": ' + "[" * DEPTH + "]" * DEPTH + "}"
 
 
-WRITTEN = {"deep": deep_toml, "dotted": dotted_toml, "json": deep_json, "sparse": None, "tables": lambda: "[" + ".".join("a" * DEPTH) + "]\nb = 1"}
+TEXTS = {"deep": deep_toml, "dotted": dotted_toml, "json": deep_json, "sparse": None, "tables": lambda: "[" + ".".join("a" * DEPTH) + "]\nb = 1"}
 
 
-@pytest.fixture(params=WRITTEN)
-def written(request, tmp_path):
+@pytest.fixture(params=TEXTS)
+def hostile_file(request, tmp_path):
     """A file of any kind that says too much."""
 
     def make(name):
         path = tmp_path / name
-        if WRITTEN[request.param] is None:
+        if TEXTS[request.param] is None:
             return sparse(path, b"# ")
-        path.write_text(WRITTEN[request.param]())
+        path.write_text(TEXTS[request.param]())
         return path
 
     return make
 
 
-def test_a_vehicle(program, written):
+def test_hostile_vehicle_files(program, hostile_file):
     for name in ("vehicle.toml", "vehicle.json"):
-        ends(program, "sitl", "--vehicle", written(name), "--link", "udpin:127.0.0.1:0", words=[name])
+        exits(program, "sitl", "--vehicle", hostile_file(name), "--link", "udpin:127.0.0.1:0", words=[name])
 
 
-def test_a_trajectory(program, written, tmp_path):
+def test_hostile_trajectory_files(program, hostile_file, tmp_path):
     arguments = ["--vehicle", CRAZYFLIE, "--connect", "udpout:127.0.0.1:9", "--log-dir", tmp_path]
     for name in ("trajectory.toml", "trajectory.csv", "plan.json"):
-        ends(program, "fly", written(name), *arguments, words=[name])
+        exits(program, "fly", hostile_file(name), *arguments, words=[name])
 
 
-def test_effects(program, written):
-    path = written("effects.toml")
-    ends(program, "sitl", "--vehicle", CRAZYFLIE, "--link", "udpin:127.0.0.1:0", "--effect", f"@{path}", words=["effects.toml"])
+def test_hostile_effects_files(program, hostile_file):
+    path = hostile_file("effects.toml")
+    exits(program, "sitl", "--vehicle", CRAZYFLIE, "--link", "udpin:127.0.0.1:0", "--effect", f"@{path}", words=["effects.toml"])
 
 
-def test_a_configuration(program, written):
-    path = written("downwash.toml")
-    ends(program, "daemon", "--config", path, words=["downwash.toml"])
-    ends(program, "sitl", "--vehicle", CRAZYFLIE, "--link", "udpin:127.0.0.1:0", "--config", path, words=["downwash.toml"])
+def test_hostile_configurations(program, hostile_file):
+    path = hostile_file("downwash.toml")
+    exits(program, "daemon", "--config", path, words=["downwash.toml"])
+    exits(program, "sitl", "--vehicle", CRAZYFLIE, "--link", "udpin:127.0.0.1:0", "--config", path, words=["downwash.toml"])
 
 
-def test_a_manifest(program, written, tmp_path):
-    ends(program, "sweep", written("manifest.toml"), "--out", tmp_path / "out", words=["manifest.toml"])
+def test_hostile_sweep_manifests(program, hostile_file, tmp_path):
+    exits(program, "sweep", hostile_file("manifest.toml"), "--out", tmp_path / "out", words=["manifest.toml"])
 
 
-def test_a_campaign_script(program, written):
+def test_hostile_campaign_scripts(program, hostile_file):
     for name in ("script.json", "script.toml"):
-        ends(program, "campaign", "--script", written(name), words=[name])
+        exits(program, "campaign", "--script", hostile_file(name), words=[name])
 
 
-def test_a_mapping(program, written, tmp_path):
+def test_hostile_mappings(program, hostile_file, tmp_path):
     table = tmp_path / "flight.csv"
     table.write_text("t,x\n0,1\n1,2\n")
-    path = written("mapping.toml")
-    ends(program, "log", "import", table, "--mapping", path, "--out", tmp_path / "out", words=["mapping.toml"])
+    path = hostile_file("mapping.toml")
+    exits(program, "log", "import", table, "--mapping", path, "--out", tmp_path / "out", words=["mapping.toml"])
 
 
 LAWS = {
@@ -260,10 +260,10 @@ LAWS = {
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_a_law(program, tmp_path, name):
+def test_hostile_laws(program, tmp_path, name):
     path = tmp_path / "vehicle.toml"
     path.write_text(CRAZYFLIE.read_text() + f'\n[[laws]]\nname = "wide"\nthrust = "{LAWS[name]}"\n')
-    ends(program, "sitl", "--vehicle", path, "--link", "udpin:127.0.0.1:0", words=["vehicle.toml"])
+    exits(program, "sitl", "--vehicle", path, "--link", "udpin:127.0.0.1:0", words=["vehicle.toml"])
 
 
 TRAJECTORIES = {
@@ -274,14 +274,14 @@ TRAJECTORIES = {
 
 
 @pytest.mark.parametrize("name", TRAJECTORIES)
-def test_a_trajectory_that_is_long(program, tmp_path, name):
+def test_trajectories_of_extreme_size(program, tmp_path, name):
     path = tmp_path / "trajectory.toml"
     path.write_text(TRAJECTORIES[name])
     arguments = ["--vehicle", CRAZYFLIE, "--connect", "udpout:127.0.0.1:9", "--log-dir", tmp_path]
-    ends(program, "fly", path, *arguments, codes=(2, 4), words=["trajectory.toml"])
+    exits(program, "fly", path, *arguments, codes=(2, 4), words=["trajectory.toml"])
 
 
-def test_a_process_without_bounds_would_be_seen(program, tmp_path):
+def test_the_memory_limit_catches_an_unbounded_read(program, tmp_path):
     """What the bounds are: a file of 8 GiB takes no room, and no process of 1 GiB holds it."""
     path = sparse(tmp_path / "zeros")
     assert os.stat(path).st_blocks * 512 < 1 << 20
