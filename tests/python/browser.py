@@ -1,4 +1,4 @@
-"""A browser for the tests: Chromium without a window, driven through a pair of pipes."""
+"""Headless Chromium for the tests, driven with the DevTools protocol through two pipes."""
 
 import itertools
 import json
@@ -22,12 +22,12 @@ FLAGS = (
     "--force-color-profile=srgb",
     "--remote-debugging-pipe",
 )
-# Longer than any page takes, for a machine that does much beside.
+# Longer than any page takes, also on a busy machine.
 PATIENCE_S = 120
 
 
 class Browser:
-    """One page at a time. `complaints` are errors of the page, `requests` what it asked the world for."""
+    """One page at a time. `complaints` holds its errors and console messages, `requests` the URLs it fetched."""
 
     def __init__(self):
         program = next(filter(None, map(shutil.which, PROGRAMS)), None)
@@ -36,7 +36,7 @@ class Browser:
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         to_browser, self._write = os.pipe()
         self._read, from_browser = os.pipe()
-        # It takes orders from 3 and answers on 4.
+        # Chromium reads commands from descriptor 3 and writes to 4.
         command = f'exec "$@" 3<&{to_browser} 4>&{from_browser}'
         self.process = subprocess.Popen(
             ["bash", "-c", command, "bash", program, *FLAGS, f"--user-data-dir={self._folder.name}"],
@@ -74,29 +74,29 @@ class Browser:
         if "id" in message:
             self._answers[message["id"]] = message
             return
-        method, said = message["method"], message["params"]
+        method, params = message["method"], message["params"]
         self._events.append(method)
         if method == "Runtime.exceptionThrown":
-            details = said["exceptionDetails"]
+            details = params["exceptionDetails"]
             self.complaints.append(details.get("exception", {}).get("description", details["text"]))
         elif method == "Runtime.consoleAPICalled":
-            self.complaints.append(" ".join(str(part.get("value", part.get("description"))) for part in said["args"]))
+            self.complaints.append(" ".join(str(part.get("value", part.get("description"))) for part in params["args"]))
         elif method == "Log.entryAdded":
-            self.complaints.append(said["entry"]["text"])
+            self.complaints.append(params["entry"]["text"])
         elif method == "Network.requestWillBeSent":
-            self.requests.append(said["request"]["url"])
+            self.requests.append(params["request"]["url"])
 
     def _wait(self, what):
         with self._news:
             if not self._news.wait_for(lambda: self._ended or what(), PATIENCE_S) or not what():
-                raise RuntimeError("the browser does not answer")
+                raise RuntimeError("no answer from the browser")
 
     def _ask(self, method, session=None, **params):
         number = next(self._numbers)
-        order = {"id": number, "method": method, "params": params}
+        request = {"id": number, "method": method, "params": params}
         if session:
-            order["sessionId"] = session
-        os.write(self._write, json.dumps(order).encode() + b"\0")
+            request["sessionId"] = session
+        os.write(self._write, json.dumps(request).encode() + b"\0")
         self._wait(lambda: number in self._answers)
         answer = self._answers.pop(number)
         if "error" in answer:
@@ -104,11 +104,11 @@ class Browser:
         return answer["result"]
 
     def ask(self, method, **params):
-        """An order to the page, as of the DevTools protocol."""
+        """Sends the page a DevTools command and returns its result."""
         return self._ask(method, self._session, **params)
 
     def open(self, page, width=1400, height=900, dark=False, scripts=True):
-        """Shows a file, or what is at an address, at a width in pixels."""
+        """Opens a file or a URL in a viewport of the given size in pixels."""
         self.complaints.clear()
         self.ask("Emulation.setScriptExecutionDisabled", value=not scripts)
         self.ask("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
@@ -121,21 +121,21 @@ class Browser:
         self._wait(lambda: "Page.loadEventFired" in self._events)
 
     def value(self, expression):
-        """What an expression of the page's is."""
+        """Evaluates a JavaScript expression in the page and returns its value."""
         result = self.ask("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in result:
             raise RuntimeError(result["exceptionDetails"]["exception"]["description"])
         return result["result"].get("value")
 
     def until(self, condition):
-        """Waits in the page, picture by picture, until a condition holds; its value."""
+        """Evaluates a condition at each animation frame until it holds; returns its value."""
         wait = """new Promise((done, failed) => {
             const begun = performance.now();
             const look = () => {
                 let value = null;
                 try { value = CONDITION; } catch (error) { value = null; }
                 if (value) done(value);
-                else if (performance.now() - begun > 45000) failed(new Error("never"));
+                else if (performance.now() - begun > 45000) failed(new Error("the condition never held"));
                 else requestAnimationFrame(look);
             };
             look();
@@ -143,14 +143,14 @@ class Browser:
         return self.value(wait.replace("CONDITION", f"({condition})"))
 
     def frame(self):
-        """Waits until the page has drawn what was asked of it."""
+        """Waits until the page has drawn pending changes."""
         self.value("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))")
 
     def mouse(self, kind, x, y, **params):
         self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, **params)
 
     def picture(self, path, clip=None):
-        """Writes what is seen, or the whole page, as PNG."""
+        """Writes a screenshot as PNG, of the rectangle `clip` if given."""
         import base64
 
         options = {"clip": {**clip, "scale": 1}} if clip else {}

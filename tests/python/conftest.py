@@ -1,4 +1,4 @@
-"""The vehicle under test as a process, and a pymavlink peer that waits for messages."""
+"""Shared fixtures: `downwash` and its simulated vehicle as processes, and a pymavlink client."""
 
 import json
 import os
@@ -18,16 +18,16 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def pytest_configure(config):
     config.addinivalue_line("markers", "long: only tests/run --all runs it")
-    config.addinivalue_line("markers", "computes: takes the whole machine, so no real-time flight runs beside it")
+    config.addinivalue_line("markers", "computes: uses every core, so it never runs beside a real-time flight")
 
 
-# Where both signals take one path, the second one is for tests/run --all.
+# Where both signals take the same code path, only tests/run --all tests SIGTERM.
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
 SIGNALS_TERM_LONG = pytest.mark.parametrize(
     "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)], ids=["int", "term"]
 )
 
-# One vehicle for the tests, in the schema of vehicle files.
+# The test vehicle, in the schema of vehicle files.
 VEHICLE = {
     "name": "test_quad",
     "mass": 0.5,
@@ -55,12 +55,12 @@ HOVER = VEHICLE["hover_thrust"]
 
 
 def downwash_command():
-    """How `downwash` is started: the program named by DOWNWASH_BIN, else the one that was built last."""
+    """The command that starts `downwash`: DOWNWASH_BIN, else the newest build."""
     if "DOWNWASH_BIN" in os.environ:
         return [os.environ["DOWNWASH_BIN"]]
     target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
     built = [path for path in (target / "release/downwash", target / "debug/downwash") if path.exists()]
-    # Never an error here: most tests need only the vehicle.
+    # No error if there is no build: most tests need only the vehicle.
     return [str(max(built, key=lambda path: path.stat().st_mtime, default="downwash"))]
 
 
@@ -68,7 +68,7 @@ DOWNWASH = downwash_command()
 
 
 def sitl_command():
-    """How the vehicle is started: `downwash sitl`, or the `downwash-sitl` program."""
+    """The command that starts the simulated vehicle: `downwash sitl`, or the `downwash-sitl` program."""
     if "DOWNWASH_BIN" in os.environ:
         return [os.environ["DOWNWASH_BIN"], "sitl"]
     if "DOWNWASH_SITL_BIN" in os.environ:
@@ -85,7 +85,7 @@ def sitl_command():
 
 
 class Sitl:
-    """A running vehicle. `urls` are its links as it names them, with the ports the system chose."""
+    """A running simulated vehicle. `urls` are its links as it prints them, with the ports the system chose."""
 
     def __init__(self, vehicle_file, links, options=()):
         command = sitl_command() + ["--vehicle", str(vehicle_file)]
@@ -127,7 +127,7 @@ SHORT_HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 1.0\n"
 
 
 class Program:
-    """A running `downwash`. Its stderr is read line by line as it comes."""
+    """A running `downwash`. A thread reads its stderr line by line."""
 
     def __init__(self, *arguments, **options):
         self.process = subprocess.Popen(
@@ -158,7 +158,7 @@ class Program:
         return "\n".join(self.lines)
 
     def says(self, words, since=0, timeout=30.0):
-        """Waits for a line with the words, from line number `since` on; returns the number after it."""
+        """Waits for a line with `words`, from line number `since` on; returns the number of the next line."""
         end = time.monotonic() + timeout
         with self._news:
             while True:
@@ -167,12 +167,12 @@ class Program:
                         return number + 1
                 left = end - time.monotonic()
                 if self._ended or left <= 0:
-                    raise AssertionError(f"never said {words!r}:\n{self.err}")
+                    raise AssertionError(f"no line with {words!r}:\n{self.err}")
                 since = len(self.lines)
                 self._news.wait(left)
 
     def cpu_s(self):
-        """Processor time so far, of the user's and the system's."""
+        """Processor time so far, user and system."""
         fields = Path(f"/proc/{self.process.pid}/stat").read_text().rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -180,7 +180,7 @@ class Program:
         self.process.send_signal(number)
 
     def finish(self, timeout=60.0):
-        """Waits for the end; the exit code and stdout."""
+        """Waits for the program to end; returns its exit code and stdout."""
         out = self.process.stdout.read() if self._wait(timeout) else ""
         return self.process.returncode, out
 
@@ -203,7 +203,7 @@ class Program:
 
 @pytest.fixture
 def program():
-    """Starts `downwash` with arguments; what still runs after the test is killed."""
+    """Starts `downwash` with the given arguments, and kills what still runs after the test."""
     running = []
 
     def start(*arguments, **options):
@@ -232,7 +232,7 @@ def vehicle_file(tmp_path_factory):
 
 @pytest.fixture
 def sitl(vehicle_file):
-    """Starts vehicles; every one is stopped after the test and must end cleanly."""
+    """Starts simulated vehicles, stops them after the test, and requires a clean exit."""
     running = []
 
     def start(*links, speed=1, file=vehicle_file):
@@ -246,24 +246,24 @@ def sitl(vehicle_file):
 
 
 def free_port(kind=socket.SOCK_DGRAM):
-    """A port of the system's choice that is free now; no other worker is given it before it is bound."""
+    """A free port chosen by the system, which no other xdist worker gets."""
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 1))
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
     while True:
         with socket.socket(socket.AF_INET, kind) as probe:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
-        # Halved, because for TCP Linux hands out ports of one parity.
+        # Halved, because Linux hands out TCP ports of one parity.
         if port // 2 % workers == worker:
             return port
 
 
-# Tests that bound a reaction time of the control loop: none runs beside another one.
+# For tests that bound a reaction time of the control loop: they run one at a time.
 bounds_time = pytest.mark.xdist_group("bounds_time")
 
 
 class Pilot:
-    """A pymavlink connection with the waiting that tests need. Times are host seconds."""
+    """A pymavlink client that can wait for messages. Times are host seconds."""
 
     def __init__(self, url, version=2, system=255):
         self._select(version)
@@ -282,7 +282,7 @@ class Pilot:
             os.environ["MAVLINK20"] = "1"
         else:
             os.environ.pop("MAVLINK20", None)
-        # CURRENT_MODE is in none of the smaller dialects.
+        # No smaller dialect has CURRENT_MODE.
         mavutil.set_dialect("all")
 
     def hello(self):
@@ -292,7 +292,7 @@ class Pilot:
         self.link.close()
 
     def wait(self, kind, accept=lambda message: True, timeout=10.0, between=None):
-        """The next message of a type that is accepted; `between` runs every 10 ms meanwhile."""
+        """Returns the next message of type `kind` that `accept` accepts; calls `between` every 10 ms until then."""
         end = time.monotonic() + timeout
         while time.monotonic() < end:
             if between:
@@ -303,7 +303,7 @@ class Pilot:
                 message = self.link.recv_match(type=kind, blocking=True, timeout=remaining)
                 if message is not None and accept(message):
                     return message
-        raise AssertionError(f"no {kind} as expected within {timeout} s")
+        raise AssertionError(f"no matching {kind} within {timeout} s")
 
     def command(self, number, *params):
         """Sends a COMMAND_LONG and returns its result."""
@@ -337,7 +337,7 @@ class Pilot:
 
 @pytest.fixture
 def pilot():
-    """Connects pilots; they are closed after the test."""
+    """Connects pymavlink clients, and closes them after the test."""
     open_links = []
 
     def connect(url, **options):
@@ -350,5 +350,5 @@ def pilot():
 
 
 def python_tool(name):
-    """The path of a program installed beside this Python."""
+    """The path of a program in this Python's environment."""
     return str(Path(sys.executable).parent / name)

@@ -1,5 +1,5 @@
-"""A vehicle written by hand on pymavlink, independent of the bundled one: a point mass whose attitude follows the
-setpoint with a first-order lag, speaking as much of PX4's protocol as an offboard controller needs."""
+"""A test vehicle on pymavlink that shares no code with the bundled one: a point mass whose attitude follows the
+setpoint with a first-order lag, with as much of PX4's protocol as an offboard controller needs."""
 
 import math
 import os
@@ -21,10 +21,10 @@ LAND = 4 << 16 | 6 << 24
 
 
 class HandMadeVehicle:
-    """Runs in a thread of its own until stopped. What it saw is in public attributes."""
+    """Runs in its own thread until stopped, and records what it receives in public attributes."""
 
     def __init__(self, url, rate_hz=100):
-        # Another test of this worker may have left pymavlink with MAVLink 1, which has no CURRENT_MODE.
+        # An earlier test of this worker may have switched pymavlink to MAVLink 1, which has no CURRENT_MODE.
         os.environ["MAVLINK20"] = "1"
         mavutil.set_dialect("all")
         self.link = mavutil.mavlink_connection(url, source_system=1, source_component=1, dialect="all")

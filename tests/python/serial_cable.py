@@ -1,7 +1,7 @@
-"""A serial cable between two pseudo-terminals that can be pulled and plugged in again.
+"""A serial cable between two pseudo-terminals that can be unplugged and plugged in again.
 
-The bytes are moved by a process of its own, this file run as a program: a thread beside the tests would wait for
-their turns of the interpreter, and a terminal holds but 4 kB."""
+A separate process moves the bytes (this file run as a program): a thread in the test process would wait for the GIL,
+and a terminal buffers only 4 kB."""
 
 import os
 import select
@@ -11,13 +11,13 @@ import sys
 import threading
 import tty
 
-# So many bytes wait for a line that nobody reads, and what comes after them is lost, as on a serial port: a longer
-# queue would make a reader that was held up for a moment late for good.
+# Bytes that queue for an end that nobody reads. Later bytes are lost, as on a serial port: with a longer queue, a
+# reader that stalls once would stay late.
 BACKLOG_MAX = 1 << 12
 
 
 class SerialCable:
-    """Two ends with stable paths, as of USB adapters: a path is gone while its end is pulled."""
+    """Two ends with stable paths, as USB adapters have: a path does not exist while its end is unplugged."""
 
     def __init__(self, folder, on_bytes=None):
         """`on_bytes` is called with the number of the sending end and its bytes."""
@@ -32,8 +32,8 @@ class SerialCable:
         self._start()
 
     def url(self, end):
-        # The speed decides what the daemon asks for. A terminal holds a tenth of a second of what it asks for at
-        # 921600 baud, and then loses what a vehicle sends that had to wait for its processor.
+        # The daemon requests rates that fit the baud rate. At 921600 baud a terminal buffers a tenth of a second of
+        # the messages, too little for a vehicle that is scheduled late and then sends a burst.
         return f"serial:{self.paths[end]}:230400"
 
     def plug(self, end):
@@ -90,15 +90,15 @@ class SerialCable:
 
 
 def relay(masters, copies):
-    """Moves bytes between two terminals (-1: pulled) until stdin is closed; `copies` puts each piece on stdout too."""
+    """Moves bytes between two terminals (-1: unplugged) until stdin closes; with `copies`, writes each piece to stdout."""
     try:
-        # A cable takes no processor, so it has not to wait for one either.
+        # A real cable does not wait for a processor.
         os.nice(-20)
     except PermissionError:
         pass
     stdin, stdout = 0, 1
     os.set_blocking(stdout, False)
-    # What waits for each terminal, and for stdout.
+    # Bytes queued for each terminal, and for stdout.
     waiting = {masters[0]: bytearray(), masters[1]: bytearray(), stdout: bytearray()}
     plugged = [master for master in masters if master >= 0]
     while True:

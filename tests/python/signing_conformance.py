@@ -1,12 +1,12 @@
-"""Attacks on a MAVLink 2 link that is signed, against whatever answers TIMESYNC.
+"""Attacks a signed MAVLink 2 link, at any peer that answers TIMESYNC.
 
     python tests/python/signing_conformance.py udpout:127.0.0.1:14580 --key FILE
     python tests/python/signing_conformance.py udpout:127.0.0.1:14540 --key FILE --role vehicle
 
-Each attack is a TIMESYNC request with a number of its own: who answers it has believed it. As a station it
-attacks vehicles (the bundled one, ArduCopter, PX4), as a vehicle those who fly them (downwash). Frames are
-made here by the published layout, by no library's signing. Exit code 1: something that had to be refused was
-believed, or the other way round."""
+Each attack is a TIMESYNC request with a unique number: a peer that answers has accepted it. In the role of a
+station the script attacks vehicles (the bundled one, ArduCopter, PX4); in the role of a vehicle, the programs
+that fly them (downwash). It builds its frames from the published layout, without a library's signing code.
+Exit code 1: the peer accepted a frame that it had to refuse, or the reverse."""
 
 import argparse
 import hashlib
@@ -33,7 +33,7 @@ def stamp_now():
 
 
 def signed(frame, crc_extra, key, link, stamp):
-    """The MAVLink 2 `frame`, which is not signed, with its flag, checksum and signature."""
+    """The unsigned MAVLink 2 `frame` with the signing flag, its checksum and a signature."""
     body = bytearray(frame[:-2])
     body[2] |= 1
     body += struct.pack("<H", x25crc(bytes(body[1:]) + bytes([crc_extra])).crc)
@@ -42,7 +42,7 @@ def signed(frame, crc_extra, key, link, stamp):
 
 
 class Attacker:
-    """One end of a link, which knows the key and abuses it."""
+    """One end of a link, in possession of the key."""
 
     def __init__(self, url, key, role):
         self.key = key
@@ -73,7 +73,7 @@ class Attacker:
         return frame
 
     def keep_alive(self):
-        """What makes the other end listen: a HEARTBEAT a second, signed, on a link of its own."""
+        """Keeps the peer listening: one signed HEARTBEAT a second, with a separate link id."""
         if time.monotonic() < self.beat:
             return
         self.beat = time.monotonic() + 1.0
@@ -85,12 +85,12 @@ class Attacker:
         self.link.write(frame)
 
     def probe(self):
-        """A request that nobody asked before, unsigned, and its number."""
+        """A new unsigned request, and its number."""
         self.nonce += 1
         return dialect.MAVLink_timesync_message(0, self.nonce), self.nonce
 
     def answered(self, nonce):
-        """Whether the request was answered. Other traffic is read and dropped."""
+        """Whether the peer answers the request; drops other traffic."""
         until = time.monotonic() + WAIT_S
         while time.monotonic() < until:
             self.keep_alive()
@@ -99,8 +99,8 @@ class Attacker:
                 return True
         return False
 
-    def believed(self, key=None, link=1, stamp=None, change=None):
-        """Whether a request signed so is believed; `change` has the last word on its bytes."""
+    def accepted(self, key=None, link=1, stamp=None, change=None):
+        """Whether the peer accepts a request with this signature; `change` edits the signed bytes."""
         message, nonce = self.probe()
         frame = signed(self.packed(message), message.crc_extra, key or self.key, link,
                        self.next_stamp() if stamp is None else stamp)
@@ -111,11 +111,11 @@ class Attacker:
     def wait_for_answer(self, timeout_s=15):
         until = time.monotonic() + timeout_s
         while time.monotonic() < until:
-            if self.believed():
+            if self.accepted():
                 return
-        raise SystemExit("nobody answers a rightly signed TIMESYNC; is the key the same, and who listens there?")
+        raise SystemExit("no answer to a correctly signed TIMESYNC: check the key and the URL")
 
-    # -- the attacks: each gives whether what it sent was believed -------------------------------
+    # -- the attacks: each returns whether the peer accepted its frame --------------------------
 
     def unsigned(self):
         message, nonce = self.probe()
@@ -132,24 +132,24 @@ class Attacker:
         frame = signed(self.packed(message), message.crc_extra, self.key, 1, self.next_stamp())
         self.send(frame)
         if not self.answered(nonce):
-            raise SystemExit("a rightly signed TIMESYNC was not answered")
+            raise SystemExit("no answer to a correctly signed TIMESYNC")
         self.send(frame)
         return self.answered(nonce)
 
-    def standing_stamp(self):
+    def repeated_stamp(self):
         stamp = self.next_stamp()
-        self.believed(stamp=stamp)
-        return self.believed(stamp=stamp)
+        self.accepted(stamp=stamp)
+        return self.accepted(stamp=stamp)
 
     def truncated(self):
-        return self.believed(change=lambda frame: frame[:-1])
+        return self.accepted(change=lambda frame: frame[:-1])
 
     def stripped(self):
-        """The signature taken off, its flag left."""
-        return self.believed(change=lambda frame: frame[:-13])
+        """The signature removed, its flag kept."""
+        return self.accepted(change=lambda frame: frame[:-13])
 
     def changed(self):
-        """Another request under an old signature, its checksum made anew."""
+        """Another request under an old signature, with a new checksum."""
         message, nonce = self.probe()
         first = dialect.MAVLink_timesync_message(0, nonce ^ 0xFFFF)
         frame = bytearray(signed(self.packed(first), first.crc_extra, self.key, 1, self.next_stamp()))
@@ -160,37 +160,37 @@ class Attacker:
         return self.answered(nonce)
 
     def after_forgery(self):
-        """A stranger's frame with a stamp an hour ahead must not lock out the true sender."""
-        if not self.believed(link=20):
+        """A forged frame with a stamp an hour ahead must not lock out the true sender."""
+        if not self.accepted(link=20):
             return False
-        self.believed(key=b"\x55" * 32, link=20, stamp=stamp_now() + 3600 * SECOND)
-        return self.believed(link=20)
+        self.accepted(key=b"\x55" * 32, link=20, stamp=stamp_now() + 3600 * SECOND)
+        return self.accepted(link=20)
 
 
-# What is sent, what is right, and how.
+# Name, whether the peer should accept the frame, and the attack.
 ATTACKS = [
-    ("signed, stamp of now", True, Attacker.believed),
+    ("signed, stamp of now", True, Attacker.accepted),
     ("no signature", False, Attacker.unsigned),
     ("MAVLink 1", False, Attacker.mavlink_1),
-    ("another key", False, lambda a: a.believed(key=b"\x55" * 32)),
+    ("another key", False, lambda a: a.accepted(key=b"\x55" * 32)),
     ("the same frame again", False, Attacker.replay),
-    ("a stamp that does not advance", False, Attacker.standing_stamp),
-    ("a stamp of three seconds ago", False, lambda a: a.believed(stamp=a.next_stamp() - 3 * SECOND)),
-    ("a new link id, stamp of two minutes ago", False, lambda a: a.believed(link=7, stamp=stamp_now() - 120 * SECOND)),
-    ("a new link id, stamp of now", True, lambda a: a.believed(link=8)),
-    ("the first link again", True, Attacker.believed),
+    ("a stamp that does not advance", False, Attacker.repeated_stamp),
+    ("a stamp of three seconds ago", False, lambda a: a.accepted(stamp=a.next_stamp() - 3 * SECOND)),
+    ("a new link id, stamp of two minutes ago", False, lambda a: a.accepted(link=7, stamp=stamp_now() - 120 * SECOND)),
+    ("a new link id, stamp of now", True, lambda a: a.accepted(link=8)),
+    ("the first link again", True, Attacker.accepted),
     ("signature cut by a byte", False, Attacker.truncated),
     ("signature taken off, flag left", False, Attacker.stripped),
     ("content changed under its signature", False, Attacker.changed),
     ("true frame after a forged stamp an hour ahead", True, Attacker.after_forgery),
-    # Last, for who believes it believes nothing else any more.
-    ("a stamp five years ahead", False, lambda a: a.believed(link=9, stamp=stamp_now() + 5 * YEAR)),
-    ("a new link id after that, stamp of now", True, lambda a: a.believed(link=10)),
+    # Last, because a peer that accepts this accepts nothing after it.
+    ("a stamp five years ahead", False, lambda a: a.accepted(link=9, stamp=stamp_now() + 5 * YEAR)),
+    ("a new link id after that, stamp of now", True, lambda a: a.accepted(link=10)),
 ]
 
 
 def attack(url, key, role):
-    """Plays all attacks; gives name, what was right and what happened."""
+    """Runs all attacks; returns for each its name, the right result and the peer's."""
     attacker = Attacker(url, key, role)
     try:
         attacker.wait_for_answer()
@@ -200,7 +200,7 @@ def attack(url, key, role):
 
 
 def respond(url, key):
-    """pymavlink as the one that is attacked: answers TIMESYNC as its signing lets it. Runs until it is killed."""
+    """pymavlink as the attacked peer: answers each TIMESYNC request that its signing accepts. Runs until killed."""
     link = mavutil.mavlink_connection(url, source_system=1, source_component=1, dialect="all")
     link.setup_signing(key, sign_outgoing=True, allow_unsigned_callback=None,
                        initial_timestamp=stamp_now(), link_id=0)
@@ -215,8 +215,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("url", help="pymavlink's: udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT")
     parser.add_argument("--key", required=True, type=Path, help="file of 64 hexadecimal digits")
-    parser.add_argument("--role", choices=["station", "vehicle"], default="station", help="who the attacker is")
-    parser.add_argument("--respond", action="store_true", help="be attacked instead, as pymavlink is")
+    parser.add_argument("--role", choices=["station", "vehicle"], default="station", help="role of the attacker")
+    parser.add_argument("--respond", action="store_true", help="act as the attacked peer, with pymavlink")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     key = bytes.fromhex(args.key.read_text().strip())

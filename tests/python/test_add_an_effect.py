@@ -1,4 +1,4 @@
-"""An effect is one file and one line: what CONTRIBUTING says, done on a copy of the sources."""
+"""Adds an effect as CONTRIBUTING describes, one file and one line, to a copy of the sources."""
 
 import os
 import shutil

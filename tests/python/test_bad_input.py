@@ -1,4 +1,4 @@
-"""Bad files, flags and circumstances: a clear error with a stable exit code, never a panic."""
+"""Bad files, flags and environments: a clear error with a stable exit code, never a panic."""
 
 import re
 import socket
@@ -45,7 +45,7 @@ def changed_vehicle(folder, pattern, text):
 def test_bad_vehicle_files_are_refused(program, hover, tmp_path, pattern, text, words):
     vehicle = changed_vehicle(tmp_path, pattern, text)
     if "0.0, 0.0" in text:
-        # Every rotor at the same place: torques cannot be told apart.
+        # With all rotors at one point, no thrusts make a roll or pitch torque.
         vehicle.write_text(re.sub(r"position_m = .*", text, CRAZYFLIE.read_text()))
     refused(program, fly(hover, tmp_path, vehicle=vehicle), 2, "vehicle.toml", *words)
     refused(program, ["sitl", "--vehicle", vehicle, "--link", "udpin:127.0.0.1:0"], 2, *words)

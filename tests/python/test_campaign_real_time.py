@@ -1,11 +1,11 @@
-"""Drawn fault scripts in real time: a process on a socket, stopped and killed as the scripts say."""
+"""Random fault scripts in real time, against a process on a socket: the scripts stop and kill it."""
 
 import json
 import os
 
 import pytest
 
-# A commit passes or fails alike everywhere; other seeds by this variable.
+# A fixed seed makes a commit pass or fail the same everywhere; the variable sets another.
 SEED = os.environ.get("DOWNWASH_CAMPAIGN_SEED", "1")
 
 
@@ -23,7 +23,7 @@ def fly(program, folder, flights, seed=SEED):
 def test_ten_random_fault_scripts(program, tmp_path):
     summary = fly(program, tmp_path / "out", 10)
     assert summary["setpoints"] > 1000
-    # Nothing is left of flights in which every rule held but their rows.
+    # Flights that break no rule leave nothing but their rows.
     assert sorted(path.suffix for path in (tmp_path / "out").iterdir()) == [".json", ".jsonl"]
 
 
@@ -34,7 +34,7 @@ def test_two_hundred_random_fault_scripts(program, tmp_path):
 
 
 def test_a_script_with_a_restart_a_pause_and_a_takeover(program, tmp_path):
-    """One script with what only a process can be done to, and a pilot."""
+    """Faults that only a real process can have, then a takeover by the pilot."""
 
     def at(at_s, for_s, **fault):
         return {"at_s": at_s, "for_s": for_s, "fault": fault}

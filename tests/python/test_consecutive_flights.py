@@ -1,4 +1,4 @@
-"""Flight after flight with one vehicle, which stands where, and in the mode in which, the last flight left it."""
+"""Consecutive flights of one vehicle, each from the position and the mode that the last one left."""
 
 import json
 import signal
@@ -13,7 +13,7 @@ def test_a_second_flight_leaves_offboard_before_arming(program, hover, sitl, pil
     watcher = pilot(vehicle.peer_url(1))
     for turn in (1, 2):
         if turn == 2:
-            # As PX4 does, it returns to the mode that was chosen before arming.
+            # Like PX4, it returns to the mode selected before arming.
             watcher.hello()
             watcher.wait_mode(6)
         flight = program(
@@ -32,7 +32,7 @@ def test_collect_flies_in_sequence_and_resumes(program, sitl, tmp_path):
     logs = tmp_path / "logs"
 
     def collect():
-        # The shortest programme: five flights from 4 s on.
+        # The shortest programme: five flights of at least 4 s.
         return program(
             "collect",
             *("--out", logs, "--connect", vehicle.peer_url(), "--vehicle", CRAZYFLIE),
@@ -44,7 +44,7 @@ def test_collect_flies_in_sequence_and_resumes(program, sitl, tmp_path):
     line = first.says(" done: ", line, timeout=60)
     line = first.says("flight 2 of 5: ", line)
     line = first.says(" done: ", line, timeout=60)
-    # Stopped before the third is in the air.
+    # Interrupted before the third takes off.
     line = first.says("flight 3 of 5: ", line)
     first.says(" standby: ", line)
     first.signal(signal.SIGINT)
@@ -53,7 +53,7 @@ def test_collect_flies_in_sequence_and_resumes(program, sitl, tmp_path):
     ends = [flight["end"] for flight in json.loads(out)["flights"]]
     assert ends[:2] == ["done", "done"] and ends[3:] == ["planned", "planned"], (ends, first.err)
 
-    # The same command goes on with the third.
+    # The same command resumes with the third.
     second = collect()
     line = second.says("flight 1 of 3: ")
     second.says(" standby: ", line)

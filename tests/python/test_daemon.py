@@ -25,7 +25,7 @@ def configuration(folder, connect, hover):
 
 @pytest.fixture
 def hand_made():
-    """A hand-made vehicle and the URL at which a daemon meets it."""
+    """A hand-made vehicle, and the URL on which a daemon receives it."""
     port = free_port()
     vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
     yield vehicle, f"udpin:127.0.0.1:{port}"
@@ -35,7 +35,7 @@ def hand_made():
 def until(condition, what, timeout=20.0):
     end = time.monotonic() + timeout
     while not condition():
-        assert time.monotonic() < end, f"never: {what}"
+        assert time.monotonic() < end, f"timed out: {what}"
         time.sleep(0.01)
 
 
@@ -48,13 +48,13 @@ def test_two_flights_and_a_takeover(program, hover, hand_made, tmp_path):
     vehicle, url = hand_made
     daemon = program("daemon", "--config", configuration(tmp_path, url, hover))
 
-    # It streams while the vehicle stands, and does nothing else.
+    # While the vehicle is on the ground it streams, and sends no command.
     line = daemon.says(" standby: ")
     until(lambda: len(vehicle.setpoints) > 20, "a streamed hold")
     assert not any(command in (176, 400) for command, _, _ in vehicle.commands)
     assert not list(tmp_path.glob("*.mcap"))
 
-    # The pilot engages and arms: the trajectory is flown to the landing.
+    # The pilot engages and arms: the daemon flies the trajectory and lands.
     vehicle.set_mode(OFFBOARD)
     line = daemon.says(" arm: ", line)
     vehicle.armed = True
@@ -63,7 +63,7 @@ def test_two_flights_and_a_takeover(program, hover, hand_made, tmp_path):
     assert not vehicle.armed and 0.6 < vehicle.highest < 1.2
     line = daemon.says(" standby: ", line)
 
-    # Again, and in flight the pilot takes over: the stream ends at once.
+    # In a second flight the pilot takes over, and the stream ends at once.
     vehicle.highest = 0.0
     vehicle.set_mode(OFFBOARD)
     line = daemon.says(" arm: ", line)
@@ -131,14 +131,14 @@ def test_systemd_notifications(program, hover, hand_made, tmp_path):
         assert beats[-1] - beats[0] < 2.0
         daemon.signal(signal.SIGTERM)
         assert daemon.finish(5)[0] == 0
-        told = b""
-        while b"STOPPING=1" not in told:
-            told += manager.recv(1024)
+        received = b""
+        while b"STOPPING=1" not in received:
+            received += manager.recv(1024)
 
 
 @bounds_time
 def test_unplugging_the_serial_line_in_flight(program, hover, sitl, pilot, tmp_path):
-    # The daemon's bytes, searched for the heads of SET_ATTITUDE_TARGET frames: v2, system 254, component 191, id 82.
+    # Finds SET_ATTITUDE_TARGET frames in the daemon's bytes by their header: v2, system 254, component 191, id 82.
     setpoints = []
 
     def watch(end, data):
@@ -168,7 +168,7 @@ def test_unplugging_the_serial_line_in_flight(program, hover, sitl, pilot, tmp_p
         lost_s = time.monotonic() - pulled
         assert daemon.cpu_s() - before < 0.25 * lost_s, "the daemon spins while unplugged"
 
-        # Plugged in again while the vehicle still means to be in OFFBOARD: silence.
+        # Plugged in again while OFFBOARD is still the vehicle's intended mode: no setpoints.
         cable.plug(1)
         plugged = time.monotonic()
         line = daemon.says("link open", line, timeout=10)
@@ -176,7 +176,7 @@ def test_unplugging_the_serial_line_in_flight(program, hover, sitl, pilot, tmp_p
         assert hand.wait("CURRENT_MODE").intended_custom_mode == OFFBOARD
         assert not [stamp for stamp in setpoints if stamp > plugged]
         assert hand.set_mode(4, 3) == 0
-        # Free again once another mode has been seen.
+        # Another mode lets the daemon stream again.
         daemon.says(" standby: ", line)
         until(lambda: setpoints[-1] > plugged, "streams again")
         assert hand.wait("HEARTBEAT").custom_mode != OFFBOARD
@@ -187,7 +187,7 @@ def test_unplugging_the_serial_line_in_flight(program, hover, sitl, pilot, tmp_p
 
 
 def test_a_vehicle_that_starts_later_and_restarts(program, hover, sitl, tmp_path):
-    """Nobody listens where the daemon sends to: refusals of the network are no end."""
+    """Until the vehicle starts, the network refuses the daemon's packets; the daemon keeps sending."""
     url = f"udpin:127.0.0.1:{free_port()}"
     daemon = program("daemon", "--config", configuration(tmp_path, url.replace("udpin", "udpout"), hover))
     daemon.says("link open")

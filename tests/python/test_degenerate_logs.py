@@ -1,4 +1,4 @@
-"""Exact motion about one axis, and logs of next to nothing: an answer, or the file's name and why not."""
+"""Noise-free motion about one axis, and very short logs: a result, or an error that names the file."""
 
 import json
 import math
@@ -15,14 +15,14 @@ TIMEOUT_S = 120
 
 
 def table(path, axis, seconds=8.0, size=0.4):
-    """A turn to and fro about one axis, along which it travels as well: exact, without noise."""
+    """A noise-free oscillation about and along one axis, as a table."""
     rows = [COLUMNS]
     for row in range(round(seconds * 100)):
         t = 0.01 * row
         angle, rate = size * math.sin(3 * t), 3 * size * math.cos(3 * t)
         along = lambda value: [value if place == axis else 0.0 for place in range(3)]
         attitude = [*along(math.sin(angle / 2)), math.cos(angle / 2)]
-        # Outputs that move, as those of motors do.
+        # Outputs that vary, as those of motors do.
         outputs = [0.5 + 0.01 * math.sin(7 * t + motor) for motor in range(4)]
         cells = [t, *along(angle), *along(rate), *attitude, *along(rate), *outputs, 3.9]
         rows.append(",".join(f"{cell:.8g}" for cell in cells))

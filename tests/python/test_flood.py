@@ -1,4 +1,4 @@
-"""A flight in a flood: garbage, flooder' frames and many peers on the vehicle's own port."""
+"""A flight while 200 sockets send garbage and frames of other systems to the vehicle's port."""
 
 import random
 import socket
@@ -9,7 +9,7 @@ from conftest import CRAZYFLIE, SHORT_HOVER, Program, free_port
 from hand_made_vehicle import HandMadeVehicle
 from pymavlink.dialects.v20 import all as dialect
 
-# Datagrams a second: more than all else on the link, and less than a machine that runs other tests drops.
+# Datagrams a second: more than the link's own traffic, and few enough that a busy machine drops none.
 RATE_HZ = 2000
 
 

@@ -1,4 +1,4 @@
-"""`downwash fly` against a vehicle that this project's SITL had no part in."""
+"""`downwash fly` on a vehicle that shares no code with the bundled simulator."""
 
 import json
 import signal
@@ -17,7 +17,7 @@ VEHICLE = ROOT / "config/vehicles/crazyflie.toml"
 
 @pytest.fixture
 def flight(tmp_path):
-    """Starts a vehicle and `downwash fly` on it; yields both and cleans up."""
+    """Starts a vehicle and `downwash fly` on it; yields both and the folder of the log."""
     port = free_port()
     trajectory = tmp_path / "hover.toml"
     trajectory.write_text(SHORT_HOVER)
@@ -41,7 +41,7 @@ def test_px4_is_sent_attitude_and_thrust_only(flight):
     vehicle, daemon, folder = flight
     code, out, err = finish(daemon)
     assert code == 0, err
-    # Attitude + rates is unsafe on a real PX4: only attitude + thrust may have been sent.
+    # Attitude and rates together are unsafe on a real PX4: only attitude and thrust may be sent.
     assert vehicle.masks == {0x07}
     assert 0.6 < vehicle.highest < 1.2
     assert not vehicle.armed and vehicle.position[2] == 0.0
@@ -107,8 +107,8 @@ def test_interrupt_lands_the_vehicle(flight):
 
 
 def pause_in_flight(vehicle, daemon, pause_s, at=lambda vehicle, since_s: None):
-    """Stops the process for a while once the vehicle is in the air; `at` sees the time since. Gives
-    the times of the stop and of the wake-up."""
+    """Pauses the process once the vehicle is in the air, and calls `at` with the seconds since then. The
+    returned list receives the times of the pause and of its end."""
     times = []
 
     def step(vehicle, _):
@@ -163,7 +163,7 @@ def test_a_failsafe_during_a_process_pause_is_respected(flight):
 @bounds_time
 @pytest.mark.parametrize("stall_s", [0.07, 0.15])
 def test_samples_queued_during_a_short_stall_are_not_answered(flight, stall_s):
-    """Shorter than a pause after which the mode is doubted: the samples that lay in the socket look fresh."""
+    """The stall is too short to invalidate the known mode, and the queued samples look fresh."""
     vehicle, daemon, _ = flight
     times = []
 
@@ -173,7 +173,7 @@ def test_samples_queued_during_a_short_stall_are_not_answered(flight, stall_s):
             daemon.send_signal(signal.SIGSTOP)
             times.append(now)
         elif len(times) == 1 and now - times[0] >= stall_s:
-            # Those of the stall are all there is to read for a while.
+            # For a while only samples from the stall are left to read.
             vehicle.telemetry = False
             times.append(now)
             times.append(len(vehicle.setpoints))
@@ -187,5 +187,5 @@ def test_samples_queued_during_a_short_stall_are_not_answered(flight, stall_s):
     assert code == 0, err
     assert "this process stalled for" in err, err
     _, _, before, after = times
-    assert after == before, f"{after - before} answers to what lay unread"
-    assert len(vehicle.setpoints) > after + 20, "and the flight goes on"
+    assert after == before, f"{after - before} answers to queued samples"
+    assert len(vehicle.setpoints) > after + 20, "the flight continues"

@@ -1,4 +1,4 @@
-"""Learning in flight over real sockets: the lap with the learned model is nearer the course."""
+"""Learning in flight over real sockets: the lap with the learned model follows the course more closely."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Vehicles as they are: slow clocks, old protocols, companions, twins; and what `downwash` says while it waits."""
+"""Vehicles that differ: clock drift, MAVLink 1, two at once, other types; and the reports while `downwash` waits."""
 
 import json
 import math
@@ -16,10 +16,10 @@ COPTER_MODES = {HOLD: 17, LAND: 9, OFFBOARD: 4}
 
 
 class Vehicle(HandMadeVehicle):
-    """The hand-made vehicle with other traits. They are set before it is heard."""
+    """The hand-made vehicle with other traits, which hold from its first message."""
 
     def __init__(self, url, system=1, **traits):
-        # Its clock against real time, and what it loses at once after so many seconds.
+        # Rate of its clock over real time; and when the clock stalls and for how long, in s.
         self.clock_rate = traits.pop("clock_rate", 1.0)
         self.stall = traits.pop("stall", (math.inf, 0.0))
         self.answers_timesync = traits.pop("answers_timesync", True)
@@ -96,7 +96,7 @@ class Vehicle(HandMadeVehicle):
 
 @pytest.fixture
 def flight(tmp_path, program):
-    """Starts vehicles and `downwash fly` on them."""
+    """Starts a vehicle for each set of traits, and `downwash fly` on them."""
     vehicles = []
 
     def start(*traits, trajectory=SHORT_HOVER, options=()):
@@ -138,7 +138,7 @@ def test_a_clock_stall_on_the_ground_is_tolerated(flight):
 
 
 def supported():
-    """The rows of the table of supported versions in the docs."""
+    """The rows of the table of supported autopilots in docs/flying.md."""
     text = (ROOT / "docs/flying.md").read_text()
     table = text.split("## Supported autopilots")[1].split("\n## ")[0]
     rows = [line.strip("|").split("|") for line in table.splitlines() if re.match(r"\| (PX4|ArduCopter)", line)]
@@ -266,7 +266,7 @@ class TestDoctor:
         finally:
             vehicle.stop()
         changed = [c for c in vehicle.commands if c[0] not in (512,)]
-        assert not changed and not vehicle.setpoints, "it only looks"
+        assert not changed and not vehicle.setpoints, "it requests messages and commands nothing"
         return code, json.loads(out), running.err
 
     def test_a_flyable_vehicle(self, program):

@@ -1,4 +1,4 @@
-"""Plans in flight: followed, refused, made anew towards a goal that moves; and the whole experiment."""
+"""Plans in flight: tracked, refused, replanned towards a moving goal; and the whole demo."""
 
 import json
 import subprocess
@@ -27,7 +27,7 @@ def run(*arguments, code=0):
 
 
 def states(log):
-    """North position over the time of tracking."""
+    """North positions while tracking."""
     with log.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         north, tracked = {}, set()
@@ -54,7 +54,7 @@ def plan(tmp_path_factory):
 
 
 def test_a_planned_flight_tracks_closer_than_an_unplanned_one(program, plan, sitl, tmp_path):
-    # Side by side, each with a vehicle of its own.
+    # Both at once, each with its own vehicle.
     flights = {}
     for name, trajectory in (("plan", plan), ("desired", plan.parent / "turn.toml")):
         vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
@@ -102,7 +102,7 @@ def test_editing_the_goal_file_moves_the_goal(program, tmp_path):
             "--log-dir", tmp_path, "-v",
         )
         flown.says("track", timeout=60.0)
-        # Whole or not at all, as an editor writes.
+        # Replaced atomically, as an editor does.
         (tmp_path / "next.toml").write_text(stay(0.5, 8.0))
         Path(tmp_path / "next.toml").rename(goal)
         code, _ = flown.finish()

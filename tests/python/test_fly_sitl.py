@@ -1,4 +1,4 @@
-"""`downwash fly` against `downwash sitl` over every transport, undisturbed and disturbed."""
+"""`downwash fly` against `downwash sitl` over every transport, with and without faults."""
 
 import fcntl
 import json
@@ -63,7 +63,7 @@ def flights(tmp_path_factory):
             end()
 
 
-# One worker has the flights.
+# One xdist worker flies them all.
 @pytest.mark.xdist_group("flights")
 @pytest.mark.parametrize("transport", ["udpout", "udpin", "tcp", "serial"])
 def test_a_flight_over_each_transport(flights, transport):
@@ -73,7 +73,7 @@ def test_a_flight_over_each_transport(flights, transport):
     summary = json.loads(out)
     assert summary["schema"] == "downwash.fly" and summary["end"] == "done"
     assert summary["flight"]["tracking"]["rmse_3d_m"] < 0.1
-    # What a user is told: who was heard, at what rate, and each phase; nothing chatty.
+    # The output names the vehicle, its rates and each phase, and is short.
     first = next(line for line in program.lines if "heard" in line)
     assert "system 1 component 1: autopilot PX4 (12), type quadrotor (2)" in first
     assert any(re.search(r"receiving attitude at \d+ Hz, position at \d+ Hz", line) for line in program.lines), program.err
@@ -86,7 +86,7 @@ def test_a_flight_over_each_transport(flights, transport):
         counts = {}
         for _, channel, _ in make_reader(file, validate_crcs=True).iter_messages():
             counts[channel.topic] = counts.get(channel.topic, 0) + 1
-    # A serial line is asked for as much as it carries.
+    # A serial line gets only the rates that it can carry.
     assert counts["/setpoint"] > 500 and counts["/mavlink/rx"] > (2000 if transport == "serial" else 5000)
     from pymavlink import mavutil
 
@@ -130,8 +130,8 @@ def test_after_a_kill_the_log_opens_and_the_vehicle_lands(program, hover, sitl, 
             for record in StreamReader(file, emit_chunks=False).records:
                 newest = max(newest, getattr(record, "log_time", 0))
         except (McapError, EOFError, struct.error):
-            pass  # where the file was cut is where reading ends
-    assert 0 <= killed_ns - newest < 1.5e9, f"{(killed_ns - newest) * 1e-9} s are missing"
+            pass  # the log ends where the process was killed
+    assert 0 <= killed_ns - newest < 1.5e9, f"{(killed_ns - newest) * 1e-9} s of the log are missing"
     info = program("log", "info", log, "--json")
     code, out = info.finish()
     assert code == 0, info.err
@@ -148,7 +148,7 @@ def test_an_unplugged_serial_line_ends_the_flight(program, sitl, tmp_path, hover
         flight = fly(program, hover, cable.url(1), tmp_path)
         flight.says(f" {moment}" + (": " if moment == "track" else " system 1"))
         cable.pull(1)
-        # Not later than the search for a vehicle would end.
+        # No later than the search for a vehicle times out.
         code, _ = flight.finish(25)
         assert code == 3, flight.err
         assert "link closed" in flight.err
@@ -161,7 +161,7 @@ def with_byte(frame, index, value):
 
 
 def garbage(seed):
-    """Datagrams that no decoder may stumble over."""
+    """Random, cut, corrupted and foreign datagrams, without end."""
     from pymavlink.dialects.v10 import common as v1
     from pymavlink.dialects.v20 import common as v2
 
@@ -174,7 +174,7 @@ def garbage(seed):
         lambda: b"\xfd\xff" + draw.randbytes(20),
         lambda: b"\xfd" * 60000,
         lambda: v1.MAVLink_heartbeat_message(*beat).pack(old)[: draw.randint(1, 16)],
-        # Length bytes that lie, both ways, and a signed frame without its signature.
+        # Wrong length bytes, and a signed frame without its signature.
         lambda: with_byte(v1.MAVLink_heartbeat_message(*beat).pack(old), 1, draw.randint(0, 255)),
         lambda: with_byte(v2.MAVLink_heartbeat_message(*beat).pack(foreign), 1, draw.randint(0, 255)),
         lambda: with_byte(v2.MAVLink_heartbeat_message(*beat).pack(foreign), 2, 1),
@@ -192,7 +192,7 @@ def garbage(seed):
 def test_garbage_is_counted_and_the_flight_continues(program, hover, sitl, tmp_path):
     port = free_port()
     vehicle = sitl(f"udpout:127.0.0.1:{port}", "udpin:127.0.0.1:0", file=CRAZYFLIE)
-    # Among the garbage is the HEARTBEAT of another autopilot: the vehicle is chosen.
+    # The garbage includes another autopilot's HEARTBEAT, so --system selects the vehicle.
     flight = fly(program, hover, f"udpin:127.0.0.1:{port}", tmp_path, "--json", "--system", 1)
     flight.says("heard system 1 ")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as noise:
@@ -219,7 +219,7 @@ def test_garbage_is_counted_and_the_flight_continues(program, hover, sitl, tmp_p
 
 
 def test_a_terminal_shows_one_status_line(hover, sitl, tmp_path):
-    """In a terminal: the status is drawn over and over, messages stay whole above it."""
+    """The status line is redrawn in place, and the messages above it stay whole."""
     vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
     command = [*downwash_command(), "fly", str(hover), "--connect", vehicle.peer_url()]
     command += ["--vehicle", str(CRAZYFLIE), "--log-dir", str(tmp_path)]

@@ -1,4 +1,4 @@
-"""`--forward`: pymavlink as a ground station beside the daemon sees the vehicle, and commands nothing."""
+"""`--forward`: a pymavlink ground station sees the vehicle, and cannot command it."""
 
 import time
 
@@ -12,7 +12,7 @@ STATION = {"source_system": 255, "source_component": 190, "dialect": "all"}
 
 @pytest.fixture
 def hand_made():
-    """A hand-made vehicle and the URL at which a daemon meets it."""
+    """A hand-made vehicle, and the URL on which a daemon receives it."""
     port = free_port()
     vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
     yield vehicle, f"udpin:127.0.0.1:{port}"
@@ -20,8 +20,8 @@ def hand_made():
 
 
 @pytest.fixture
-def beside(program, hover, hand_made, tmp_path):
-    """A daemon that forwards to a ground station: the daemon, the station, the vehicle."""
+def forwarding(program, hover, hand_made, tmp_path):
+    """Starts a daemon that forwards to a ground station; returns daemon, station and vehicle."""
     stations = []
 
     def start(allow):
@@ -51,12 +51,12 @@ def receive(station, kind, accept=lambda message: True, timeout=20.0):
     raise AssertionError(f"no {kind}")
 
 
-def test_a_station_sees_the_vehicle_but_cannot_command_it(beside):
-    daemon, station, vehicle = beside([])
+def test_a_station_sees_the_vehicle_but_cannot_command_it(forwarding):
+    daemon, station, vehicle = forwarding([])
     beat = receive(station, "HEARTBEAT")
     assert (beat.get_srcSystem(), beat.get_srcComponent()) == (1, 1)
     receive(station, ["ATTITUDE", "ATTITUDE_QUATERNION", "ODOMETRY"])
-    # What it sends is said, and goes nowhere.
+    # Its messages are reported, and not forwarded.
     before = dict(vehicle.params)
     station.mav.param_set_send(1, 1, b"MIS_TAKEOFF_ALT", 9.0, 9)
     daemon.says("PARAM_SET from udpout:127.0.0.1:")
@@ -66,26 +66,26 @@ def test_a_station_sees_the_vehicle_but_cannot_command_it(beside):
     daemon.says("SET_ATTITUDE_TARGET from udpout:127.0.0.1:")
     assert vehicle.params == before
     assert not any(command == 400 for command, _, _ in vehicle.commands)
-    # And the daemon's own frames are not the station's to see.
+    # The station does not get the daemon's own frames.
     assert station.messages.get("HEARTBEAT").get_srcSystem() == 1
 
 
-def test_only_allowed_messages_pass(beside):
-    daemon, station, vehicle = beside(["COMMAND_LONG"])
+def test_only_allowed_messages_pass(forwarding):
+    daemon, station, vehicle = forwarding(["COMMAND_LONG"])
     receive(station, "HEARTBEAT")
     station.mav.param_set_send(1, 1, b"MIS_TAKEOFF_ALT", 9.0, 9)
     daemon.says("PARAM_SET from udpout:127.0.0.1:")
-    # MAV_CMD_REQUEST_MESSAGE for a message that nobody else asks for.
+    # MAV_CMD_REQUEST_MESSAGE for a message that nothing else requests.
     station.mav.command_long_send(1, 1, 512, 0, 77, 0, 0, 0, 0, 0, 0)
     end = time.monotonic() + 20.0
     while not any(command == 512 and first == 77 for command, first, _ in vehicle.commands):
-        assert time.monotonic() < end, "the command never came"
+        assert time.monotonic() < end, "the command did not arrive"
         station.recv_match(blocking=True, timeout=0.1)
     assert vehicle.params["MIS_TAKEOFF_ALT"] == 2.5
 
 
-def test_garbage_from_a_station_is_ignored(beside):
-    daemon, station, vehicle = beside(["COMMAND_LONG"])
+def test_garbage_from_a_station_is_ignored(forwarding):
+    daemon, station, vehicle = forwarding(["COMMAND_LONG"])
     receive(station, "HEARTBEAT")
     for size in (1, 7, 280, 1500, 60000):
         station.write(bytes((7 * index + size) % 256 for index in range(size)))
@@ -98,8 +98,8 @@ def test_garbage_from_a_station_is_ignored(beside):
     "allow, words",
     [(["HEARTBEET"], "no message is called"), (["SET_ATTITUDE_TARGET"], "only this program may send")],
 )
-def test_a_list_with_invalid_messages_is_refused(beside, allow, words):
-    daemon, _, _ = beside(allow)
+def test_a_list_with_invalid_messages_is_refused(forwarding, allow, words):
+    daemon, _, _ = forwarding(allow)
     code, _ = daemon.finish()
     assert code == 2
     assert words in daemon.err

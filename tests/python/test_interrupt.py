@@ -1,5 +1,5 @@
-"""Every command that flies no vehicle ends_after within two seconds of SIGINT or SIGTERM, with exit code
-130 and without half a file; one that flies says within a second what it does.
+"""A command that flies no vehicle ends within two seconds of SIGINT or SIGTERM, with exit code 130 and
+without a partial file; one that flies reports within a second how it ends.
 """
 
 import json
@@ -24,7 +24,7 @@ def flights(tmp_path_factory):
 
 
 def ends_after(one, number):
-    """Sends the signal; what the program had printed at its end."""
+    """Sends the signal, checks the exit code and the time, and returns stdout."""
     sent = time.monotonic()
     one.signal(number)
     code, out = one.finish(10)
@@ -74,7 +74,7 @@ def test_interrupted_diagnose(program, flights, tmp_path, number):
 @SIGNALS_TERM_LONG
 @pytest.mark.parametrize("stage", ["... flying", "... diagnosing"])
 def test_interrupted_exam(program, tmp_path, number, stage):
-    # What it does in the second stage is the work of other processes.
+    # Child processes do the work of the second stage.
     one = program("exam", "--out", tmp_path / "exam", "--cases", 2, "--nulls", 0, "--seed", 3)
     one.says(stage, timeout=240)
     ends_after(one, number)
@@ -120,7 +120,7 @@ READERS = {
     "model predict": ["model", "predict", "LOG", "--model", "INPUT", "--out", "OUT"],
     "model export": ["model", "export", "INPUT", "--out", "OUT"],
     "plan": ["plan", "hover", "--config", "INPUT", "-o", "OUT"],
-    # Those that fly, before they fly.
+    # Commands that fly, before they connect.
     "fly": ["fly", "hover", "--vehicle", CRAZYFLIE, "--connect", "udpin:127.0.0.1:0", "--config", "INPUT"],
     "collect": ["collect", "--out", "OUT", "--config", "INPUT"],
     "daemon": ["daemon", "--config", "INPUT"],

@@ -153,7 +153,7 @@ def test_an_audit_of_several_logs_names_the_bad_one(tmp_path):
 
 
 def test_slow_reads_report_progress(program, tmp_path):
-    # A pipe that nobody writes to, as a file of gigabytes.
+    # A pipe that nobody writes to stands in for a very large file.
     pipe = tmp_path / "flight.ulg"
     os.mkfifo(pipe)
     for command in (["log", "audit"], ["log", "info"], ["onset", "--vehicle", CRAZYFLIE]):

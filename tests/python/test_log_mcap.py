@@ -35,7 +35,7 @@ VIEWER = {
 }
 
 
-# One worker has the log.
+# One xdist worker makes the log for all.
 pytestmark = [pytest.mark.computes, pytest.mark.xdist_group("log")]
 
 
@@ -128,5 +128,5 @@ def test_tracking_error_is_state_minus_reference(messages):
 def test_times_ascend_and_samples_precede_their_arrival(messages):
     times = [record.log_time for record, _ in messages["/state"]]
     assert times == sorted(times)
-    # Half a millisecond for what the clocks' offset does not know.
+    # Half a millisecond for the error of the clock offset.
     assert all(r.publish_time <= r.log_time + 500_000 for r, _ in messages["/state"])

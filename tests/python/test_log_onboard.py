@@ -1,4 +1,4 @@
-"""Logs of PX4 and ArduPilot as `downwash log import` reads them, against the readers of their own projects."""
+"""`downwash log import` of PX4 and ArduPilot logs, against those projects' own readers."""
 
 import json
 import os

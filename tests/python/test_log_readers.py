@@ -1,4 +1,4 @@
-"""Every kind of file that the product writes opens in the programs that the README names.
+"""Every kind of log that downwash writes opens in the programs that the README names.
 
 `rerun` comes with rerun-sdk, and Python's reader with mcap; a missing one fails these tests.
 """
@@ -18,11 +18,11 @@ from mcap_protobuf.decoder import DecoderFactory
 from conftest import CRAZYFLIE, DOWNWASH, SHORT_HOVER, Program, Sitl, free_port, python_tool
 from hand_made_vehicle import OFFBOARD, HandMadeVehicle
 
-# One worker has the files.
+# One xdist worker makes the logs for all.
 pytestmark = pytest.mark.xdist_group("readers")
 
 KINDS = ["demo", "collect", "fly", "daemon", "import", "table", "killed"]
-# In flight, in any log of one.
+# Topics in the log of any flight.
 FLOWN = {"/mavlink/rx", "/state", "/setpoint", "/control", "/tf", "/vehicle/pose"}
 STREAMS = {"/flight/attitude", "/flight/position", "/flight/velocity"}
 MAPPING = """
@@ -57,7 +57,7 @@ def only_log(folder):
 
 
 def flown(folder, kill):
-    """The log of a flight over a link, or of one whose program was killed in it."""
+    """The log of a flight over a link; with `kill`, of one whose program was killed in flight."""
     trajectory = folder / "hover.toml"
     trajectory.write_text(SHORT_HOVER.replace("1.0", "30.0") if kill else SHORT_HOVER)
     vehicle = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
@@ -150,7 +150,7 @@ def test_rerun_converts_every_kind(logs, kind, tmp_path):
     done = run(python_tool("rerun"), "mcap", "convert", *recovery(kind), logs[kind], "-o", out)
     said = done.stdout + done.stderr
     assert "ERROR" not in said and all(topic in said for topic in expected(kind)), said
-    # Not much smaller than what it was made of.
+    # Not much smaller than its source.
     assert out.stat().st_size > logs[kind].stat().st_size / 2
 
 
@@ -184,5 +184,5 @@ def test_python_reads_a_killed_log_to_its_last_chunk(logs):
                     assert decoders[record.channel_id](record.data) is not None
                     found[topics[record.channel_id]] = found.get(topics[record.channel_id], 0) + 1
         except (EndOfFile, struct.error):
-            pass  # where the file was cut is where reading ends
+            pass  # the log ends where the process was killed
     assert FLOWN <= found.keys() and found["/state"] > 100

@@ -84,7 +84,7 @@ def test_frozen_or_swapped_poses_end_the_flight(program, vehicle, tmp_path, faul
     one = bridge(program, quad, f"stream:127.0.0.1:{port}")
     one.says("the body is seen", timeout=20)
     flight = fly(program, quad, tmp_path)
-    # The bridge says it, once; the vehicle coasts, then no longer vouches for its position; `fly` lands it.
+    # The bridge reports the fault once; the vehicle coasts, then reports its position unhealthy; `fly` lands it.
     one.says(words, timeout=60)
     code, out = flight.finish(60)
     assert code == 5, flight.err
@@ -94,7 +94,7 @@ def test_frozen_or_swapped_poses_end_the_flight(program, vehicle, tmp_path, faul
     key = {"freeze": "frozen", "swap": "swapped"}[fault]
     faults = said["poses"]["faults"]
     assert faults[key] >= 1 and said["poses"]["losses"] == 1, said
-    # Nothing was forwarded after it: the counters account for every pose that was heard.
+    # Nothing was forwarded after it: the counters account for every received pose.
     counted = said["poses"]
     refused = sum(count for name, count in faults.items() if name not in ("malformed", "silent"))
     assert counted["good"] + refused == counted["heard"], said
@@ -113,7 +113,7 @@ def test_natnet_poses_give_a_px4_its_position(program, vehicle, pilot):
     one.says("the body is seen", timeout=20)
     place = watcher.wait("LOCAL_POSITION_NED", timeout=5)
     assert math.dist((place.x, place.y, place.z), (0, 0, 0)) < 0.05
-    # When it dies, the vehicle notices within its own time.
+    # Once the bridge has ended, the vehicle notices within its timeout.
     said = summary(one, signal.SIGTERM, 0)
     assert said["as"] == "odometry" and said["sent"] > 0
     gone = time.monotonic()

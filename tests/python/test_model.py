@@ -22,7 +22,7 @@ EFFECTS = ["rotor_drag:d_xy=0.012,d_z=0.008", "motor_lag:tau_s=0.05", "command_d
 SMALL = ["--passes", "15", "--hidden", "20", "--regularization", "1e-5"]
 PREDICTIONS = "run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz"
 
-# Every worker would fly and train for itself.
+# One xdist worker flies and trains for all.
 pytestmark = [pytest.mark.computes, pytest.mark.xdist_group("model"), pytest.mark.timeout(300)]
 
 
@@ -40,7 +40,7 @@ def train(out, logs, *more, vehicle=CRAZYFLIE, code=0):
 
 @pytest.fixture(scope="session")
 def flights(tmp_path_factory):
-    """Logs of a small programme of flights."""
+    """Logs of a short flight programme."""
     folder = tmp_path_factory.mktemp("flights")
     effects = [word for effect in EFFECTS for word in ("--effect", effect)]
     run("collect", "--out", folder, "--seconds", 60, *effects)
@@ -49,7 +49,7 @@ def flights(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def trained(flights, tmp_path_factory):
-    """A model of each kind of features, and the report of the first."""
+    """One model for each choice of features, and the report of the first."""
     folder = tmp_path_factory.mktemp("model")
     models = {features: folder / f"{features}.safetensors" for features in ("world", "heading", "body")}
     train(models["world"], flights, "--features", "world", "--report", folder / "report")
@@ -130,7 +130,7 @@ def test_onnx_matches_the_weights(trained, tmp_path, features, kind, model):
     for found, expected in zip(outputs, by_hand(load_file(path), model, features, *columns)):
         assert found.shape == (count, 3)
         scale = np.abs(expected).max(axis=0)
-        # A correction that is not taken at all is some 1e-308 here and 0 in single precision.
+        # A correction of nothing is about 1e-308 here and 0 in single precision.
         assert (np.abs(found - expected) <= 1e-4 * scale + 1e-12).all()
 
 
@@ -147,7 +147,7 @@ def predictions(path):
 
 
 def truth(log):
-    """The true position and velocity, by time in s on the vehicle's clock."""
+    """The messages of the simulator's truth."""
     with open(log, "rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         return [content for *_, content in reader.iter_decoded_messages(topics=["/sim/truth"])]
@@ -163,8 +163,8 @@ def test_predictions_start_at_every_sample(trained, flights, tmp_path):
     assert starts == sorted(starts) and len(set(starts)) > 1500
     for row in rows[::97]:
         assert abs(math.hypot(*row[9:13]) - 1) < 1e-5
-    # A prediction starts where the vehicle is: the first steps of neighbouring starts follow one
-    # another as the vehicle's speed has it, and the tenth step meets the first of nine starts on.
+    # A prediction starts where the vehicle is: its tenth step meets the first step of the prediction
+    # that starts nine samples later.
     first = {row[1]: np.array(row[3:6]) for row in rows if row[2] == 1}
     last = {row[1]: np.array(row[3:6]) for row in rows if row[2] == 10}
     gaps = [np.linalg.norm(last[s] - first[s + 9]) for s in last if s + 9 in first]
@@ -190,7 +190,7 @@ def write_table(log, folder):
         values = np.array([[getattr(content, field) for field in fields] for content in streams[name]])
         return lambda t: np.stack([np.interp(t, times, column) for column in values.T], axis=1)
 
-    # From the take-off to the landing, which the table does not say.
+    # Only the time in the air, because a table does not mark it.
     position = stream("position", "p_n_m", "p_e_m", "p_d_m")
     times = np.array([content.time_s for content in streams["attitude"]])
     times = np.arange(times[0], times[-1], 0.01)
@@ -246,7 +246,7 @@ def test_training_and_prediction_from_tables(flights, tmp_path):
     assert summary["data"]["refused"] == [] and len(summary["data"]["logs"]) == 5
     assert {log["source"] for log in summary["data"]["logs"]} == {"motor outputs"}
     physics = summary["one_step"][1]["labels"][2]
-    # Roll and pitch; the only flight that turns may be the one to test on.
+    # Roll and pitch: the only flight that yaws may be the test flight.
     assert physics["linear"] < 0.1 and max(physics["each"][3:5]) < 0.1
 
     out = tmp_path / "predictions.csv"

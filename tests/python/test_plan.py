@@ -1,4 +1,4 @@
-"""`downwash plan`: the file it writes, who may fly it, and what an interrupt leaves."""
+"""`downwash plan`: the file it writes, which plans `fly` refuses, and the plan after an interrupt."""
 
 import json
 import re
@@ -114,7 +114,7 @@ def test_a_zero_time_limit_gives_an_unflyable_plan(trajectory, tmp_path):
 
 
 def test_an_interrupt_leaves_the_best_plan_so_far(program, tmp_path):
-    # Longer than it takes to interrupt it: by the slowest of the solvers.
+    # The slowest solver, so that the search outlasts the interrupt.
     long = tmp_path / "long.toml"
     long.write_text(SHORT.replace("duration_s = 3.0", "duration_s = 5.0"))
     out = tmp_path / "plan.json"

@@ -1,6 +1,5 @@
-"""Every page that a command writes, in a real browser: on a desk and on a phone, in the light and in the
-dark, without scripts and with them. It complains of nothing, asks nobody for anything, fits, and can be
-read; what moves moves."""
+"""Every HTML report in a real browser: at desktop and phone width, in the light and the dark scheme, with
+and without scripts. Pages log no error, fetch nothing, fit and are legible, and their charts respond."""
 
 import json
 import subprocess
@@ -11,7 +10,7 @@ from browser import Browser
 from conftest import DOWNWASH, ROOT
 
 LOOKS = [(width, dark) for width in (1400, 400) for dark in (False, True)]
-# Labels that are seen, and the smallest of their sizes in pixels.
+# The smallest size of visible text, in pixels, and its element.
 SMALLEST = """
 (() => {
     let least = 1e9, what = '';
@@ -25,7 +24,7 @@ SMALLEST = """
     return [least, what];
 })()
 """
-# What reaches beyond the page, where it is not in a box that scrolls or cuts it off.
+# Elements that overflow the page outside boxes that scroll or clip.
 BEYOND = """
 [...document.querySelectorAll('main *')].filter(el => {
     const box = el.getBoundingClientRect();
@@ -33,7 +32,7 @@ BEYOND = """
         && (box.right > document.documentElement.clientWidth + 1 || box.left < -1);
 }).map(el => el.outerHTML.slice(0, 120))
 """
-# Charts without words for who cannot see them.
+# Charts without a text alternative.
 WORDLESS = """
 [...document.querySelectorAll('figure svg')].filter(svg => (svg.getAttribute('aria-label') || '').length < 20)
     .map(svg => svg.outerHTML.slice(0, 120))
@@ -55,7 +54,7 @@ def downwash(*arguments, folder, codes=(0,)):
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
-    """The pages of all commands, by name."""
+    """The pages of the quick commands, by name."""
     folder = tmp_path_factory.mktemp("pages")
     trajectory = folder / "circle.toml"
     trajectory.write_text("family = 'sinusoid-xy'\naltitude_m = 1.0\nduration_s = 6.0\namplitude_m = [0.8, 0.6]\nperiod_s = [3.0, 3.0]\n")
@@ -68,7 +67,7 @@ def pages(tmp_path_factory):
             )
             logs[side].append(folder / row["log"])
     found = {"flight": logs["b"][0].with_suffix(".html")}
-    # A log as of another program: the same messages without what only this program knows.
+    # A log as another program writes it: the same messages without what only downwash records.
     imported = folder / "imported.mcap"
     downwash("log", "import", logs["b"][0], "-o", imported, folder=folder)
     downwash("log", "report", imported, "-o", folder / "recording.html", folder=folder)
@@ -89,10 +88,10 @@ def pages(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def slow_pages(tmp_path_factory):
-    """The pages of commands that work for long."""
+    """The pages of the slow commands, by name."""
     folder = tmp_path_factory.mktemp("slow")
     downwash("demo", "--out", folder / "demo", folder=folder)
-    # Of so few cases it says so, which is no failure of the page.
+    # With so few cases the exam may exit with 10, which does not concern the page.
     downwash("exam", "--round-trip", "--cases", 2, "--out", folder / "exam", folder=folder, codes=(0, 10))
     return {
         "experiment": folder / "demo/report.html",
@@ -159,7 +158,7 @@ def test_charts_zoom_together_and_show_their_values(pages, browser):
     browser.mouse("mouseMoved", left + 0.5 * width, middle)
     browser.frame()
     shown = "document.querySelectorAll('.cross[style*=block]').length"
-    assert browser.value(shown) > 10, "the crosshair stands in every chart over time"
+    assert browser.value(shown) > 10, "the crosshair is in every chart over time"
     value = float(browser.value(f"document.querySelector('#tracking-error .read i b').textContent"))
     low, high = map(float, browser.value("document.querySelector('#tracking-error .plot').dataset.y").split())
     assert low <= value <= high
@@ -208,7 +207,7 @@ def test_an_event_link_zooms_and_the_path_rotates(pages, browser):
 
 
 def test_labels_of_the_path_do_not_overlap(pages, browser):
-    """At either width, as it is first seen."""
+    """At both widths, in the initial view."""
     overlapping = """(() => {
         const boxes = [...document.querySelectorAll('.scene span')].filter(span => span.textContent)
             .map(span => [span.textContent, span.getBoundingClientRect()]);
@@ -230,7 +229,7 @@ def test_a_ten_minute_flight_makes_a_small_page(browser, tmp_path):
     (tmp_path / "long.toml").write_text(
         "family = 'sinusoid-xy'\naltitude_m = 1.0\nduration_s = 600.0\namplitude_m = [0.8, 0.6]\nperiod_s = [4.0, 4.0]\n"
     )
-    # The pack is empty before.
+    # The battery is empty before the end.
     (tmp_path / "config.toml").write_text("[offboard.safety]\non_battery = 'warn'\n")
     done = downwash("simulate", "long.toml", "--config", "config.toml", "--json", "--out", ".", folder=tmp_path)
     row = json.loads(done.stdout)

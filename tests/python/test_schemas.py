@@ -1,4 +1,4 @@
-"""What the commands print with --json is what their schemas say, key by key."""
+"""The commands' --json output matches their schemas, key by key."""
 
 import json
 import subprocess
@@ -25,7 +25,7 @@ def schemas():
 
 
 def closed(schema):
-    """The schema with no key that it does not name."""
+    """The schema, with keys that it does not name forbidden."""
     if isinstance(schema, list):
         return [closed(each) for each in schema]
     if not isinstance(schema, dict):
@@ -47,7 +47,7 @@ def check(schemas, name, text):
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
-    """A short programme, with what `collect` collected of it."""
+    """The logs of a short flight programme, and the JSON that `collect` printed."""
     folder = tmp_path_factory.mktemp("flights")
     collected = run("collect", "--out", folder, "--seconds", 60, "--json", *DRAG)
     return sorted(folder.glob("*.mcap")), collected
@@ -134,7 +134,7 @@ def test_model_and_plan_output(schemas, flights, vehicle, tmp_path):
     fitted = run("tube", "fit", "--along", tmp_path / "p.json", "--flights", 19, "-o", tube, "--json")
     check(schemas, "downwash.tube.fit", fitted)
     check(schemas, "downwash.plan.summary", run("plan", "hover", "--tube", tube, "-o", plan, "--json"))
-    # One of two flights may leave the tube, which is exit code 0 all the same.
+    # One of two flights may leave the tube, still with exit code 0.
     check(schemas, "downwash.tube.check", run("tube", "check", plan, "--flights", 2, "--json"))
 
 
@@ -144,7 +144,7 @@ def test_diagnose_output(schemas, flights, vehicle, tmp_path):
     options = ["--vehicle", vehicle, "--twins", 4, "--next-flight", tmp_path / "next.toml", "--json"]
     answer = check(schemas, "downwash.diagnose", run("diagnose", *logs, *options))
     assert answer["verdict"] == "effect"
-    # Noise alone, and one flight.
+    # One flight without effects, only noise.
     still = run("simulate", "figure-8", "--out", tmp_path / "s", "--json")
     log = json.loads(still)["log"]
     check(schemas, "downwash.diagnose", run("diagnose", log, "--vehicle", vehicle, "--twins", 4, "--json"))

@@ -1,4 +1,4 @@
-"""What monitors ask of a flight, and a disk that takes no more."""
+"""Health, status and metrics of a flight over HTTP, and a full disk."""
 
 import json
 import re
@@ -13,7 +13,7 @@ from conftest import CRAZYFLIE, SHORT_HOVER, Program, Sitl
 
 @pytest.fixture
 def flight(tmp_path):
-    """Starts `downwash fly` with metrics on a vehicle of its own; gives the program and where it serves."""
+    """Starts `downwash fly` with metrics on a simulated vehicle; returns the program and its URL."""
     (tmp_path / "hover.toml").write_text(SHORT_HOVER)
     sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
     started = []
@@ -44,7 +44,7 @@ def value(metrics, name):
 
 
 def in_flight(program, url):
-    """Metrics of the flight once it is flown."""
+    """Waits until the flight is under way; returns its metrics."""
     program.says("take_off: armed")
     while True:
         status, metrics = get(f"{url}/metrics")
@@ -67,7 +67,7 @@ def test_a_flight_serves_health_status_and_metrics(flight):
     report = json.loads(text)
     assert status == 200 and report["schema"] == "downwash.status" and report["armed"]
     assert get(f"{url}/health") == (200, "ok\n")
-    # A control line that stands still is not well, and is well again.
+    # A brief stop of the process does not end the flight.
     program.signal(signal.SIGSTOP)
     program.signal(signal.SIGCONT)
     assert program.finish()[0] == 0, program.err
@@ -85,6 +85,6 @@ def test_a_full_disk_ends_the_log_and_not_the_flight(flight):
     status, text = get(f"{url}/health")
     assert status == 200 and "log is not written" in text
     code, _ = program.finish()
-    # It was flown to its end, and a flight without its log did not go well.
+    # The flight is complete, but exit code 1 reports the missing log.
     assert code == 1, program.err
     assert "done: disarmed" in program.err

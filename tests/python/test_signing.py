@@ -1,4 +1,4 @@
-"""MAVLink 2 signing: keys and their files, signed flights, and attacks by another implementation's frames."""
+"""MAVLink 2 signing: key files, signed flights, and attacks with independently built frames."""
 
 import json
 import os
@@ -52,7 +52,7 @@ def test_a_key_file_is_private_and_never_printed(tmp_path, key_file, config):
     assert key_file.stat().st_mode & 0o777 == 0o600
     assert len(key_of(key_file)) == 32
     secret = key_file.read_text().strip()
-    assert run("signing", "key", key_file).returncode == 2, "an old key is not written over"
+    assert run("signing", "key", key_file).returncode == 2, "an existing key is not overwritten"
     shown = run("config", "--config", config, "--json")
     assert shown.returncode == 0 and secret not in shown.stdout + shown.stderr
     key_file.chmod(0o644)
@@ -64,13 +64,13 @@ def test_a_key_file_is_private_and_never_printed(tmp_path, key_file, config):
 def test_a_signed_flight_leaves_no_key_in_its_log(tmp_path, key_file, config):
     sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], ["--signing-key", str(key_file)])
     try:
-        # Without the key only unsigned frames are readable, and the vehicle obeys none.
+        # Without the key downwash can send only unsigned frames, and the vehicle obeys none.
         waits = {"DOWNWASH_LINK__SEARCH_TIMEOUT_S": "4.0", "DOWNWASH_OFFBOARD__SUPERVISOR__READY_TIMEOUT_S": "6.0"}
         blind = fly(tmp_path, sitl.peer_url(), env={**os.environ, **waits})
         assert blind.returncode != 0 and "sign" in blind.stderr
         flown = fly(tmp_path, sitl.peer_url(), "--config", str(config))
         assert flown.returncode == 0, flown.stderr
-        # The stamps go on where they were.
+        # The stamps continue where they ended.
         state = json.loads((tmp_path / "key.stamps").read_text())
         again = fly(tmp_path, sitl.peer_url(), "--config", str(config))
         assert again.returncode == 0, again.stderr
@@ -118,7 +118,7 @@ def test_setup_installs_changes_and_removes_a_key(tmp_path, key_file, config):
         assert run("signing", "key", new).returncode == 0
         changed = tmp_path / "changed.toml"
         changed.write_text(f"[link.signing]\nkey_file = '{new}'\n")
-        # Whoever does not know the key in force cannot set another one up.
+        # Without the current key nobody can set another one.
         stranger = run("signing", "setup", "--connect", url, "--config", changed)
         assert stranger.returncode == 3, stranger.stdout
         own = run("signing", "setup", "--connect", url, "--config", changed, "--old-key", key_file)

@@ -1,4 +1,4 @@
-"""The vehicle as PX4 and as ArduCopter, over the wire."""
+"""The simulated vehicle as PX4 and as ArduCopter, over MAVLink."""
 
 import struct
 import time
@@ -30,7 +30,7 @@ def autopilot(vehicle_file, tmp_path):
 
 
 def answers(gcs, number, *params):
-    """Every result that a command gets within half a second, and the texts that come meanwhile."""
+    """Every result of a command within half a second, and the texts that arrive in that time."""
     params = list(params) + [0.0] * (7 - len(params))
     gcs.link.mav.command_long_send(1, 1, number, 0, *params)
     results, texts, end = [], "", time.monotonic() + 0.5
@@ -52,7 +52,7 @@ def test_px4_behaviour(autopilot, pilot):
     value = gcs.parameter("NAV_RCL_ACT").param_value
     assert struct.unpack("<i", struct.pack("<f", value)) == (2,), "byte cast"
     assert gcs.parameter("MC_ROLL_P").param_value == pytest.approx(8.0)
-    # Disarmed, any mode is accepted; arming then waits for setpoints.
+    # Disarmed, any mode is accepted; arming then needs setpoints.
     assert answers(gcs, SET_MODE, 1, 6)[0] == [ACCEPTED]
     results, texts = answers(gcs, ARM_DISARM, 1)
     assert results == [REJECTED]
@@ -67,7 +67,7 @@ def test_arducopter_behaviour(autopilot, pilot):
     assert gcs.parameter("GUID_OPTIONS").param_value == 0.0
     gcs.link.mav.param_set_send(1, 1, b"GUID_OPTIONS", 8.0, gcs.mav.MAV_PARAM_TYPE_REAL32)
     assert gcs.wait("PARAM_VALUE", lambda value: value.param_id == "GUID_OPTIONS").param_value == 8.0
-    assert answers(gcs, SET_MODE, 1, 4)[0] == [ACCEPTED], "one honest answer"
+    assert answers(gcs, SET_MODE, 1, 4)[0] == [ACCEPTED], "exactly one answer"
     gcs.wait("HEARTBEAT", lambda beat: beat.custom_mode == 4)
     assert gcs.command(SET_INTERVAL, 331, 10_000) == DENIED, "no ODOMETRY"
     assert gcs.command(SET_INTERVAL, 36, 20_000) == ACCEPTED

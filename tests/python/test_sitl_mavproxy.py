@@ -11,7 +11,7 @@ from conftest import python_tool
 
 
 class MavProxy:
-    """MAVProxy on a terminal of its own, without console or map."""
+    """MAVProxy on a pseudo-terminal, without console or map."""
 
     def __init__(self, master, directory):
         ours, theirs = pty.openpty()
@@ -34,7 +34,7 @@ class MavProxy:
         os.write(self.terminal, f"{line}\n".encode())
 
     def expect(self, word, timeout=15.0):
-        """Waits for a word after the last one that was waited for."""
+        """Waits for `word` in the output after the previous match."""
         end = time.monotonic() + timeout
         while time.monotonic() < end:
             try:
@@ -45,7 +45,7 @@ class MavProxy:
             if found:
                 self.output = rest
                 return
-        raise AssertionError(f"MAVProxy did not say {word!r}:\n{self.output[-3000:]}")
+        raise AssertionError(f"no {word!r} from MAVProxy:\n{self.output[-3000:]}")
 
     def stop(self):
         self.process.terminate()
@@ -68,7 +68,7 @@ def test_a_mavproxy_session(sitl, pilot, tmp_path, link):
         proxy.expect("Received")
         proxy.say("param show MIS_TAKEOFF_ALT")
         proxy.expect("2.5")
-        # Connected only now: what nobody reads overflows a socket, and the news with it.
+        # Connected only now, because a socket that nobody reads overflows and loses messages.
         watcher = pilot(vehicle.peer_url(1))
         watcher.wait("HEARTBEAT")
         proxy.say("param set COM_OF_LOSS_T 0.5")

@@ -147,11 +147,11 @@ def test_several_peers_over_several_links(sitl, pilot):
     # One stops its stream; the others keep theirs.
     assert peers[0].command(SET_INTERVAL, 30, -1) == ACCEPTED
     peers[1].wait("ATTITUDE")
-    # A mode that one chooses is seen by all, at once.
+    # All see at once a mode that one selects.
     assert peers[2].set_mode(POSCTL) == ACCEPTED
     for peer in peers:
         peer.wait("CURRENT_MODE", lambda mode: mode.custom_mode == POSCTL << 16, timeout=3)
-    # A client that goes away does not trouble the others.
+    # A client that disconnects does not affect the others.
     peers[3].close()
     assert peers[2].arm() == ACCEPTED
     assert peers[0].command(ARM_DISARM, 0) == ACCEPTED
@@ -174,7 +174,7 @@ def test_the_pilot_takes_over(sitl, pilot):
 
 
 def test_a_serial_line(sitl, pilot):
-    """Through a pseudo-terminal: the vehicle on one end, pymavlink's bytes on the other."""
+    """The vehicle at one end of a pseudo-terminal, pymavlink's bytes at the other."""
     ours, theirs = pty.openpty()
     name = os.ttyname(theirs)
     sitl(f"serial:{name}:57600")

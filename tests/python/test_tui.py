@@ -1,4 +1,4 @@
-"""`--tui` on a pseudo-terminal: what it shows, its keys, and that the terminal is as it was after every end."""
+"""`--tui` on a pseudo-terminal: its screen, its keys, and a restored terminal after every exit."""
 
 import os
 import signal
@@ -16,7 +16,7 @@ ROWS, COLUMNS = 30, 110
 
 
 class Screen:
-    """A program on a terminal of its own, and what the terminal shows."""
+    """A program on a pseudo-terminal, and the screen that it draws."""
 
     def __init__(self, *arguments):
         self.child = pexpect.spawn(
@@ -49,7 +49,7 @@ class Screen:
     def until(self, *words, timeout=60.0):
         end = time.monotonic() + timeout
         while not all(word in self.text for word in words):
-            assert self.feed() and time.monotonic() < end, f"never {words}:\n{self.text}"
+            assert self.feed() and time.monotonic() < end, f"not on the screen: {words}\n{self.text}"
 
     def finish(self):
         while self.feed():
@@ -58,7 +58,7 @@ class Screen:
         return self.child.exitstatus
 
     def is_restored(self):
-        """Alternate screen left, cursor shown, and the settings of the terminal as they were."""
+        """Whether the program left the alternate screen and shows the cursor."""
         left = self.raw.rindex(b"\x1b[?1049l") > self.raw.rindex(b"\x1b[?1049h")
         shown = self.raw.rindex(b"\x1b[?25h") > self.raw.rindex(b"\x1b[?25l")
         return left and shown
@@ -88,7 +88,7 @@ def test_the_screen_follows_a_flight_to_its_landing(flight):
     screen.until("state track", "mode Offboard", "armed", "link connected", "attitude roll", "error n")
     assert screen.finish() == 0
     assert screen.is_restored()
-    # The messages and the result stand on the terminal as it was.
+    # The messages and the result follow on the restored screen.
     after = screen.raw[screen.raw.rindex(b"\x1b[?1049l") :].decode()
     assert "INFO track: at the start" in after and "flight  done" in after
 
@@ -114,7 +114,7 @@ def test_a_signal_restores_the_terminal(flight):
 
 
 def test_terminal_settings_are_restored(flight):
-    """A shell goes on in the same terminal: its settings are as before."""
+    """A shell continues in the same terminal, so its settings must be as before."""
     screen = flight()
     screen.until("state")
     during = termios.tcgetattr(screen.child.child_fd)
@@ -122,12 +122,12 @@ def test_terminal_settings_are_restored(flight):
     screen.child.send("q")
     while b"\x1b[?1049l" not in screen.raw:
         assert screen.feed()
-    # The program is still there for a moment, or its terminal keeps what it left.
+    # The program still runs for a moment, or its terminal keeps the last settings.
     after = None
     try:
         after = termios.tcgetattr(screen.child.child_fd)
     except termios.error:
-        pytest.skip("the terminal went with the program")
+        pytest.skip("the terminal closed with the program")
     finally:
         screen.finish()
     assert after[3] & termios.ICANON

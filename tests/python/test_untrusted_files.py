@@ -1,5 +1,5 @@
-"""Files of strangers cost set_limits time and memory: lengths of 2^63, a depth of a million, gigabytes of
-zeros that take no room, and much that is packed in little."""
+"""Untrusted files cost bounded time and memory: lengths of 2^63, a nesting depth of a million, sparse
+gigabytes of zeros, and decompression bombs."""
 
 import io
 import json
@@ -12,7 +12,7 @@ import pytest
 
 from conftest import CRAZYFLIE, SHORT_HOVER
 
-# Address space of the whole process, its program and its threads' stacks included.
+# Address space of the whole process, including its code and its threads' stacks.
 MEMORY = 1 << 30
 CPU_S = 20
 DEPTH = 1_000_000
@@ -26,7 +26,7 @@ def set_limits():
 
 
 def exits(program, *arguments, codes=(2,), words=()):
-    """The command exits with one of the codes: not by a signal, a panic or without memory."""
+    """The command exits with one of the codes, and not through a signal, a panic or lack of memory."""
     one = program(*arguments, preexec_fn=set_limits)
     code, _ = one.finish(120)
     assert code in codes, (code, one.err)
@@ -56,7 +56,7 @@ def text(value):
 
 
 def zeros(count):
-    """`count` zeros as a zstd frame of runs: 4 bytes for 128 KiB each."""
+    """A zstd frame of `count` zeros in run-length blocks: 4 bytes for each 128 KiB."""
     run = 1 << 17
     blocks = [run] * (count // run)
     frame = b"\x28\xb5\x2f\xfd" + b"\x00" + b"\x58"
@@ -123,7 +123,7 @@ LOGS = {
 def test_hostile_logs(program, tmp_path, name):
     path = tmp_path / name
     path.write_bytes(LOGS[name])
-    # Some hold nothing, some a little that is read; a log that is none is refused.
+    # Some are empty and some have a little readable data; files that are no log are refused.
     codes = (0, 1, 2, 5, 10)
     exits(program, "log", "import", path, "--out", tmp_path / "out", codes=codes)
     if name.endswith(".mcap"):
@@ -136,7 +136,7 @@ HEADS = {"a.mcap": MAGIC, "a.ulg": ULOG, "a.bin": dataflash(), "a.csv": b"t,x\n0
 
 @pytest.mark.parametrize("name", HEADS)
 def test_headers_followed_by_zeros(program, tmp_path, name):
-    """What follows a log's beginning is zeros, of which no record begins."""
+    """A log's header, then zeros, which start no record."""
     path = tmp_path / name
     with open(path, "wb") as file:
         file.write(HEADS[name])
@@ -181,7 +181,7 @@ def test_hostile_models(program, tmp_path, name):
     exits(program, "model", "info", path, words=["model.safetensors"])
 
 
-# --- files that people write --------------------------------------------------------------------
+# --- text files ---------------------------------------------------------------------------------
 
 
 def deep_toml(key="a"):
@@ -201,7 +201,7 @@ TEXTS = {"deep": deep_toml, "dotted": dotted_toml, "json": deep_json, "sparse": 
 
 @pytest.fixture(params=TEXTS)
 def hostile_file(request, tmp_path):
-    """A file of any kind that says too much."""
+    """Writes hostile text of one kind to a file of a given name."""
 
     def make(name):
         path = tmp_path / name
@@ -282,11 +282,11 @@ def test_trajectories_of_extreme_size(program, tmp_path, name):
 
 
 def test_the_memory_limit_catches_an_unbounded_read(program, tmp_path):
-    """What the bounds are: a file of 8 GiB takes no room, and no process of 1 GiB holds it."""
+    """A sparse file of 8 GiB takes no disk space, and a process limited to 1 GiB cannot read it whole."""
     path = sparse(tmp_path / "zeros")
     assert os.stat(path).st_blocks * 512 < 1 << 20
     with pytest.raises(MemoryError):
-        # As a program would that reads it whole.
+        # Reads the whole file, as an unbounded program would.
         before = resource.getrlimit(resource.RLIMIT_AS)
         try:
             resource.setrlimit(resource.RLIMIT_AS, (MEMORY, before[1]))

@@ -9,7 +9,7 @@ import pytest
 from conftest import CRAZYFLIE, DOWNWASH, SHORT_HOVER, free_port
 from hand_made_vehicle import HandMadeVehicle
 
-# What PX4's SIH quadrotor states; whole numbers are integers on the wire, sent as their bytes.
+# The parameters of PX4's SIH quadrotor; whole numbers travel as byte-cast integers.
 SIH = {
     "SYS_AUTOSTART": 10040,
     "MAV_TYPE": 2,
@@ -76,7 +76,7 @@ def test_init_makes_a_file_from_the_connected_vehicle(px4, tmp_path):
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert (summary["schema"], summary["autopilot"], summary["missing"]) == ("downwash.vehicle.init", "PX4", [])
-    # Nothing was set, no stream was asked for, nothing was armed.
+    # It set no parameter, requested no stream and armed nothing.
     assert vehicle.params == before
     assert {command for command, _, _ in vehicle.commands} <= {512}
     file = tomllib.loads((tmp_path / "quad.toml").read_text())
@@ -88,10 +88,10 @@ def test_init_makes_a_file_from_the_connected_vehicle(px4, tmp_path):
     assert file["provenance"]["mass"]["from"] == "SIH_MASS"
 
     assert downwash(tmp_path, "vehicle", "check", "quad.toml").returncode == 0
-    # It is enough to plan with, as it is.
+    # The file suffices for a plan without edits.
     done = downwash(tmp_path, "plan", "hover", "--vehicle", "quad.toml", "--out", "plan.json", timeout=120)
     assert done.returncode == 0, done.stderr
-    # And it is not written over.
+    # An existing file is not overwritten.
     done = downwash(tmp_path, "vehicle", "init", "--connect", url, "-o", "quad.toml")
     assert done.returncode == 2 and "--force" in done.stderr
 
@@ -170,7 +170,7 @@ def test_check_compares_a_file_with_a_flight(tmp_path):
     done = downwash(tmp_path, "vehicle", "check", "crazyflie", "--log", str(flight), "--json")
     assert done.returncode == 0, done.stdout
     verdicts = {held["check"]: held["verdict"] for held in json.loads(done.stdout)["held"]}
-    # The flight turns to no other heading.
+    # The flight keeps one heading.
     assert verdicts == {"hover": "fits", "outputs": "fits", "roll": "fits", "pitch": "fits", "yaw": "not_shown"}
 
     text = CRAZYFLIE.read_text().replace("mass = 0.030", "mass = 0.045")

@@ -1,4 +1,4 @@
-"""The page of the live view in a real browser: a flight as it happens, and a log that is played."""
+"""The page of the live view in a real browser: a flight in progress, and the playback of a log."""
 
 import re
 
@@ -56,7 +56,7 @@ def test_the_page_shows_a_flight_live(program, browser, tmp_path):
     browser.until("known.plan.length > 50 && known.trail.length > 10 && known.rotors.length === 4")
     browser.until("document.getElementById('figure-mode').textContent === 'Offboard'")
     browser.until("lines.get('north').t.length > 100 && lines.get('motor 1').t.length > 100")
-    # The vehicle is where it was told to be, north, east and up.
+    # The vehicle is at its commanded height; the page's axes are east, north, up.
     assert abs(browser.value("known.state.p[2]") - 0.8) < 0.3
     events = browser.value("document.getElementById('events').textContent")
     assert "heard" in events
@@ -64,7 +64,7 @@ def test_the_page_shows_a_flight_live(program, browser, tmp_path):
     parameters = browser.until("document.getElementById('parameters').textContent")
     assert "control.law" in parameters
     assert flight.finish()[0] == 0
-    # The server is gone with the flight, and the page says so.
+    # The server ends with the flight, and the page shows it.
     browser.until("document.getElementById('link').className === 'bad'")
 
 
@@ -73,7 +73,7 @@ def test_a_log_plays_pauses_and_seeks(program, browser, log):
     url = address(replay)
     browser.open(url, 1400, 1000)
     browser.until("playback && !playback.playing && known.rotors.length === 4 || playback && known.now > 0")
-    # Nothing moves before it is played.
+    # The playback state arrives before any command.
     assert browser.value("playback.playing") in (True, False)
     middle = browser.value("(playback.from + playback.to) / 2")
     browser.value("control(1, 1, (playback.from + playback.to) / 2)")
@@ -82,7 +82,7 @@ def test_a_log_plays_pauses_and_seeks(program, browser, log):
     browser.until("known.trail.length > 10 && known.plan.length > 50")
     browser.value("document.getElementById('play').click()")
     browser.until(f"playback.playing && known.now > (playback.from + playback.to) / 2 + 0.5 && {STATE} !== '–'")
-    # Back: what was seen after that instant is gone from the curves.
+    # A seek backwards removes later samples from the curves.
     browser.value("control(1, 1, playback.from + 2)")
     browser.until("!playback.playing && Math.abs(known.now - playback.from - 2) < 0.01")
     browser.value("control(0, 8, playback.from + 2)")
@@ -114,7 +114,7 @@ def test_the_page_fits_and_is_readable(program, browser, log, width, dark):
 
 @pytest.fixture
 def writable(program, tmp_path):
-    """A long hover on a vehicle of its own, whose viewers may change something; the program and its address."""
+    """A long hover with --view-write, on its own vehicle; the program and its URL."""
     (tmp_path / "hover.toml").write_text("family = 'hover'\naltitude_m = 0.8\nduration_s = 120.0\n")
     sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
     flight = program("fly", tmp_path / "hover.toml", "--vehicle", CRAZYFLIE, "--connect", sitl.peer_url(),
@@ -132,7 +132,7 @@ def test_the_page_moves_the_goal(writable, browser, tmp_path):
     before = browser.value("known.state.p")
     fill = """(values => { [...document.querySelectorAll('#writable input')].forEach((input, i) => input.value = values[i]);
         document.querySelector('#change button').click(); })"""
-    # Too far is refused, and logged so; nothing moves.
+    # A goal too far away is refused with an event; nothing moves.
     browser.value(f"{fill}([9, 0, 0, 1])")
     browser.until("document.getElementById('events').textContent.includes('a goal moves by at most 3 m')")
     browser.value(f"{fill}([1, -0.5, 0.4, 1.2])")
