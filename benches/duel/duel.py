@@ -22,7 +22,7 @@ from raptor import Policy
 from se3 import Geometric
 from vehicles import draw
 
-# If a flight from the ground never reached its mission, those on board begin when most do.
+# When a flight from the ground never reaches its mission, the on-board controllers start at the usual time.
 USUAL_BEGIN_S = 9.0
 SEEDS_APART = 100_000
 
@@ -90,11 +90,11 @@ def main() -> None:
             row = done.result()
             file.write(json.dumps(row) + "\n")
             file.flush()
-            told = row.get("failure") or {
+            outcome = row.get("failure") or {
                 mission: {who: each["error_m"] and round(each["error_m"], 4) for who, each in row.items()}
                 for mission, row in row["missions"].items()
             }
-            print(row["index"], row.get("kinds"), told, f"{row.get('wall_s')} s", file=sys.stderr)
+            print(row["index"], row.get("kinds"), outcome, f"{row.get('wall_s')} s", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -65,7 +65,7 @@ def _fly(
     )[0]
     error, begin = flown(row["log"], desired(mission))
     os.remove(row["log"])
-    # Ended before the mission did: lost, or landed early by its own supervisor.
+    # The flight ended before the mission: lost, or landed early by its supervisor.
     crashed = row["end"] != "done" or error is None
     return {
         "crashed": crashed,
@@ -116,12 +116,12 @@ def planned(
     bound = {"offboard.limits.thrust_max": min(0.9, 1.5 * drawn.file["hover_thrust"])}
     plan = dw.plan(trajectory(mission), drawn.vehicle(), model, settings=PLANNING | bound)
     planned_s = round(time.monotonic() - began, 2)
-    told = {"plan": plan.status, "not_flyable": plan.not_flyable, "plan_s": planned_s}
+    outcome = {"plan": plan.status, "not_flyable": plan.not_flyable, "plan_s": planned_s}
     if plan.not_flyable is None:
         try:
-            return _fly(drawn, plan, mission, seed, folder / "plan", FLYING) | told
+            return _fly(drawn, plan, mission, seed, folder / "plan", FLYING) | outcome
         except dw.DownwashError as refusal:
-            told["not_flyable"] = str(refusal)
+            outcome["not_flyable"] = str(refusal)
     # Without a flyable plan, it flies the trajectory itself.
     course = trajectory(mission)
-    return _fly(drawn, course, mission, seed, folder / "plan", FLYING | UNPLANNED) | told
+    return _fly(drawn, course, mission, seed, folder / "plan", FLYING | UNPLANNED) | outcome

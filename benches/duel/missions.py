@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 RATE_HZ = 100.0
-# A flight farther than this from the desired position, or turned over, counts as a crash.
+# Farther than this from the desired position, or upside down, a flight counts as a crash.
 LOST_M = 3.0
 
 # The authors' figure: 2 m by 1 m.
@@ -52,7 +52,7 @@ def trajectory(mission: str) -> dw.Trajectory:
 
 
 def desired(mission: str) -> Array:
-    """Its points at the common rate, with columns `dw.POINT`."""
+    """The mission's points at `RATE_HZ`, with columns `dw.POINT`."""
     along = trajectory(mission)
     return along.sample(np.arange(0.0, along.duration_s + 1e-9, 1 / RATE_HZ))
 

@@ -10,7 +10,7 @@ import numpy as np
 from missions import RATE_HZ, Array, error_m, lost
 from vehicles import Drawn
 
-# As long as downwash hovers before its mission.
+# downwash hovers for this long before its mission.
 HOVER_S = 5.0
 STEPS = round(1 / RATE_HZ / dw.Plant.step_s)
 

@@ -8,8 +8,8 @@ from missions import Array
 
 POSITION_ERROR_MAX_M = 0.5
 VELOCITY_ERROR_MAX_M_S = 1.0
-# Thrust over rotor command of its training vehicles, all scaled alike: the constant, linear and
-# square coefficients, whose sum is full thrust.
+# Thrust over rotor command of its training vehicles, which share one curve up to scale: the constant,
+# linear and quadratic coefficients, whose sum is full thrust.
 THRUST_CURVE = np.array([0.00352526, 0.01437313, 0.09223048])
 
 
@@ -27,8 +27,8 @@ def rotation(q: Array) -> Array:
 class Policy:
     """Motor outputs, 100 times a second.
 
-    Axes are front, left, up; errors of position and velocity are seen from the desired heading, and
-    clipped. Motors: front right, rear right, rear left, front left, as downwash's.
+    Axes are front, left, up. Position and velocity errors are clipped, in axes of the desired heading.
+    Motors: front right, rear right, rear left, front left, as in downwash.
     """
 
     FLU = np.diag([1.0, -1.0, -1.0])

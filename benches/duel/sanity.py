@@ -1,4 +1,4 @@
-"""Whether RAPTOR flies in downwash's plant as it does elsewhere: its own kinds of vehicle, no effects.
+"""Checks that RAPTOR flies in downwash's plant as elsewhere: on vehicles of its kind, without effects.
 
 Its authors' deployment flies a figure of eight of 2 m by 1 m in 10 s by default. RotorPy has its own adapter
 for the policy; its results in RotorPy are printed for comparison.
@@ -33,7 +33,7 @@ def points(keys: dict[str, object]) -> Array:
 
 
 def like_x500() -> dict[str, object]:
-    """The authors' simulator's parameters of an x500: 2 kg, arms of 0.25 m, 50 N in total."""
+    """An x500 with the parameters of the authors' simulator: 2 kg, arms of 0.25 m, 50 N in total."""
     file = dw.Vehicle("quad1200").to_dict()
     side, mass, inertia, full = 0.1768, 2.0, np.array([0.02448, 0.02448, 0.04396]), 12.8
     rotors = [
@@ -125,10 +125,10 @@ def main() -> None:
                 1,
                 lambda count, curve=curve: Policy(count, curve),
             )
-            told = [f"{e['error_m']:.3f}" if not e["crashed"] else "crash" for e in flown]
-            print(f"| {name}, thrust {curve} over the command | " + " | ".join(told) + " |")
-    told = [f"{in_rotorpy(course):.3f}" for course in courses.values()]
-    print("| RotorPy's Crazyflie and adapter in RotorPy | " + " | ".join(told) + " |")
+            cells = [f"{e['error_m']:.3f}" if not e["crashed"] else "crash" for e in flown]
+            print(f"| {name}, thrust {curve} over the command | " + " | ".join(cells) + " |")
+    cells = [f"{in_rotorpy(course):.3f}" for course in courses.values()]
+    print("| RotorPy's Crazyflie and adapter in RotorPy | " + " | ".join(cells) + " |")
     difference = same_air_m_s2()
     print(f"\nThe same gusts, wind, drag and mass for both: to {difference:.1e} m/s^2")
     assert difference < 1e-9

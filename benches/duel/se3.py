@@ -1,4 +1,4 @@
-"""RotorPy's SE3 controller, which knows the vehicle's file."""
+"""RotorPy's SE3 controller, with the parameters of the vehicle's file."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def best(step, steps_a_call):
     return max(rates)
 
 
-def tell(tool, precision, what, vehicles, rate):
+def report(tool, precision, what, vehicles, rate):
     row = {"tool": tool, "precision": precision, "what": what, "vehicles": vehicles, "steps_per_s": round(rate)}
     print(json.dumps(row), flush=True)
 
@@ -61,7 +61,7 @@ def crazyflow():
                 sim.step(inner)
                 jax.block_until_ready(sim.data.states.pos)
 
-            tell("crazyflow", "f32", f"rotor lag and drag, {integrator}", worlds, best(step, inner * worlds))
+            report("crazyflow", "f32", f"rotor lag and drag, {integrator}", worlds, best(step, inner * worlds))
             sim.close()
 
 
@@ -84,7 +84,7 @@ def rotorpy():
     def step():
         flown[0] = vehicle.step(flown[0], {"cmd_motor_speeds": np.full(4, 1780.0)}, 0.001)
 
-    tell("rotorpy", "f64", "one vehicle, rotor lag and drag, adaptive RK45", 1, best(step, 1))
+    report("rotorpy", "f64", "one vehicle, rotor lag and drag, adaptive RK45", 1, best(step, 1))
     try:
         import torch
         from rotorpy.vehicles.multirotor import BatchedMultirotor, BatchedMultirotorParams
@@ -104,7 +104,7 @@ def rotorpy():
         def step(many=many, held=held, speeds=speeds):
             held[0] = many.step(held[0], {"cmd_motor_speeds": speeds}, 0.001)
 
-        tell("rotorpy", "f64", "batched, rotor lag and drag, RK4", count, best(step, count))
+        report("rotorpy", "f64", "batched, rotor lag and drag, RK4", count, best(step, count))
 
 
 if __name__ == "__main__":

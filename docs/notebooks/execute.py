@@ -1,7 +1,7 @@
-"""Executes the notebooks, and keeps what they print and draw: `python docs/notebooks/execute.py`.
+"""Executes the notebooks and stores their output: `python docs/notebooks/execute.py`.
 
-Pages in frames are left out, for they are larger than all the rest. The last picture of each notebook becomes
-a file beside it, which the documentation shows. DOWNWASH_PRACTICE is the folder of PX4's flights.
+Embedded report pages are dropped because of their size. The last picture of each notebook becomes a file beside
+it, which the documentation shows. DOWNWASH_PRACTICE is the folder of the practice flights.
 """
 
 import base64

@@ -1,4 +1,4 @@
-"""A sweep by processes of this machine, as any scheduler would start them.
+"""A sweep with local processes, started as a scheduler would start them.
 
     python sweep_processes.py sweep.toml sweep-out 4
 """

@@ -1,4 +1,4 @@
-"""A sweep by submitit, on Slurm or, as here, on this machine: each job is one shard.
+"""A sweep with submitit, on Slurm or, as here, on this machine: each job is one shard.
 
     python sweep_submitit.py sweep.toml sweep-out 4
 """

@@ -1,4 +1,4 @@
-"""Tunes the controller's weights with Optuna, on a vehicle that is not what its file says.
+"""Tunes the controller's weights with Optuna, on a vehicle that differs from its file.
 
     python tune.py 40
 """
@@ -12,7 +12,7 @@ EFFECTS = {"wind": {"north_m_s": 2.0}, "rotor_drag": {"d_xy": 0.02}, "motor_lag"
 
 
 def error_m(weights: dict[str, object]) -> float:
-    """How far the vehicle is from figure-8, the mean of two flights, m."""
+    """Mean RMS distance from the figure of eight in two flights, m."""
     rows = dw.fly(trajectory="figure-8", effects=EFFECTS, controller=weights, seeds=[1, 2])
     if any(row["end"] != "done" for row in rows):
         return 10.0

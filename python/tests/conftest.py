@@ -1,4 +1,4 @@
-"""What the tests of the wheel share."""
+"""Shared fixtures of the wheel's tests."""
 
 import os
 from pathlib import Path
@@ -16,7 +16,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Flights of a nano quadrotor with drag that its file does not say, of 20 s each."""
+    """Logs of three flights, 20 s each, of a nano quadrotor with drag that its file does not model."""
     folder = tmp_path_factory.mktemp("logs")
     flown = []
     for index, name in enumerate(["figure-8", "sinusoid-xz", "random-waypoints"]):
@@ -32,9 +32,9 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="session")
 def practice() -> Path:
-    """Flights of PX4 and ArduCopter, where they are there."""
+    """The folder of practice flights of PX4 and ArduCopter; skips the test if it is absent."""
     beside = ROOT / "../shared/practice-autopilot"
     folder = Path(os.environ.get("DOWNWASH_PRACTICE", beside))
     if not (folder / "px4_drag").is_dir():
-        pytest.skip("the practice flights are not here")
+        pytest.skip("no practice flights; set DOWNWASH_PRACTICE to their folder")
     return folder

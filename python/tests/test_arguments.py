@@ -1,4 +1,4 @@
-"""Whatever an argument is, the answer is an exception of Python's kinds, never a panic and never a hang."""
+"""Any argument gives a result or a Python exception, never a panic or a hang."""
 
 import inspect
 import math
@@ -22,7 +22,7 @@ def read_only(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 
 def arrays(rng: random.Random) -> Any:
-    """An array, or what looks like one."""
+    """A random array, or an object that resembles one."""
     shape = tuple(rng.choice([0, 1, 3, 4, 6, 9, 13, 14]) for _ in range(rng.randint(0, 4)))
     dtype = rng.choice([float, np.float32, np.float16, int, np.uint8, bool, complex, object, "U3", "M8[s]"])
     plain = np.ones(shape, dtype=dtype if dtype not in ("U3", "M8[s]") else float)
@@ -157,7 +157,7 @@ ARRAYS = {"outputs", "start", "state", "rotor_states", "x", "u", "X", "time_s", 
 TABLES = {"effects", "onsets", "settings", "controller", "simulation", "params"}
 PATHS = {"path", "logs", "vehicle", "trajectory", "manifest", "out", "mapping", "config", "folder", "file"}
 PATHS |= {"a", "b", "holdout", "new", "next_flight", "parameters", "without", "source", "model"}
-# What gets past the first look, so that the next ones are reached; and what takes long, kept short.
+# Values that pass the first checks, so that later ones run; and settings that keep slow functions short.
 GOOD: dict[str, Any] = {
     "outputs": np.full((2, 3, 4), 0.5),
     "x": np.zeros((2, 9)),
@@ -201,7 +201,7 @@ def public() -> dict[str, tuple[type | None, Any]]:
 
 @pytest.fixture(scope="module")
 def instances(logs: list[Path]) -> dict[type, Any]:
-    """One of each class."""
+    """One instance of each class."""
     log = dw.read(logs[0])
     learner = dw.Learner(hidden=8, passes=1).fit(logs)
     return {
@@ -228,7 +228,7 @@ def instances(logs: list[Path]) -> dict[type, Any]:
 
 
 def drawn(name: str, rng: random.Random) -> Any:
-    """An argument of this name, mostly wrong."""
+    """A random value for an argument of this name, mostly wrong."""
     if name in FEW and rng.random() < 0.9:
         return rng.choice(FEW[name])
     if name in GOOD and rng.random() < 0.5:
@@ -256,7 +256,7 @@ def test_every_function_gives_a_result_or_an_exception(
         function, parameters = function.fset, [inspect.Parameter("state", inspect.Parameter.POSITIONAL_ONLY)]
     else:
         parameters = list(inspect.signature(function).parameters.values())[len(before) :]
-    # What takes no argument has only one answer.
+    # Without arguments there is only one result.
     for _ in range(40 if parameters else 1):
         positional, named = [], {}
         for parameter in parameters:

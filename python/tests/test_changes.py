@@ -1,4 +1,4 @@
-"""What changes in flight, laws that no effect is, and the fastest way."""
+"""Changes in flight, discovered laws, time-optimal plans and adaptation."""
 
 import json
 import signal
@@ -84,7 +84,7 @@ def test_an_interrupted_diagnosis_stops_computing(logs: list[Path]) -> None:
         began = time.process_time()
         with pytest.raises(KeyboardInterrupt):
             dw.diagnose("crazyflie", logs, twins=40, progress=work)  # type: ignore[arg-type]
-        # Until nothing computes any more.
+        # Wait until the process is idle.
         last, quiet = time.process_time(), 0
         while quiet < 5:
             time.sleep(0.05)
@@ -100,7 +100,7 @@ def test_an_interrupted_diagnosis_stops_computing(logs: list[Path]) -> None:
 
         return interrupt
 
-    # All stages up to the last; and broken off in the longest of them.
+    # Interrupted in the last stage, and in the longest.
     whole = cpu_s(interrupt_at("flying again in simulation"))
     short = cpu_s(interrupt_at("simulating twins without an effect"))
     assert short < 0.5 * whole, (short, whole)

@@ -1,4 +1,4 @@
-"""Files for schedulers and builders are what their readers expect."""
+"""The Kubernetes job and the Containerfile are valid."""
 
 import re
 import tomllib
@@ -13,7 +13,7 @@ def test_the_sweep_job_is_a_kubernetes_indexed_job() -> None:
     yaml = pytest.importorskip("yaml")
     job: dict[str, Any] = yaml.safe_load((ROOT / "config/sweep-job.yaml").read_text())
     jsonschema = pytest.importorskip("jsonschema")
-    # Of the Job API, batch/v1, what this file uses.
+    # The part of the batch/v1 Job API that the file uses.
     named = {"type": "string", "pattern": "^[a-z0-9]([-a-z0-9]*[a-z0-9])?$"}
     mount = {"type": "object", "required": ["name", "mountPath"], "properties": {"name": named}}
     container = {

@@ -1,4 +1,4 @@
-"""The vehicles that `benches/duel` draws; RAPTOR itself is not needed for them."""
+"""The random vehicles of `benches/duel`, which do not need RAPTOR itself."""
 
 import sys
 from typing import Any

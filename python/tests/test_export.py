@@ -1,8 +1,7 @@
-"""Vehicles in other simulators: these fly the exported vehicle as downwash flies its own.
+"""Exported vehicles fly in other simulators as in downwash.
 
-A flight of a vehicle with unmodelled effects is replayed, from each of its windows' starts, by a
-simulator with the file's vehicle and by one with the effects found. What the second is nearer by must
-be nearly what our own simulator is nearer by.
+Each simulator replays the windows of a flight with unmodelled effects twice: with the file's vehicle, and
+with the effects found. The effects must reduce its error by nearly as much as they reduce downwash's.
 """
 
 import importlib
@@ -19,7 +18,7 @@ VEHICLE = "quad1200"
 WINDOW = 0.3
 STEP = 0.001
 NUMBERS = np.ndarray[Any, np.dtype[np.float64]]
-# From a state, rotor states and a window's outputs to the state at the window's end.
+# Maps a state, rotor states and a window's outputs to the state at the window's end.
 Replay = Callable[[NUMBERS, NUMBERS, NUMBERS], NUMBERS]
 
 HEAVIER = {"mass": {"mass_kg": 1.4}, "inertia": {"scale": [1.3, 1.2, 1.1]}}
@@ -45,15 +44,14 @@ EVERY = {
 
 
 def flown(effects: dict[str, Any]) -> list[tuple[NUMBERS, NUMBERS, NUMBERS, NUMBERS]]:
-    """Of each window the state and the rotor states at its start, its outputs, and the state at its
-    end."""
+    """For each window: state and rotor states at its start, its outputs, and the state at its end."""
     hover = dw.Vehicle(VEHICLE).to_dict()["hover_thrust"]
     plant = dw.Plant(VEHICLE, effects, state=[0, 0, -50, 3, -2, 0.5, 1] + [0] * 6)
     plant.rotor_states = [hover] * 4
     rng = np.random.default_rng(1)
     windows = []
     for _ in range(20):
-        # Each window is begun level, at a speed of its own, and flown by other outputs.
+        # Each window starts level, with its own velocity and outputs.
         start = plant.state
         start[3:6] = rng.normal(0.0, 3.0, 3)
         start[6:] = [1, 0, 0, 0, *rng.normal(0.0, 0.3, 3)]
@@ -99,7 +97,7 @@ def casadi(effects: dict[str, Any]) -> Replay:
 
 
 def mirrored(state: NUMBERS) -> NUMBERS:
-    """Between north, east, down and north, west, up, and the bodies alike: its own inverse."""
+    """Converts between north-east-down and north-west-up, and the body axes likewise; its own inverse."""
     turned = state.copy()
     turned[[1, 2, 4, 5, 8, 9, 11, 12]] *= -1
     return turned
@@ -129,7 +127,7 @@ def drone_models(effects: dict[str, Any]) -> Replay:
                 p, _, a, b, w = dynamics(
                     x[:3], q, x[3:6], x[10:13], command, speed, **parameters
                 )
-                # Its own rate of the quaternion is not for integration, as it says.
+                # Its documentation says not to integrate its quaternion rate.
                 turn = np.append(q[3] * x[10:13] + np.cross(q[:3], x[10:13]), -q[:3] @ x[10:13])
                 return np.concatenate([p, a, turn / 2, b]), w
 
@@ -196,8 +194,7 @@ def rotorpy(effects: dict[str, Any]) -> Replay:
 
 
 def error(replay: Replay, windows: list[tuple[NUMBERS, NUMBERS, NUMBERS, NUMBERS]]) -> float:
-    """Root mean square distance from what was flown at the windows' ends: positions in m, and
-    attitudes by a lever of a metre."""
+    """RMS error at the windows' ends, m: of the position, and of the attitude with a lever arm of 1 m."""
     total = 0.0
     for start, rotors, outputs, flown_to in windows:
         end = replay(start, rotors, outputs)
@@ -224,7 +221,7 @@ def test_exports_reproduce_the_found_effects(
     ours = error(own(nominal), windows) - error(own(found), windows)
     assert ours > 0.02, "the effects matter"
     theirs = error(peer(nominal), windows) - error(peer(found), windows)
-    assert theirs >= 0.8 * ours, f"nearer by {theirs} m, ours by {ours} m"
+    assert theirs >= 0.8 * ours, f"error reduced by {theirs} m, ours by {ours} m"
 
 
 @pytest.mark.parametrize("name", ["rotorpy", "drone-models", "px4-sih", "mujoco", "casadi"])

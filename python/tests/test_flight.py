@@ -1,4 +1,4 @@
-"""Flights in lockstep: rows, seeds, logs, and what they are refused for."""
+"""Flights in lockstep: rows, seeds, logs, errors and interruption."""
 
 import json
 import pickle
@@ -49,8 +49,8 @@ def test_rows_become_a_table() -> None:
 def test_the_wheels_command_gives_the_same_row() -> None:
     command = Path(sys.executable).with_name("downwash")
     run = [command, "simulate", "hover", "--no-log", "--json", "--seed", "5"]
-    reported = subprocess.run(run, capture_output=True, check=True, text=True)
-    assert json.loads(reported.stdout) == dw.fly(trajectory="hover", seeds=5)[0]
+    done = subprocess.run(run, capture_output=True, check=True, text=True)
+    assert json.loads(done.stdout) == dw.fly(trajectory="hover", seeds=5)[0]
     wrong = subprocess.run([command, "simulate", "nowhere.toml"], capture_output=True, text=True)
     assert wrong.returncode == 2 and "nowhere.toml" in wrong.stderr
 

@@ -1,4 +1,4 @@
-"""Logs as arrays, learning and diagnosing from them."""
+"""Logs as arrays; learning, planning, comparison and diagnosis from them."""
 
 import pickle
 import subprocess
@@ -47,7 +47,7 @@ def test_a_learner_learns_and_predicts(logs: list[Path], tmp_path: Path) -> None
     model = learner.model_
     found, slopes = model.accelerations(x, u, jacobian=True, kind="hybrid")
     assert found.shape == (5, 6) and slopes.shape == (5, 6, 13)
-    # The physics is smooth: its slopes are those of differences.
+    # The physics is smooth, so its Jacobian equals finite differences.
     _, slopes = model.accelerations(x, u, jacobian=True, kind="physics")
     for column in range(13):
         step = np.zeros(13)

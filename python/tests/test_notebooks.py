@@ -1,4 +1,4 @@
-"""The notebooks of the documentation run from their first cell to their last, and show what they drew."""
+"""The documentation's notebooks run from the first cell to the last, and contain their plots."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Motor outputs in, motion out: physics by closed form, batches against single vehicles."""
+"""The plant against closed forms, and batches against single vehicles."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A sweep gives the same bytes whoever flies it, in whatever parts, whatever dies on the way."""
+"""A sweep gives the same bytes with any workers and shards, also if workers die."""
 
 import csv
 import os
@@ -46,7 +46,7 @@ def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(manifest: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The table, by one worker."""
+    """The table of a single worker."""
     out = tmp_path_factory.mktemp("whole")
     summary = dw.sweep(manifest, out)
     assert (summary["points"], summary["done"], summary["failures"]) == (POINTS, POINTS, POINTS // 2)
@@ -86,7 +86,7 @@ def test_killed_workers_do_not_change_the_table(manifest: Path, whole: bytes, tm
     rng = random.Random(1)
     workers = [worker(manifest, tmp_path, shard, 7) for shard in range(1, 8)]
     for each in workers[::3]:
-        # As soon as it has begun its rows.
+        # As soon as it has started to write rows.
         index = workers.index(each) + 1
         rows = tmp_path / f"rows-{index}-of-7.jsonl"
         while each.poll() is None and not (rows.exists() and rows.stat().st_size > 0):
@@ -94,7 +94,7 @@ def test_killed_workers_do_not_change_the_table(manifest: Path, whole: bytes, tm
         each.send_signal(signal.SIGKILL)
     for each in workers:
         each.wait(120)
-    # And one that died in the middle of a line.
+    # One worker died in the middle of a line.
     torn = tmp_path / "rows-1-of-7.jsonl"
     torn.write_bytes(torn.read_bytes()[: -rng.randint(1, 200)])
     summary = dw.sweep(manifest, tmp_path)

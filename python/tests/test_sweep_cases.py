@@ -1,4 +1,4 @@
-"""Sweeps of diagnoses and of exams: the same promises as those of flights."""
+"""Sweeps of diagnoses and exams give the same guarantees as sweeps of flights."""
 
 import csv
 import json
@@ -37,7 +37,7 @@ seconds = [10.0]
 
 @pytest.fixture(scope="module")
 def folder(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three cases: one flight, all flights, and a log that is none."""
+    """Three cases: one flight, all flights, and a file that is no log."""
     folder = tmp_path_factory.mktemp("diagnoses")
     for name, flights in [("one", logs[:1]), ("three", logs), ("empty", [])]:
         case = folder / "cases" / name
@@ -53,7 +53,7 @@ def folder(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(folder: Path) -> bytes:
-    """The table of the diagnoses, by one worker."""
+    """The table of the diagnoses of a single worker."""
     summary = dw.sweep(folder / "diagnoses.toml", folder / "whole")
     assert (summary["points"], summary["done"], summary["failures"]) == (6, 6, 2)
     return Path(summary["table"]).read_bytes()
@@ -122,7 +122,7 @@ def test_an_exam_does_not_depend_on_its_workers(folder: Path, tmp_path: Path) ->
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "shards" / file).read_bytes()
     rows = dw.table(tmp_path / "one")
     assert sorted(row["kind"] for row in rows).count("null") == 1
-    # As the command examines, with the same seed.
+    # The same as `downwash exam` with the same seed.
     run = [COMMAND, "exam", "--cases", "1", "--nulls", "1", "--seconds", "10", "--twins", "0", "--seed", "5"]
     result = subprocess.run([*run, "--out", tmp_path / "exam", "--json"], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr

@@ -1,4 +1,4 @@
-"""What a type checker sees of the package."""
+"""The package type-checks, and its stub matches the native module."""
 
 import subprocess
 import sys
