@@ -148,8 +148,8 @@ def test_rerun_check_passes(logs, kind):
 def test_rerun_converts_every_kind(logs, kind, tmp_path):
     out = tmp_path / "flight.rrd"
     done = run(python_tool("rerun"), "mcap", "convert", *recovery(kind), logs[kind], "-o", out)
-    said = done.stdout + done.stderr
-    assert "ERROR" not in said and all(topic in said for topic in expected(kind)), said
+    output = done.stdout + done.stderr
+    assert "ERROR" not in output and all(topic in output for topic in expected(kind)), output
     # Not much smaller than its source.
     assert out.stat().st_size > logs[kind].stat().st_size / 2
 

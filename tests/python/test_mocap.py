@@ -51,9 +51,9 @@ def summary(one, number=signal.SIGINT, code=130):
     got, out = one.finish(10)
     assert got == code, one.err
     assert time.monotonic() - began < 2.0, "it ends within two seconds"
-    said = json.loads(out)
-    assert said["schema"] == "downwash.mocap"
-    return said
+    report = json.loads(out)
+    assert report["schema"] == "downwash.mocap"
+    return report
 
 
 @bounds_time
@@ -66,12 +66,12 @@ def test_a_hover_on_motion_capture_poses(program, vehicle, tmp_path):
     code, out = flight.finish(90)
     assert code == 0, f"{flight.err}\n{one.err}"
     assert json.loads(out)["flight"]["tracking"]["rmse_3d_m"] < 0.1
-    said = summary(one)
-    assert said["sent"] > 500 and said["clock"] == "TIMESYNC", said
-    assert said["poses"]["losses"] == 0 and said["poses"]["resets"] == 0, said
-    assert said["poses"]["forwarded"] <= 51 * said["seconds"]
+    report = summary(one)
+    assert report["sent"] > 500 and report["clock"] == "TIMESYNC", report
+    assert report["poses"]["losses"] == 0 and report["poses"]["resets"] == 0, report
+    assert report["poses"]["forwarded"] <= 51 * report["seconds"]
     # A busy machine may make frames late; nothing else is wrong with this room.
-    wrong = {name: count for name, count in said["poses"]["faults"].items() if count}
+    wrong = {name: count for name, count in report["poses"]["faults"].items() if count}
     assert set(wrong) <= {"old", "settling"}, one.err
 
 
@@ -89,15 +89,15 @@ def test_frozen_or_swapped_poses_end_the_flight(program, vehicle, tmp_path, faul
     code, out = flight.finish(60)
     assert code == 5, flight.err
     flight.says("reports an unhealthy position estimate")
-    said = summary(one)
+    report = summary(one)
     assert sum("not forwarded" in line for line in one.lines) == 1, one.err
     key = {"freeze": "frozen", "swap": "swapped"}[fault]
-    faults = said["poses"]["faults"]
-    assert faults[key] >= 1 and said["poses"]["losses"] == 1, said
+    faults = report["poses"]["faults"]
+    assert faults[key] >= 1 and report["poses"]["losses"] == 1, report
     # Nothing was forwarded after it: the counters account for every received pose.
-    counted = said["poses"]
+    counted = report["poses"]
     refused = sum(count for name, count in faults.items() if name not in ("malformed", "silent"))
-    assert counted["good"] + refused == counted["heard"], said
+    assert counted["good"] + refused == counted["heard"], report
 
 
 @bounds_time
@@ -114,8 +114,8 @@ def test_natnet_poses_give_a_px4_its_position(program, vehicle, pilot):
     place = watcher.wait("LOCAL_POSITION_NED", timeout=5)
     assert math.dist((place.x, place.y, place.z), (0, 0, 0)) < 0.05
     # Once the bridge has ended, the vehicle notices within its timeout.
-    said = summary(one, signal.SIGTERM, 0)
-    assert said["as"] == "odometry" and said["sent"] > 0
+    report = summary(one, signal.SIGTERM, 0)
+    assert report["as"] == "odometry" and report["sent"] > 0
     gone = time.monotonic()
     health = watcher.mav.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL
     watcher.wait("SYS_STATUS", lambda status: not status.onboard_control_sensors_health & health, 15)
@@ -136,12 +136,12 @@ def sender(port, stop, body="quad"):
 def test_each_wait_is_reported(program, vehicle, tmp_path):
     port = free_port()
     quad = vehicle("--mocap", f"127.0.0.1:{free_port()}")
-    nobody = program("mocap", "--room", f"stream:127.0.0.1:{port}", "--body", "quad", "--connect", f"udpin:127.0.0.1:{free_port()}")
+    no_vehicle = program("mocap", "--room", f"stream:127.0.0.1:{port}", "--body", "quad", "--connect", f"udpin:127.0.0.1:{free_port()}")
     began = time.monotonic()
-    nobody.says("waiting for the vehicle: 0 bytes received", timeout=5)
+    no_vehicle.says("waiting for the vehicle: 0 bytes received", timeout=5)
     assert time.monotonic() - began < 3.5
-    nobody.signal(signal.SIGINT)
-    assert nobody.finish(5)[0] == 130
+    no_vehicle.signal(signal.SIGINT)
+    assert no_vehicle.finish(5)[0] == 130
 
     one = bridge(program, quad, f"stream:127.0.0.1:{port}")
     one.says("waiting for the room: nothing arrives", timeout=5)
@@ -158,8 +158,8 @@ def test_each_wait_is_reported(program, vehicle, tmp_path):
         stop.set()
         thread.join()
     one.says("no pose of the body arrives any more", timeout=5)
-    said = summary(one)
-    assert said["poses"]["faults"]["malformed"] == 4 and said["poses"]["losses"] == 1, said
+    report = summary(one)
+    assert report["poses"]["faults"]["malformed"] == 4 and report["poses"]["losses"] == 1, report
 
 
 @pytest.mark.parametrize(

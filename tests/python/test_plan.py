@@ -89,9 +89,9 @@ def test_a_plan_is_refused_for_another_vehicle(planned, tmp_path):
 def test_a_plan_that_violates_its_dynamics_is_refused(planned, tmp_path):
     plan = json.loads(planned[0].read_text())
     plan["violation"]["defect"] = 0.02
-    said = tmp_path / "said.json"
-    said.write_text(json.dumps(plan))
-    assert "violates its dynamics by 2.0e-2" in fly(said, tmp_path)
+    invalid = tmp_path / "invalid.json"
+    invalid.write_text(json.dumps(plan))
+    assert "violates its dynamics by 2.0e-2" in fly(invalid, tmp_path)
 
 
 def test_damaged_plans_are_refused(planned, tmp_path):
