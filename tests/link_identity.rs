@@ -10,7 +10,7 @@ use wire::dialect::*;
 use crate::link_world::*;
 
 #[test]
-fn a_vehicle_is_found_identified_and_streams_as_asked() {
+fn vehicle_is_identified_and_streams_as_requested() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(5.0));
     let found = world.session.vehicle().expect("found");
@@ -27,7 +27,7 @@ fn a_vehicle_is_found_identified_and_streams_as_asked() {
 }
 
 #[test]
-fn a_vehicle_that_does_not_tell_its_version_gets_the_safe_form() {
+fn vehicle_without_a_version_gets_the_safe_setpoint_form() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     vehicle.version = None;
     world.run(&mut vehicle, seconds(1.0));
@@ -42,7 +42,7 @@ fn a_vehicle_that_does_not_tell_its_version_gets_the_safe_form() {
 }
 
 #[test]
-fn others_never_take_the_vehicles_place() {
+fn other_senders_never_replace_the_vehicle() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(2.0));
     let heard = world.messages.len();
@@ -67,7 +67,7 @@ fn others_never_take_the_vehicles_place() {
 }
 
 #[test]
-fn a_configured_system_is_waited_for() {
+fn session_waits_for_the_configured_system() {
     let settings = Settings { vehicle_system: Some(3), ..settings() };
     let mut world = World::new(settings);
     world.run(&mut Vehicle::new(1), seconds(2.0));
@@ -78,7 +78,7 @@ fn a_configured_system_is_waited_for() {
 }
 
 #[test]
-fn silence_is_stale_then_lost_and_the_vehicle_is_found_again_elsewhere() {
+fn silent_link_goes_stale_then_lost_and_recovers_elsewhere() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(2.0));
     let pending = Request::ReadParameter("X".to_owned());
@@ -103,7 +103,7 @@ fn silence_is_stale_then_lost_and_the_vehicle_is_found_again_elsewhere() {
 }
 
 #[test]
-fn a_closed_connection_is_relearnt_at_once() {
+fn vehicle_is_found_again_at_once_after_its_connection_closes() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(2.0));
     assert!(!world.session.peer_closed(STRANGER) && world.session.peer_closed(VEHICLE));
@@ -119,7 +119,7 @@ fn a_closed_connection_is_relearnt_at_once() {
 }
 
 #[test]
-fn a_new_connection_counts_anew_and_silence_does_not() {
+fn new_connection_resets_loss_counting_but_silence_does_not() {
     for is_closed in [true, false] {
         let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
         world.run(&mut vehicle, seconds(2.0));
@@ -141,7 +141,7 @@ fn a_new_connection_counts_anew_and_silence_does_not() {
 }
 
 #[test]
-fn a_vehicle_whose_clock_is_another_is_identified_anew() {
+fn vehicle_with_a_different_clock_is_identified_again() {
     // Started now, or long before.
     for booted in [START + seconds(3.0), START - seconds(300.0)] {
         let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
@@ -164,7 +164,7 @@ fn a_vehicle_whose_clock_is_another_is_identified_anew() {
 }
 
 #[test]
-fn another_autopilot_under_the_vehicles_ids_is_identified_anew() {
+fn different_autopilot_with_the_same_ids_is_identified_again() {
     for is_silent in [true, false] {
         let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
         world.run(&mut vehicle, seconds(2.0));
@@ -191,7 +191,7 @@ fn another_autopilot_under_the_vehicles_ids_is_identified_anew() {
 }
 
 #[test]
-fn a_ground_station_is_no_vehicle_whatever_it_calls_its_autopilot() {
+fn ground_station_with_an_autopilot_field_is_no_vehicle() {
     let mut world = World::new(settings());
     for mavtype in [MavType::MAV_TYPE_GCS, MavType::MAV_TYPE_ONBOARD_CONTROLLER] {
         let data = HEARTBEAT_DATA {
@@ -216,7 +216,7 @@ fn heartbeat_of(system: u8, component: u8, autopilot: MavAutopilot, mavtype: Mav
 }
 
 #[test]
-fn a_companion_with_the_autopilots_ids_says_nothing_of_the_vehicle() {
+fn heartbeats_of_a_companion_with_the_autopilots_ids_are_ignored() {
     use MavAutopilot::{MAV_AUTOPILOT_GENERIC, MAV_AUTOPILOT_INVALID};
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(2.0));
@@ -235,7 +235,7 @@ fn a_companion_with_the_autopilots_ids_says_nothing_of_the_vehicle() {
 }
 
 #[test]
-fn a_known_autopilot_takes_the_place_of_an_unknown_one_and_never_the_other_way() {
+fn known_autopilot_replaces_an_unknown_one_only() {
     use MavAutopilot::MAV_AUTOPILOT_GENERIC;
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     let unknown = heartbeat_of(1, 154, MAV_AUTOPILOT_GENERIC, MavType::MAV_TYPE_GENERIC);
@@ -251,7 +251,7 @@ fn a_known_autopilot_takes_the_place_of_an_unknown_one_and_never_the_other_way()
 }
 
 #[test]
-fn two_autopilots_are_both_named_once() {
+fn second_autopilot_is_reported_once() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(2));
     world.run(&mut vehicle, seconds(1.5));
     let mut other = Vehicle::new(1);
@@ -279,7 +279,7 @@ fn two_autopilots_are_both_named_once() {
 }
 
 #[test]
-fn a_signed_vehicle_is_known_by_its_first_frame() {
+fn signed_vehicle_is_recognised_by_its_first_frame() {
     let mut world = World::new(settings());
     let vehicle = &mut Vehicle::new(1);
     let mut bytes = vehicle.encode(&vehicle.heartbeat());
@@ -299,7 +299,7 @@ fn a_signed_vehicle_is_known_by_its_first_frame() {
 }
 
 #[test]
-fn a_vehicle_that_speaks_mavlink_1_only_is_spoken_to_in_it() {
+fn mavlink_1_vehicle_is_addressed_in_mavlink_1() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     vehicle.encoder.set_version(mavlink::MavlinkVersion::V1);
     vehicle.version = None;

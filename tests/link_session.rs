@@ -17,7 +17,7 @@ use wire::dialect::*;
 use crate::link_world::*;
 
 #[test]
-fn the_clock_converges_through_lopsided_jitter() {
+fn clock_converges_despite_asymmetric_jitter() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     // Answers wait up to 37 ms; one in eight comes at once.
     vehicle.reply_delay = |n| match n % 8 {
@@ -34,7 +34,7 @@ fn the_clock_converges_through_lopsided_jitter() {
 }
 
 #[test]
-fn a_lowered_rate_is_asked_for_again() {
+fn lowered_rate_is_requested_again() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(5.0));
     // Another ground station wants it slow.
@@ -55,7 +55,7 @@ fn a_lowered_rate_is_asked_for_again() {
 }
 
 #[test]
-fn requests_are_repeated_and_modes_read_back() {
+fn requests_are_repeated_and_modes_verified() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(2.0));
     vehicle.deaf_for = 2;
@@ -72,7 +72,7 @@ fn requests_are_repeated_and_modes_read_back() {
 }
 
 #[test]
-fn the_vehicles_timesync_is_answered_from_the_host_clock() {
+fn vehicle_timesync_is_answered_from_the_host_clock() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(2.0));
     let request = TIMESYNC_DATA { tc1: 0, ts1: 12_345, ..Default::default() };
@@ -109,7 +109,7 @@ fn sent(world: &mut World) -> Vec<MavMessage> {
 
 /// A bridge of poses answers with the vehicle's own time, so that stamps of that need no conversion.
 #[test]
-fn a_pose_goes_out_in_the_vehicles_time_which_timesync_tells_it_too() {
+fn pose_and_timesync_answers_use_vehicle_time() {
     let settings = Settings { answers_in_vehicle_time: true, ..settings() };
     let (mut world, mut vehicle) = (World::new(settings), Vehicle::new(1));
     let pose = |time| ExternalPose {
@@ -147,7 +147,7 @@ fn a_pose_goes_out_in_the_vehicles_time_which_timesync_tells_it_too() {
 }
 
 #[test]
-fn broken_content_is_counted_and_not_passed_on() {
+fn invalid_content_is_counted_and_not_forwarded() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(2.0));
     let heard = world.messages.len();
@@ -168,7 +168,7 @@ fn broken_content_is_counted_and_not_passed_on() {
 }
 
 #[test]
-fn payloads_of_a_wrong_length_are_padded_cut_or_refused_and_never_end_the_session() {
+fn payloads_of_any_length_never_end_the_session() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(2.0));
     let level = ATTITUDE_QUATERNION_DATA { q1: 1.0, ..Default::default() };
@@ -190,7 +190,7 @@ fn payloads_of_a_wrong_length_are_padded_cut_or_refused_and_never_end_the_sessio
 }
 
 #[test]
-fn streams_of_several_peers_do_not_mix() {
+fn byte_streams_of_several_peers_do_not_mix() {
     let mut session = Session::new(settings(), START);
     let mut vehicle = Vehicle::new(1);
     let frame = vehicle.encode(&vehicle.heartbeat());
@@ -206,7 +206,7 @@ fn streams_of_several_peers_do_not_mix() {
 }
 
 #[test]
-fn a_serial_line_is_asked_for_what_it_has_room_for() {
+fn requested_rates_fit_the_serial_line() {
     let over = |baud| Settings { telemetry: None, baud, ..settings() };
     let asked = |world: &World, vehicle: &Vehicle| {
         let hz = |id| vehicle.periods.get(&id).map(|period| (1.0 / period.as_secs_f64()).round());
@@ -232,7 +232,7 @@ fn a_serial_line_is_asked_for_what_it_has_room_for() {
 }
 
 #[test]
-fn a_second_radio_never_brings_back_an_older_mode() {
+fn second_radio_never_restores_an_older_mode() {
     for lag in [1usize, 40, 130, 256, 300, 700] {
         let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
         world.run(&mut vehicle, seconds(2.0));
@@ -268,7 +268,7 @@ fn a_second_radio_never_brings_back_an_older_mode() {
 }
 
 #[test]
-fn an_overtaken_heartbeat_is_older_than_the_mode_that_is_known() {
+fn overtaken_heartbeat_does_not_replace_the_known_mode() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(2.0));
     let old = vehicle.encode(&vehicle.heartbeat());

@@ -38,7 +38,7 @@ fn assert_same_streams(a: &Flight, b: &Flight) {
 }
 
 #[test]
-fn own_log_and_telemetry_log_of_a_flight_are_the_same_flight() {
+fn own_log_and_telemetry_log_import_as_the_same_flight() {
     let folder = place("same", "mcap");
     let _ = fs::remove_dir_all(&folder);
     let mcap = import(&log_flight::write(&folder, &RECORDS));
@@ -80,7 +80,7 @@ fn own_log_and_telemetry_log_of_a_flight_are_the_same_flight() {
 }
 
 #[test]
-fn an_imported_flight_reads_back_the_same() {
+fn imported_flight_round_trips() {
     let folder = place("again", "mcap");
     let _ = fs::remove_dir_all(&folder);
     let flight = import(&log_flight::write(&folder, &RECORDS));
@@ -95,7 +95,7 @@ fn an_imported_flight_reads_back_the_same() {
 }
 
 #[test]
-fn what_is_no_log_is_an_error_that_says_so() {
+fn non_log_file_gives_a_clear_error() {
     let path = place("garbage", "noise.tlog");
     fs::write(&path, [0x55; 5000]).expect("a file");
     let error = open(&path, None).expect_err("no log");
@@ -111,7 +111,7 @@ fn what_is_no_log_is_an_error_that_says_so() {
 }
 
 #[test]
-fn a_short_log_is_a_flight() {
+fn short_log_imports_as_a_flight() {
     let all = entries();
     let start = all[0].0;
     let short: Vec<_> = all.into_iter().filter(|(time, _)| time - start < 2_000_000).collect();
@@ -122,7 +122,7 @@ fn a_short_log_is_a_flight() {
 }
 
 #[test]
-fn a_log_cut_short_gives_what_is_whole() {
+fn truncated_log_gives_its_whole_frames() {
     let path = write_tlog("cut", "flight.tlog", &entries());
     let bytes = fs::read(&path).expect("the log");
     let cut = place("cut", "cut.tlog");
@@ -135,7 +135,7 @@ fn a_log_cut_short_gives_what_is_whole() {
 }
 
 #[test]
-fn a_burst_of_nan_is_left_out_and_counted() {
+fn nan_burst_is_dropped_and_counted() {
     let mut entries = entries();
     let middle = entries.len() / 2;
     let spoiled = spoil(&mut entries, 31, middle, 400, f32::NAN);
@@ -146,7 +146,7 @@ fn a_burst_of_nan_is_left_out_and_counted() {
 }
 
 #[test]
-fn duplicated_frames_are_left_out_and_counted() {
+fn duplicated_frames_are_dropped_and_counted() {
     let sound = entries();
     let mut doubled = Vec::new();
     for (number, entry) in sound.iter().enumerate() {
@@ -161,7 +161,7 @@ fn duplicated_frames_are_left_out_and_counted() {
 }
 
 #[test]
-fn after_a_jump_of_the_vehicles_clock_the_longer_part_is_the_flight() {
+fn longer_part_is_kept_after_a_vehicle_clock_jump() {
     for by_ms in [-20_000, 300_000] {
         let mut entries = entries();
         let two_thirds = entries.len() * 2 / 3;
@@ -179,7 +179,7 @@ fn after_a_jump_of_the_vehicles_clock_the_longer_part_is_the_flight() {
 }
 
 #[test]
-fn a_step_of_the_grounds_clock_leaves_the_streams_alone() {
+fn ground_clock_step_leaves_the_streams_unchanged() {
     let whole = import(&write_tlog("step", "whole.tlog", &entries()));
     let mut entries = entries();
     let middle = entries.len() / 2;
@@ -198,7 +198,7 @@ fn a_step_of_the_grounds_clock_leaves_the_streams_alone() {
 }
 
 #[test]
-fn of_two_vehicles_the_one_with_more_attitudes_is_the_flight() {
+fn vehicle_with_more_attitudes_is_imported() {
     let mut both = Vec::new();
     for (number, (time, bytes)) in entries().into_iter().enumerate() {
         if bytes[5] == 1 && number % 3 == 0 {

@@ -92,7 +92,7 @@ fn kinematics<T>(
 
 /// Every practice log: rates, order of times, and streams that fit each other.
 #[test]
-fn practice_logs_are_read_and_their_streams_agree() {
+fn practice_logs_import_with_consistent_streams() {
     for path in practice_tlogs() {
         let name = path.display().to_string();
         let flight = import(&path);

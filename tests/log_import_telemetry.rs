@@ -68,7 +68,7 @@ fn parameter(name: &str, value: f32) -> MavMessage {
 }
 
 #[test]
-fn of_two_boots_the_longest_flight_is_taken_or_the_one_asked_for() {
+fn longest_flight_or_the_requested_boot_is_imported() {
     let mut log = Telemetry::new();
     let quad = MavType::MAV_TYPE_QUADROTOR;
     // On the ground for longer than the flight takes; switched off between.
@@ -100,7 +100,7 @@ fn of_two_boots_the_longest_flight_is_taken_or_the_one_asked_for() {
 }
 
 #[test]
-fn imus_and_voltages_of_every_message_are_read() {
+fn imu_and_voltage_are_read_from_every_message() {
     let (ardupilot, px4) =
         (MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA, MavAutopilot::MAV_AUTOPILOT_PX4);
     let recorded = |autopilot: MavAutopilot, message: fn(u32) -> MavMessage| {
@@ -157,7 +157,7 @@ fn imus_and_voltages_of_every_message_are_read() {
 }
 
 #[test]
-fn telemetry_tells_what_the_vehicle_is_and_which_outputs_are_motors() {
+fn telemetry_gives_vehicle_kind_and_motor_outputs() {
     let recorded = |mavtype: MavType, parameters: &[(&str, f32)]| {
         let mut log = Telemetry::new();
         log.heartbeat(mavtype, MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA, true);
@@ -209,7 +209,7 @@ fn telemetry_tells_what_the_vehicle_is_and_which_outputs_are_motors() {
 }
 
 #[test]
-fn telemetry_without_a_flight_says_what_it_has() {
+fn telemetry_without_a_flight_lists_its_messages() {
     let mut log = Telemetry::new();
     for _ in 0..20 {
         log.heartbeat(MavType::MAV_TYPE_QUADROTOR, MavAutopilot::MAV_AUTOPILOT_PX4, false);
@@ -221,7 +221,7 @@ fn telemetry_without_a_flight_says_what_it_has() {
 }
 
 #[test]
-fn outputs_span_what_the_autopilots_own_parameters_state() {
+fn output_range_follows_the_autopilots_parameters() {
     let (ardupilot, px4) =
         (MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA, MavAutopilot::MAV_AUTOPILOT_PX4);
     let recorded = |autopilot, stated: &[(&str, f32)], message: fn(u32) -> MavMessage| {
