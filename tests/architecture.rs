@@ -1,11 +1,12 @@
-//! The directions in which modules may know each other, as ARCHITECTURE.md says, and that files
-//! know each other in no circle.
+//! Enforces the rules of ARCHITECTURE.md: which modules may depend on which, and no circular
+//! dependencies between files.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::{Path, PathBuf};
 
-/// Module of `src/` -> modules of the crate that it may name. What other crates may name, their manifests hold.
+use crate::rust_source::{Crate, Module, code, root, sources};
+
+/// Module of `src/` -> modules of the crate that it may name. Manifests limit the other crates.
 fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
     BTreeMap::from([
         ("planted", &[] as &[_]),
@@ -40,7 +41,7 @@ fn allowed() -> BTreeMap<&'static str, &'static [&'static str]> {
     ])
 }
 
-/// The folders and files of the diagnosis, from the lowest on.
+/// The folders and files of the diagnosis, from the lowest layer up.
 const DIAGNOSIS: [&str; 15] = [
     "error",
     "flights",
@@ -59,10 +60,10 @@ const DIAGNOSIS: [&str; 15] = [
     "fleet",
 ];
 
-/// Where the crates' sources are.
+/// Folders of the crates' sources.
 const CRATES: [&str; 6] = ["src", "log/src", "message/src", "sitl/src", "vehicle/src", "wire/src"];
 
-/// Only here may the asynchronous runtime be named.
+/// Paths that may name the asynchronous runtime.
 const TOKIO: [&str; 11] = [
     "src/http.rs",
     "src/service.rs",
@@ -77,10 +78,10 @@ const TOKIO: [&str; 11] = [
     "sitl/src/cli.rs",
 ];
 
-/// Where files still know each other in circles: a step of a circle is let pass between two files
-/// that both begin with one of these.
+/// Remaining circular dependencies: allowed between two files whose paths both start with an entry
+/// of the same group.
 const CIRCLES: [&[&str]; 2] = [
-    // A personality acts on the commander that asks it.
+    // A personality acts on the commander that calls it.
     &["sitl/src/autopilot/commander.rs", "sitl/src/autopilot/personality.rs"],
     // The vehicle file holds effects, and effects act on the vehicle.
     &[
@@ -92,301 +93,8 @@ const CIRCLES: [&[&str]; 2] = [
     ],
 ];
 
-fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-}
-
-/// The Rust files below a folder of the repository, as paths from its root with `/`.
-fn sources(folder: &str) -> Vec<String> {
-    let mut found = Vec::new();
-    for entry in fs::read_dir(root().join(folder)).expect("a source folder") {
-        let entry = entry.expect("an entry");
-        let path = format!("{folder}/{}", entry.file_name().to_string_lossy());
-        if entry.path().is_dir() {
-            found.extend(sources(&path));
-        } else if Path::new(&path).extension().is_some_and(|extension| extension == "rs") {
-            found.push(path);
-        }
-    }
-    found.sort();
-    found
-}
-
-/// Identifiers and punctuation of a Rust file; without comments, literals and what only tests see.
-fn code(file: &str) -> Vec<String> {
-    without_tests(&tokens(&fs::read_to_string(root().join(file)).expect("a source file")))
-}
-
-/// `::` is one token, each other punctuation mark its own; literals of text leave none.
-fn tokens(text: &str) -> Vec<String> {
-    let bytes = text.as_bytes();
-    let word = |b: u8| b.is_ascii_alphanumeric() || b == b'_';
-    let find = |from: usize, end: &str| text[from..].find(end).map_or(text.len(), |at| from + at);
-    let (mut tokens, mut at) = (Vec::new(), 0);
-    while at < bytes.len() {
-        let rest = &text[at..];
-        if rest.starts_with("//") {
-            at = find(at, "\n");
-        } else if rest.starts_with("/*") {
-            let mut depth = 0;
-            while at < bytes.len() {
-                let step = match &bytes[at..] {
-                    [b'/', b'*', ..] => 1,
-                    [b'*', b'/', ..] => -1,
-                    _ => 0,
-                };
-                depth += step;
-                at += if step == 0 { 1 } else { 2 };
-                if depth == 0 {
-                    break;
-                }
-            }
-        } else if bytes[at] == b'"' {
-            at += 1;
-            while at < bytes.len() && bytes[at] != b'"' {
-                at += if bytes[at] == b'\\' { 2 } else { 1 };
-            }
-            at += 1;
-        } else if let Some(hashes) = raw_string(rest) {
-            let end = format!("\"{}", "#".repeat(hashes));
-            at = find(find(at, "\"") + 1, &end) + end.len();
-        } else if bytes[at] == b'\'' {
-            // A character has its closing quote; a lifetime has none.
-            let escaped = bytes.get(at + 1) == Some(&b'\\');
-            let mut characters = rest[1..].chars();
-            let length = characters.next().map_or(0, char::len_utf8);
-            if escaped {
-                at = find(at + 3, "'") + 1;
-            } else if characters.next() == Some('\'') {
-                at += length + 2;
-            } else {
-                at += 1;
-            }
-        } else if word(bytes[at]) {
-            let end = bytes[at..].iter().position(|&b| !word(b)).map_or(bytes.len(), |n| at + n);
-            tokens.push(text[at..end].to_owned());
-            at = end;
-        } else if rest.starts_with("::") {
-            tokens.push("::".to_owned());
-            at += 2;
-        } else {
-            if bytes[at].is_ascii_punctuation() {
-                tokens.push(char::from(bytes[at]).to_string());
-            }
-            at += 1;
-        }
-    }
-    tokens
-}
-
-/// The number of hashes of the raw string that begins here.
-fn raw_string(text: &str) -> Option<usize> {
-    let text = text.strip_prefix('b').unwrap_or(text).strip_prefix('r')?;
-    let hashes = text.len() - text.trim_start_matches('#').len();
-    text[hashes..].starts_with('"').then_some(hashes)
-}
-
-/// Leaves each item out that bears `#[cfg(test)]`, to its semicolon or closing brace.
-fn without_tests(tokens: &[String]) -> Vec<String> {
-    let mark = ["#", "[", "cfg", "(", "test", ")", "]"];
-    let (mut kept, mut at) = (Vec::new(), 0);
-    while at < tokens.len() {
-        if !tokens[at..].iter().take(mark.len()).eq(mark.iter()) {
-            kept.push(tokens[at].clone());
-            at += 1;
-            continue;
-        }
-        let (mut depth, mut attribute) = (0, true);
-        at += mark.len();
-        while at < tokens.len() {
-            let token = tokens[at].as_str();
-            attribute &= depth > 0 || token == "#" || token == "[";
-            depth += i32::from(["(", "[", "{"].contains(&token));
-            depth -= i32::from([")", "]", "}"].contains(&token));
-            at += 1;
-            if depth == 0 && !attribute && (token == ";" || token == "}") {
-                break;
-            }
-        }
-    }
-    kept
-}
-
-type Module = Vec<String>;
-
-/// One crate's files as modules.
-struct Crate {
-    modules: BTreeMap<Module, File>,
-}
-
-struct File {
-    path: String,
-    tokens: Vec<String>,
-    /// Names that `use` brings into the module, with their paths; `*` for all of a module's.
-    uses: Vec<(String, Vec<String>)>,
-}
-
-impl Crate {
-    fn read(folder: &str) -> Self {
-        let modules = sources(folder).into_iter().filter(|path| !path.ends_with("/main.rs"));
-        let modules = modules.map(|path| {
-            let inside = path.trim_start_matches(folder).trim_end_matches(".rs");
-            let mut module: Module =
-                inside.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect();
-            if module.last().is_some_and(|name| name == "mod" || name == "lib") {
-                module.pop();
-            }
-            let tokens = code(&path);
-            let uses = uses(&tokens);
-            (module, File { path, tokens, uses })
-        });
-        Self { modules: modules.collect() }
-    }
-
-    /// The module whose file defines what a path in `from` names, through re-exports; `None` for
-    /// what other crates define.
-    fn resolve(&self, from: &Module, path: &[String], depth: usize) -> Option<Module> {
-        let mut at = from.clone();
-        let mut names = path.iter().peekable();
-        match names.peek()?.as_str() {
-            "crate" => at = Module::new(),
-            "self" => {}
-            "super" => {
-                at.pop()?;
-            }
-            first if self.modules.contains_key(&join(from, first)) => at.push(first.to_owned()),
-            _ => return None,
-        }
-        names.next();
-        for (index, name) in path.iter().enumerate().skip(1) {
-            if name == "super" {
-                at.pop()?;
-            } else if self.modules.contains_key(&join(&at, name)) {
-                at.push(name.clone());
-            } else {
-                let rest = &path[index + 1..];
-                return Some(self.reexported(&at, name, rest, depth).unwrap_or(at));
-            }
-        }
-        Some(at)
-    }
-
-    /// Where a name that a module only hands on is from.
-    fn reexported(&self, at: &Module, name: &str, rest: &[String], depth: usize) -> Option<Module> {
-        let uses = &self.modules.get(at)?.uses;
-        let depth = depth.checked_sub(1)?;
-        for (used, path) in uses.iter().filter(|(used, _)| used == name || used == "*") {
-            if used == name {
-                return self.resolve(at, &[path, rest].concat(), depth);
-            }
-            let target = self.resolve(at, path, depth)?;
-            let defines = |file: &File| {
-                file.tokens
-                    .windows(2)
-                    .any(|pair| ITEMS.contains(&pair[0].as_str()) && pair[1] == name)
-            };
-            if self.modules.get(&target).is_some_and(defines) {
-                return Some(target);
-            }
-        }
-        None
-    }
-
-    /// The modules of other files that each module names.
-    fn graph(&self) -> BTreeMap<&Module, BTreeSet<Module>> {
-        let known = |(module, file): (_, &File)| {
-            let paths = file.uses.iter().map(|(_, path)| path.clone()).chain(paths(&file.tokens));
-            let known = paths.filter_map(|path| self.resolve(module, &path, 8));
-            (module, known.filter(|other| other != module).collect())
-        };
-        self.modules.iter().map(known).collect()
-    }
-}
-
-const ITEMS: [&str; 8] = ["fn", "struct", "enum", "trait", "const", "static", "type", "union"];
-
-fn join(module: &Module, name: &str) -> Module {
-    let mut joined = module.clone();
-    joined.push(name.to_owned());
-    joined
-}
-
-/// What `use` declarations name, group by group.
-fn uses(tokens: &[String]) -> Vec<(String, Vec<String>)> {
-    let mut found = Vec::new();
-    let begins = |at: &usize| tokens[*at] == "use" && (*at == 0 || tokens[at - 1] != "::");
-    for start in (0..tokens.len()).filter(begins) {
-        tree(tokens, start + 1, &[], &mut found);
-    }
-    found
-}
-
-/// Reads one tree of a `use`; where it ends.
-fn tree(
-    tokens: &[String],
-    mut at: usize,
-    prefix: &[String],
-    found: &mut Vec<(String, Vec<String>)>,
-) -> usize {
-    let mut path = prefix.to_vec();
-    while let Some(token) = tokens.get(at) {
-        match token.as_str() {
-            "::" => at += 1,
-            "{" => {
-                at += 1;
-                while tokens.get(at).is_some_and(|token| token != "}") {
-                    at = tree(tokens, at, &path, found);
-                    at += usize::from(tokens.get(at).is_some_and(|token| token == ","));
-                }
-                return at + 1;
-            }
-            "as" => {
-                found.push((tokens.get(at + 1).cloned().unwrap_or_default(), path));
-                return at + 2;
-            }
-            "*" => {
-                found.push(("*".to_owned(), path));
-                return at + 1;
-            }
-            "," | ";" | "}" => break,
-            name => {
-                path.push(name.to_owned());
-                at += 1;
-            }
-        }
-    }
-    if path.len() > 1 && path.last().is_some_and(|name| name == "self") {
-        path.pop();
-    }
-    found.push((path.last().cloned().unwrap_or_default(), path));
-    at
-}
-
-/// Paths in code that begin at the crate, the module or its parent.
-fn paths(tokens: &[String]) -> Vec<Vec<String>> {
-    let mut found = Vec::new();
-    for start in 0..tokens.len() {
-        let begins = ["crate", "self", "super"].contains(&tokens[start].as_str());
-        if !begins || start > 0 && tokens[start - 1] == "::" {
-            continue;
-        }
-        let mut path = vec![tokens[start].clone()];
-        let mut at = start + 1;
-        while tokens.get(at).is_some_and(|token| token == "::")
-            && tokens.get(at + 1).is_some_and(|name| name.starts_with(char::is_alphabetic))
-        {
-            path.push(tokens[at + 1].clone());
-            at += 2;
-        }
-        if path.len() > 1 {
-            found.push(path);
-        }
-    }
-    found
-}
-
 #[test]
-fn modules_know_only_what_lies_below_them() {
+fn modules_depend_only_on_lower_modules() {
     let allowed = allowed();
     let daemon = Crate::read("src");
     let mut wrong = Vec::new();
@@ -409,9 +117,9 @@ fn modules_know_only_what_lies_below_them() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// A folder of the diagnosis knows those before it.
+/// A folder of the diagnosis may name only earlier ones.
 #[test]
-fn the_diagnosis_is_built_in_layers() {
+fn diagnosis_modules_are_layered() {
     let daemon = Crate::read("src");
     let layer = |module: &Module| match module.as_slice() {
         [first, folder, ..] if first == "diagnose" => DIAGNOSIS.iter().position(|l| l == folder),
@@ -430,9 +138,9 @@ fn the_diagnosis_is_built_in_layers() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Parent and child may know each other.
+/// A module and its submodules may name each other.
 #[test]
-fn no_files_know_each_other_in_a_circle() {
+fn files_have_no_circular_dependencies() {
     let mut wrong = Vec::new();
     for folder in CRATES {
         let files = Crate::read(folder);
@@ -469,7 +177,7 @@ fn no_files_know_each_other_in_a_circle() {
 }
 
 #[test]
-fn tokio_stays_at_the_edge() {
+fn tokio_is_used_only_at_the_edge() {
     let mut wrong = Vec::new();
     for file in CRATES.into_iter().filter(|folder| *folder != "wire/src").flat_map(sources) {
         let edge = TOKIO.iter().any(|edge| file.starts_with(edge));
@@ -481,14 +189,14 @@ fn tokio_stays_at_the_edge() {
 }
 
 #[test]
-fn the_vehicle_knows_nothing_of_the_daemon() {
+fn simulated_vehicle_does_not_depend_on_the_daemon() {
     let manifest = fs::read_to_string(root().join("sitl/Cargo.toml")).expect("the manifest");
     assert!(!manifest.lines().any(|line| line.trim_start().starts_with("downwash ")));
 }
 
-/// A file of tests that `main.rs` does not name would never run.
+/// Tests of a file that `main.rs` does not declare would never run.
 #[test]
-fn every_file_of_tests_runs() {
+fn every_test_file_is_included() {
     for folder in ["tests", "log/tests", "sitl/tests", "vehicle/tests"] {
         let main = code(&format!("{folder}/main.rs"));
         let named: BTreeSet<_> = main.windows(2).filter(|pair| pair[0] == "mod").collect();
@@ -500,28 +208,4 @@ fn every_file_of_tests_runs() {
             }
         }
     }
-}
-
-#[test]
-fn code_is_seen_after_tests_and_beside_text() {
-    let text = r###"
-        //! crate::comment
-        #[cfg(test)]
-        #[path = "x"]
-        mod early { use crate::hidden; fn f() { "}" } }
-        #[cfg(test)]
-        use crate::hidden;
-        /* crate::comment /* nested */ crate::comment */
-        const QUOTE: (char, char, &'static str) = ('"', '\'', r#"crate::"text"#);
-        use crate::{a::{self, B as C}, d::*};
-        fn late() { super::e::F::<crate::g::H>::new() }
-    "###;
-    let tokens = without_tests(&tokens(text));
-    let named: Vec<_> =
-        uses(&tokens).into_iter().map(|(name, path)| (name, path.join("::"))).collect();
-    let expected = [("a", "crate::a"), ("C", "crate::a::B"), ("*", "crate::d")];
-    assert_eq!(named, expected.map(|(name, path)| (name.to_owned(), path.to_owned())));
-    let paths: Vec<_> = paths(&tokens).iter().map(|path| path.join("::")).collect();
-    assert_eq!(paths, ["super::e::F", "crate::g::H"]);
-    assert!(!tokens.contains(&"hidden".to_owned()) && !tokens.contains(&"comment".to_owned()));
 }

@@ -11,6 +11,7 @@ mod offboard_world;
 mod planning;
 mod race_course;
 mod race_judge;
+mod rust_source;
 mod viewer;
 
 mod architecture;
