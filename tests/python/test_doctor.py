@@ -1,0 +1,62 @@
+"""`downwash doctor` and `downwash inspect`, which report on a vehicle and command nothing."""
+
+import json
+
+from conftest import free_port
+from vehicle_variants import VehicleVariant
+
+
+def listen(program, traits, command="doctor", seconds="4"):
+    """Runs the command on a vehicle with `traits`; returns exit code, JSON output and stderr."""
+    port = free_port()
+    vehicle = VehicleVariant(f"udpout:127.0.0.1:{port}", **traits)
+    url = f"udpin:127.0.0.1:{port}"
+    try:
+        running = program(command, "--connect", url, "--json", "--seconds", seconds)
+        code, out = running.finish(30)
+    finally:
+        vehicle.stop()
+    changed = [c for c in vehicle.commands if c[0] not in (512,)]
+    assert not changed and not vehicle.setpoints, "it requests messages and commands nothing"
+    return code, json.loads(out), running.err
+
+
+def test_doctor_on_a_flyable_vehicle(program):
+    code, answer, err = listen(program, {"clock_rate": 0.95}, seconds="8")
+    assert code == 0, (answer["findings"], err)
+    report = answer["report"]
+    assert answer["verdict"] == "can be flown"
+    assert 80 < report["odometry_hz"] < 110
+    assert abs(report["clock_skew"] + 0.05) < 0.02
+    assert report["odometry_frames"] == ["MAV_FRAME_LOCAL_NED, child MAV_FRAME_LOCAL_NED"]
+    assert report["parameters"]["COM_OF_LOSS_T"] == 1.0
+    assert {finding["subject"] for finding in answer["findings"]} >= {"parameter COM_OF_LOSS_T", "clock"}
+
+
+def test_doctor_lists_reasons_to_refuse_a_flight(program):
+    traits = {"autopilot": 3, "mode_from": "HEARTBEAT", "state_from": "attitude and position", "battery": 5}
+    port = free_port()
+    vehicle = VehicleVariant(f"udpout:127.0.0.1:{port}", **traits)
+    vehicle.params["GUID_OPTIONS"] = 0.0
+    try:
+        running = program("doctor", "--connect", f"udpin:127.0.0.1:{port}", "--json", "--seconds", "4")
+        code, out = running.finish(30)
+    finally:
+        vehicle.stop()
+    refused = {f["subject"] for f in json.loads(out)["findings"] if f["weight"] == "refuses"}
+    assert code == 4 and refused == {"parameter GUID_OPTIONS", "battery"}
+
+
+def test_doctor_on_a_silent_link(program):
+    running = program("doctor", "--connect", f"udpin:127.0.0.1:{free_port()}", "--seconds", "1")
+    code, out = running.finish(30)
+    assert code == 3 and "0 bytes received" in out
+    assert "listening on udpin" in running.err
+
+
+def test_inspect_reports_message_rates(program):
+    code, answer, _ = listen(program, {}, "inspect", "3")
+    assert code == 0
+    rows = {row["name"]: row for row in answer["messages"]}
+    assert 80 < rows["ODOMETRY"]["rate_hz"] < 110
+    assert rows["HEARTBEAT"]["system"] == 1 and "mavtype" in rows["HEARTBEAT"]["value"]
