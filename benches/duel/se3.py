@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 from missions import Array
 from rotorpy.controllers.quadrotor_control import SE3Control

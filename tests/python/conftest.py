@@ -262,7 +262,7 @@ def free_port(kind=socket.SOCK_DGRAM):
 bounds_time = pytest.mark.xdist_group("bounds_time")
 
 
-class Pilot:
+class MavlinkClient:
     """A pymavlink client that can wait for messages. Times are host seconds."""
 
     def __init__(self, url, version=2, system=255):
@@ -336,12 +336,12 @@ class Pilot:
 
 
 @pytest.fixture
-def pilot():
+def mavlink_client():
     """Connects pymavlink clients, and closes them after the test."""
     open_links = []
 
     def connect(url, **options):
-        open_links.append(Pilot(url, **options))
+        open_links.append(MavlinkClient(url, **options))
         return open_links[-1]
 
     yield connect

@@ -8,9 +8,9 @@ from conftest import CRAZYFLIE
 QUICK = "[offboard.supervisor]\nhold_s = 0.5\n"
 
 
-def test_a_second_flight_leaves_offboard_before_arming(program, hover, sitl, pilot, tmp_path):
+def test_a_second_flight_leaves_offboard_before_arming(program, hover, sitl, mavlink_client, tmp_path):
     vehicle = sitl("udpin:127.0.0.1:0", "udpin:127.0.0.1:0", file=CRAZYFLIE)
-    watcher = pilot(vehicle.peer_url(1))
+    watcher = mavlink_client(vehicle.peer_url(1))
     for turn in (1, 2):
         if turn == 2:
             # Like PX4, it returns to the mode selected before arming.

@@ -137,7 +137,7 @@ def test_systemd_notifications(program, hover, hand_made, tmp_path):
 
 
 @bounds_time
-def test_unplugging_the_serial_line_in_flight(program, hover, sitl, pilot, tmp_path):
+def test_unplugging_the_serial_line_in_flight(program, hover, sitl, mavlink_client, tmp_path):
     # Finds SET_ATTITUDE_TARGET frames in the daemon's bytes by their header: v2, system 254, component 191, id 82.
     setpoints = []
 
@@ -153,10 +153,10 @@ def test_unplugging_the_serial_line_in_flight(program, hover, sitl, pilot, tmp_p
         daemon = program("daemon", "--config", configuration(tmp_path, cable.url(1), hover))
         line = daemon.says(" standby: ")
         until(lambda: setpoints, "a streamed hold")
-        hand = pilot(vehicle.peer_url())
-        assert hand.set_mode(6) == 0
+        pilot = mavlink_client(vehicle.peer_url())
+        assert pilot.set_mode(6) == 0
         line = daemon.says(" arm: ", line)
-        assert hand.arm() == 0
+        assert pilot.arm() == 0
         line = daemon.says(" track: ", line)
 
         cable.pull(1)
@@ -164,7 +164,7 @@ def test_unplugging_the_serial_line_in_flight(program, hover, sitl, pilot, tmp_p
         line = daemon.says("link closed", line)
         before = daemon.cpu_s()
         # Offboard loss: the last setpoint is kept for COM_OF_LOSS_T, then the vehicle lands.
-        hand.wait_mode(4, 6)
+        pilot.wait_mode(4, 6)
         lost_s = time.monotonic() - pulled
         assert daemon.cpu_s() - before < 0.25 * lost_s, "the daemon spins while unplugged"
 
@@ -172,14 +172,14 @@ def test_unplugging_the_serial_line_in_flight(program, hover, sitl, pilot, tmp_p
         cable.plug(1)
         plugged = time.monotonic()
         line = daemon.says("link open", line, timeout=10)
-        hand.wait("HEARTBEAT", lambda beat: not beat.base_mode & 128, timeout=25)
-        assert hand.wait("CURRENT_MODE").intended_custom_mode == OFFBOARD
+        pilot.wait("HEARTBEAT", lambda beat: not beat.base_mode & 128, timeout=25)
+        assert pilot.wait("CURRENT_MODE").intended_custom_mode == OFFBOARD
         assert not [stamp for stamp in setpoints if stamp > plugged]
-        assert hand.set_mode(4, 3) == 0
+        assert pilot.set_mode(4, 3) == 0
         # Another mode lets the daemon stream again.
         daemon.says(" standby: ", line)
         until(lambda: setpoints[-1] > plugged, "streams again")
-        assert hand.wait("HEARTBEAT").custom_mode != OFFBOARD
+        assert pilot.wait("HEARTBEAT").custom_mode != OFFBOARD
         daemon.signal(signal.SIGTERM)
         assert daemon.finish(5)[0] == 0
     finally:

@@ -107,11 +107,11 @@ def test_a_flight_over_tcp_with_downwash_listening(program, hover, tmp_path):
     assert "done" in out and "RMSE" in out
 
 
-def test_after_a_kill_the_log_opens_and_the_vehicle_lands(program, hover, sitl, pilot, tmp_path):
+def test_after_a_kill_the_log_opens_and_the_vehicle_lands(program, hover, sitl, mavlink_client, tmp_path):
     vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
     hover.write_text(SHORT_HOVER.replace("duration_s = 1.0", "duration_s = 30.0"))
     flight = fly(program, hover, vehicle.peer_url(), tmp_path)
-    observer = pilot(vehicle.peer_url())
+    observer = mavlink_client(vehicle.peer_url())
     flight.says(" track: ")
     # Some seconds of flight in the log.
     observer.wait("HEARTBEAT")

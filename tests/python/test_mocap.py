@@ -101,10 +101,10 @@ def test_frozen_or_swapped_poses_end_the_flight(program, vehicle, tmp_path, faul
 
 
 @bounds_time
-def test_natnet_poses_give_a_px4_its_position(program, vehicle, pilot):
+def test_natnet_poses_give_a_px4_its_position(program, vehicle, mavlink_client):
     port = free_port()
     quad = vehicle("--mocap-natnet", f"127.0.0.1:{port}", "--mocap-up", "y", autopilot="px4")
-    watcher = pilot(quad.peer_url(0))
+    watcher = mavlink_client(quad.peer_url(0))
     # Without a pose there is no position, and no arming.
     with pytest.raises(AssertionError):
         watcher.wait("LOCAL_POSITION_NED", timeout=1.5)

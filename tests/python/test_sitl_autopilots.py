@@ -43,8 +43,8 @@ def answers(gcs, number, *params):
     return results, texts
 
 
-def test_px4_behaviour(autopilot, pilot):
-    gcs = pilot(autopilot("--autopilot", "px4").peer_url())
+def test_px4_behaviour(autopilot, mavlink_client):
+    gcs = mavlink_client(autopilot("--autopilot", "px4").peer_url())
     assert gcs.wait("HEARTBEAT").autopilot == PX4
     gcs.link.mav.command_long_send(1, 1, REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
     version = gcs.wait("AUTOPILOT_VERSION")
@@ -60,8 +60,8 @@ def test_px4_behaviour(autopilot, pilot):
     assert gcs.wait("SERVO_OUTPUT_RAW").servo1_raw == 900
 
 
-def test_arducopter_behaviour(autopilot, pilot):
-    gcs = pilot(autopilot("--autopilot", "arducopter").peer_url())
+def test_arducopter_behaviour(autopilot, mavlink_client):
+    gcs = mavlink_client(autopilot("--autopilot", "arducopter").peer_url())
     heartbeat = gcs.wait("HEARTBEAT")
     assert (heartbeat.autopilot, heartbeat.custom_mode) == (ARDUPILOT, 0)
     assert gcs.parameter("GUID_OPTIONS").param_value == 0.0
@@ -76,8 +76,8 @@ def test_arducopter_behaviour(autopilot, pilot):
     gcs.texts("Arming motors")
 
 
-def test_timesync_shows_clock_drift(autopilot, pilot):
-    gcs = pilot(autopilot(config="autopilot = 'px4'\n[clock]\nrate = 0.9\n").peer_url())
+def test_timesync_shows_clock_drift(autopilot, mavlink_client):
+    gcs = mavlink_client(autopilot(config="autopilot = 'px4'\n[clock]\nrate = 0.9\n").peer_url())
 
     def vehicle_and_host_ns():
         gcs.link.mav.timesync_send(0, time.monotonic_ns())

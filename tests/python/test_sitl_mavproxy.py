@@ -58,7 +58,7 @@ class MavProxy:
 
 
 @pytest.mark.parametrize("link", ["udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"])
-def test_a_mavproxy_session(sitl, pilot, tmp_path, link):
+def test_a_mavproxy_session(sitl, mavlink_client, tmp_path, link):
     vehicle = sitl(link, "udpin:127.0.0.1:0")
     proxy = MavProxy(vehicle.peer_url(0), tmp_path)
     try:
@@ -69,7 +69,7 @@ def test_a_mavproxy_session(sitl, pilot, tmp_path, link):
         proxy.say("param show MIS_TAKEOFF_ALT")
         proxy.expect("2.5")
         # Connected only now, because a socket that nobody reads overflows and loses messages.
-        watcher = pilot(vehicle.peer_url(1))
+        watcher = mavlink_client(vehicle.peer_url(1))
         watcher.wait("HEARTBEAT")
         proxy.say("param set COM_OF_LOSS_T 0.5")
         watcher.wait("PARAM_VALUE", lambda v: v.param_id == "COM_OF_LOSS_T" and v.param_value == 0.5)

@@ -27,11 +27,11 @@ def as_float(value):
 
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("link", ["udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"])
-def test_a_pymavlink_flight(sitl, pilot, version, link):
+def test_a_pymavlink_flight(sitl, mavlink_client, version, link):
     """Arm, take off, fly in OFFBOARD, land, disarm."""
     speed = 8
     vehicle = sitl(link, speed=speed)
-    gcs = pilot(vehicle.peer_url(), version=version)
+    gcs = mavlink_client(vehicle.peer_url(), version=version)
     beat = gcs.wait("HEARTBEAT")
     assert (beat.autopilot, beat.type, beat.get_srcSystem()) == (12, 2, 1)
     assert beat.custom_mode == HOLD << 24 | AUTO << 16
@@ -57,8 +57,8 @@ def test_a_pymavlink_flight(sitl, pilot, version, link):
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_refused_commands(sitl, pilot, version):
-    gcs = pilot(sitl(speed=4).peer_url(), version=version)
+def test_refused_commands(sitl, mavlink_client, version):
+    gcs = mavlink_client(sitl(speed=4).peer_url(), version=version)
     assert gcs.set_mode(OFFBOARD) == ACCEPTED, "any mode may be chosen while disarmed"
     assert gcs.arm() == REJECTED
     assert "no offboard signal" in gcs.texts("Arming denied")
@@ -76,8 +76,8 @@ def test_refused_commands(sitl, pilot, version):
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_parameter_protocol(sitl, pilot, version):
-    gcs = pilot(sitl().peer_url(), version=version)
+def test_parameter_protocol(sitl, mavlink_client, version):
+    gcs = mavlink_client(sitl().peer_url(), version=version)
     action = gcs.parameter("COM_OBL_RC_ACT")
     assert (action.param_type, as_int(action.param_value)) == (6, 4)
     gcs.link.mav.param_set_send(1, 1, b"COM_OBL_RC_ACT", as_float(5), 6)
@@ -100,8 +100,8 @@ def test_parameter_protocol(sitl, pilot, version):
 
 
 @bounds_time
-def test_message_intervals_are_met(sitl, pilot):
-    gcs = pilot(sitl().peer_url())
+def test_message_intervals_are_met(sitl, mavlink_client):
+    gcs = mavlink_client(sitl().peer_url())
     requested = {"ATTITUDE_QUATERNION": (31, 250), "HIGHRES_IMU": (105, 250), "ODOMETRY": (331, 100)}
     for number, rate in requested.values():
         assert gcs.command(SET_INTERVAL, number, 1e6 / rate) == ACCEPTED
@@ -123,8 +123,8 @@ def test_message_intervals_are_met(sitl, pilot):
     assert counts.get("ATTITUDE", 0) <= 1
 
 
-def test_mode_version_and_timesync_replies(sitl, pilot):
-    gcs = pilot(sitl().peer_url())
+def test_mode_version_and_timesync_replies(sitl, mavlink_client):
+    gcs = mavlink_client(sitl().peer_url())
     assert gcs.wait("CURRENT_MODE", timeout=3).intended_custom_mode == HOLD << 24 | AUTO << 16
     gcs.link.mav.command_long_send(1, 1, REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
     version = gcs.wait("AUTOPILOT_VERSION")
@@ -134,13 +134,13 @@ def test_mode_version_and_timesync_replies(sitl, pilot):
     assert answer.ts1 == 123456789
 
 
-def test_several_peers_over_several_links(sitl, pilot):
+def test_several_peers_over_several_links(sitl, mavlink_client):
     vehicle = sitl("udpin:127.0.0.1:0", "tcpin:127.0.0.1:0", speed=4)
     peers = [
-        pilot(vehicle.peer_url(0), system=255),
-        pilot(vehicle.peer_url(0), system=254),
-        pilot(vehicle.peer_url(1), system=253),
-        pilot(vehicle.peer_url(1), system=252),
+        mavlink_client(vehicle.peer_url(0), system=255),
+        mavlink_client(vehicle.peer_url(0), system=254),
+        mavlink_client(vehicle.peer_url(1), system=253),
+        mavlink_client(vehicle.peer_url(1), system=252),
     ]
     for peer in peers:
         assert peer.command(REQUEST_MESSAGE, 148) == ACCEPTED
@@ -157,23 +157,23 @@ def test_several_peers_over_several_links(sitl, pilot):
     assert peers[0].command(ARM_DISARM, 0) == ACCEPTED
 
 
-def test_the_pilot_takes_over(sitl, pilot):
+def test_the_pilot_takes_over(sitl, mavlink_client):
     vehicle = sitl(speed=4)
-    daemon, hand = pilot(vehicle.peer_url(), system=250), pilot(vehicle.peer_url())
-    assert hand.arm() == ACCEPTED
-    assert hand.command(NAV_TAKEOFF) == ACCEPTED
-    hand.wait_mode(AUTO, HOLD)
+    daemon, pilot = mavlink_client(vehicle.peer_url(), system=250), mavlink_client(vehicle.peer_url())
+    assert pilot.arm() == ACCEPTED
+    assert pilot.command(NAV_TAKEOFF) == ACCEPTED
+    pilot.wait_mode(AUTO, HOLD)
     daemon.setpoint()
     daemon.link.mav.command_long_send(1, 1, 176, 0, 1, OFFBOARD, 0, 0, 0, 0, 0)
     word = OFFBOARD << 16
     daemon.wait("CURRENT_MODE", lambda m: m.custom_mode == word, between=daemon.setpoint)
-    hand.link.mav.command_long_send(1, 1, 176, 0, 1, POSCTL, 0, 0, 0, 0, 0)
+    pilot.link.mav.command_long_send(1, 1, 176, 0, 1, POSCTL, 0, 0, 0, 0, 0)
     word = POSCTL << 16
     daemon.wait("CURRENT_MODE", lambda m: m.custom_mode == word, between=daemon.setpoint)
     daemon.wait_mode(POSCTL, between=daemon.setpoint)
 
 
-def test_a_serial_line(sitl, pilot):
+def test_a_serial_line(sitl, mavlink_client):
     """The vehicle at one end of a pseudo-terminal, pymavlink's bytes at the other."""
     ours, theirs = pty.openpty()
     name = os.ttyname(theirs)
