@@ -1,9 +1,9 @@
-"""A picture of sections of a report, as a browser shows it:
+"""Writes a picture of sections of a report, rendered in a browser:
 
     python3 docs/make_picture.py flight.html top,path docs/flight.png --height 1150
     python3 docs/make_picture.py compare.html top,differences docs/compare.png --height 800
 
-Sections are named as in the page's links. With --dark in the dark, with --width 400 as on a phone.
+Sections have the names of the page's links. --dark selects the dark scheme, --width 400 a phone's width.
 """
 
 import argparse
@@ -26,10 +26,10 @@ BOX = """
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("page", type=Path)
-    parser.add_argument("sections", help="one or several, by commas; `top` is what stands above the first")
+    parser.add_argument("sections", help="one or several, by commas; `top` is the part above the first")
     parser.add_argument("out", type=Path)
     parser.add_argument("--width", type=int, default=1000)
-    parser.add_argument("--height", type=int, help="cuts the picture off below")
+    parser.add_argument("--height", type=int, help="greatest height of the picture")
     parser.add_argument("--dark", action="store_true")
     args = parser.parse_args()
     chosen = ["header,.verdict,.figures" if name == "top" else f"#{name}" for name in args.sections.split(",")]

@@ -17,7 +17,7 @@ fn vehicle_is_identified_and_streams_as_requested() {
     assert_eq!((found.system, found.component, found.peer), (1, 1, VEHICLE));
     assert_eq!(world.session.profile(), Some(&Profile::BUNDLED));
     assert_eq!(world.states(), [LinkState::Connected]);
-    assert_eq!(vehicle.requests_of_interval, 1, "a rate that comes is not asked for again");
+    assert_eq!(vehicle.requests_of_interval, 1, "a rate that is met is not requested again");
     let stats = world.session.stats();
     let attitude = stats.messages.iter().find(|message| message.id == ATTITUDE_QUATERNION);
     assert!((attitude.expect("counted").rate_hz - 100.0).abs() < 2.0);
@@ -47,7 +47,7 @@ fn other_senders_never_replace_the_vehicle() {
     world.run(&mut vehicle, seconds(2.0));
     let heard = world.messages.len();
 
-    // Another autopilot, a ground station, and someone with the vehicle's ids elsewhere.
+    // Another autopilot, a ground station, and a sender elsewhere with the vehicle's ids.
     let mut other = Vehicle::new(2);
     let bytes = other.encode(&other.heartbeat());
     world.deliver(STRANGER, &bytes);
@@ -99,7 +99,7 @@ fn silent_link_goes_stale_then_lost_and_recovers_elsewhere() {
     world.silence(seconds(0.1));
     assert_eq!(world.states(), [Connected, Stale, Lost, Connected]);
     assert_eq!(world.session.vehicle().map(|vehicle| vehicle.peer), Some(STRANGER));
-    assert_eq!(world.session.profile(), None, "it is identified anew");
+    assert_eq!(world.session.profile(), None, "it must be identified again");
 }
 
 #[test]
@@ -132,7 +132,7 @@ fn new_connection_resets_loss_counting_but_silence_does_not() {
         for _ in 0..50 {
             vehicle.encode(&vehicle.heartbeat());
         }
-        // A closed tcp: connection is opened again under the number that it had.
+        // A tcp: connection reopens under the same peer number.
         let bytes = vehicle.encode(&vehicle.heartbeat());
         world.deliver(VEHICLE, &bytes);
         assert_eq!(world.session.vehicle().map(|vehicle| vehicle.peer), Some(VEHICLE));
@@ -142,12 +142,12 @@ fn new_connection_resets_loss_counting_but_silence_does_not() {
 
 #[test]
 fn vehicle_with_a_different_clock_is_identified_again() {
-    // Started now, or long before.
+    // Booted now, or long before.
     for booted in [START + seconds(3.0), START - seconds(300.0)] {
         let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
         world.run(&mut vehicle, seconds(3.0));
         assert_eq!(world.session.profile(), Some(&Profile::BUNDLED));
-        // Another one with the same ids, at once: it must not get setpoints of the old one's form.
+        // Another vehicle with the same ids must not get setpoints in the old one's form.
         let is_back = booted > vehicle.booted;
         vehicle.booted = booted;
         vehicle.version = None;
@@ -173,7 +173,7 @@ fn different_autopilot_with_the_same_ids_is_identified_again() {
         }
         world.session.request(world.now, Request::SetMode(FlightMode::Offboard));
         world.session.transmit(|_, _| true);
-        // It was started with the other, so that no clock tells the two apart.
+        // Both booted at once, so their clocks do not distinguish them.
         vehicle.autopilot = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA;
         let mode = vehicle.custom_mode;
         let bytes = vehicle.encode(&vehicle.heartbeat());
@@ -183,7 +183,7 @@ fn different_autopilot_with_the_same_ids_is_identified_again() {
         assert_eq!(early, Err(SetpointError::NotIdentified));
         world.run(&mut vehicle, seconds(2.0));
         assert_eq!(world.session.profile(), Some(&Profile::ARDUCOPTER), "{is_silent}");
-        assert_eq!(vehicle.custom_mode, mode, "the other's modes mean something else to it");
+        assert_eq!(vehicle.custom_mode, mode, "its mode numbers have other meanings");
         assert_eq!(world.outcomes(), [Outcome::Withdrawn]);
         let replaced = world.events.iter().any(|e| matches!(e, Event::VehicleReplaced(_)));
         assert!(replaced, "{:?}", world.events);
@@ -207,7 +207,7 @@ fn ground_station_with_an_autopilot_field_is_no_vehicle() {
     assert_eq!(world.session.stats().foreign, 2);
 }
 
-/// A HEARTBEAT of these ids.
+/// A HEARTBEAT frame from these ids.
 fn heartbeat_of(system: u8, component: u8, autopilot: MavAutopilot, mavtype: MavType) -> Vec<u8> {
     let data = HEARTBEAT_DATA { autopilot, mavtype, ..Default::default() };
     let mut bytes = Vec::new();
@@ -270,7 +270,7 @@ fn second_autopilot_is_reported_once() {
         .collect();
     assert_eq!(named, [(2, 1)]);
     assert_eq!(world.session.others().len(), 1);
-    // Where one was chosen there is nothing to ask.
+    // With a configured system there is no ambiguity to report.
     let mut world = World::new(Settings { vehicle_system: Some(2), ..settings() });
     world.run(&mut vehicle, seconds(1.5));
     let bytes = other.encode(&other.heartbeat());
@@ -285,7 +285,7 @@ fn signed_vehicle_is_recognised_by_its_first_frame() {
     let mut bytes = vehicle.encode(&vehicle.heartbeat());
     world.deliver(VEHICLE, &bytes);
     assert!(!world.session.is_signed());
-    // The flag, the checksum over it, and a signature, which is not checked here.
+    // The signing flag, its checksum, and a signature, which is not checked here.
     bytes[2] = 1;
     let extra_crc = <MavMessage as mavlink::Message>::extra_crc(0);
     let end = bytes.len() - 2;

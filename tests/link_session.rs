@@ -19,7 +19,7 @@ use crate::link_world::*;
 #[test]
 fn clock_converges_despite_asymmetric_jitter() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
-    // Answers wait up to 37 ms; one in eight comes at once.
+    // Answers are up to 37 ms late; one in eight is immediate.
     vehicle.reply_delay = |n| match n % 8 {
         0 => Duration::ZERO,
         n => Duration::from_millis(u64::from(n * 7919 % 38)),
@@ -29,7 +29,7 @@ fn clock_converges_despite_asymmetric_jitter() {
     assert_eq!(clock.source, ClockSource::Timesync);
     let truth = 30_000_000_000 - START.as_ns() as i64;
     let error = (clock.offset_ns - truth).unsigned_abs();
-    // The virtual clock steps by a millisecond, so an answer "at once" takes one.
+    // The virtual clock steps by a millisecond, so an immediate answer takes one.
     assert!(error <= 1_000_000, "{error} ns");
 }
 
@@ -37,7 +37,7 @@ fn clock_converges_despite_asymmetric_jitter() {
 fn lowered_rate_is_requested_again() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
     world.run(&mut vehicle, seconds(5.0));
-    // Another ground station wants it slow.
+    // Another ground station lowers the rate.
     vehicle.periods.insert(ATTITUDE_QUATERNION, Duration::from_millis(250));
     world.run(&mut vehicle, seconds(8.0));
     assert_eq!(vehicle.periods[&ATTITUDE_QUATERNION], Duration::from_millis(10));
@@ -95,7 +95,7 @@ fn vehicle_timesync_is_answered_from_the_host_clock() {
     assert_eq!(answers, [(Some(VEHICLE), MavMessage::TIMESYNC(expected))]);
 }
 
-/// What a session sends now.
+/// The messages that the session has ready to send.
 fn sent(world: &mut World) -> Vec<MavMessage> {
     let mut sent = Vec::new();
     world.session.transmit(|_, bytes| {
@@ -107,7 +107,7 @@ fn sent(world: &mut World) -> Vec<MavMessage> {
     sent
 }
 
-/// A bridge of poses answers with the vehicle's own time, so that stamps of that need no conversion.
+/// A pose bridge answers TIMESYNC in vehicle time, so poses stamped in it need no conversion.
 #[test]
 fn pose_and_timesync_answers_use_vehicle_time() {
     let settings = Settings { answers_in_vehicle_time: true, ..settings() };
@@ -122,7 +122,7 @@ fn pose_and_timesync_answers_use_vehicle_time() {
     };
     assert!(
         !world.session.send_pose(&pose(VehicleTime::from_us(1)), PoseForm::Vision),
-        "nobody is there"
+        "no vehicle is known"
     );
     world.run(&mut vehicle, seconds(2.0));
     sent(&mut world);
@@ -160,7 +160,7 @@ fn invalid_content_is_counted_and_not_forwarded() {
     world.deliver(VEHICLE, b"garbage");
     assert_eq!(world.session.stats().received.crc_errors, 1);
     assert_eq!(world.messages.len(), heard);
-    // The next whole frame is heard as ever.
+    // The next intact frame is received.
     let bytes = vehicle.encode(&vehicle.heartbeat());
     world.deliver(VEHICLE, &bytes);
     let last = world.messages.last().map(|received| &received.message);
@@ -183,7 +183,7 @@ fn payloads_of_any_length_never_end_the_session() {
         bytes.extend(mavlink::calculate_crc(&bytes[1..], extra_crc).to_le_bytes());
         world.deliver(VEHICLE, &bytes);
     }
-    // Without all of q1 there is no attitude; without the zeros that follow there is.
+    // Payloads that end before q1 does are refused; fields after it default to zero.
     let refused = world.session.stats().refused - refused;
     assert_eq!((refused, world.messages.len() - heard), (8, 256 - 8));
     assert_eq!(world.session.state(), LinkState::Connected);
@@ -277,7 +277,7 @@ fn overtaken_heartbeat_does_not_replace_the_known_mode() {
     world.deliver(VEHICLE, &new);
     world.deliver(VEHICLE, &old);
     assert_eq!(world.modes().last(), Some(&OFFBOARD));
-    // What was merely overtaken by something else is news.
+    // A mode that only other messages overtook is new.
     vehicle.custom_mode = 0x0304_0000;
     let mode = vehicle.encode(&vehicle.heartbeat());
     let other = vehicle.encode(&vehicle.parameter_value());

@@ -18,7 +18,7 @@ static RECORDS: LazyLock<Vec<Record>> = LazyLock::new(|| {
     lockstep::fly(settings, &params, &[], SitlConfig::default(), 3).1
 });
 
-/// The flight's frames as entries of a telemetry log, each with its stamp in us.
+/// The flight's frames as entries of a telemetry log, each with its time in us.
 fn entries() -> Vec<(u64, Vec<u8>)> {
     damage::entries(&RECORDS)
 }
@@ -58,7 +58,7 @@ fn own_log_and_telemetry_log_import_as_the_same_flight() {
     });
     assert_eq!(mcap.clock, Clock::Synchronised);
     assert!(mcap.in_air.values().contains(&true) && !mcap.voltage.is_empty());
-    // The truth is on the clock of the reports.
+    // The truth is on the vehicle's clock, as its messages are.
     assert!(tlog.truth.is_empty() && mcap.truth.len() > 1000);
     let mut compared = 0;
     for (time, truth) in mcap.truth.iter() {
@@ -70,7 +70,7 @@ fn own_log_and_telemetry_log_import_as_the_same_flight() {
         }
     }
     assert!(compared > 500, "{compared}");
-    // A setpoint is sent at the time of the state that it answers.
+    // A setpoint has the time of the state that it answers.
     let first = mcap.setpoint.times()[0];
     let at = mcap.attitude.index_at(first + 1e-4).expect("an attitude before");
     assert!(first - mcap.attitude.times()[at] < 0.011);
@@ -104,7 +104,7 @@ fn non_log_file_gives_a_clear_error() {
     let missing = open(Path::new("no/such.tlog"), None).expect_err("no file");
     assert!(missing.to_string().contains("no/such.tlog"), "{missing}");
     let ulog = place("garbage", "log.ulg");
-    // Cut within its head: a log of nothing, and that is counted.
+    // Truncated in its header: an empty log, whose cut is counted.
     fs::write(&ulog, b"ULog\x01\x12\x35\x01 and").expect("a file");
     let nothing = open(&ulog, None).expect_err("nothing in it").to_string();
     assert!(nothing.contains("log.ulg") && nothing.contains("cut short"), "{nothing}");
@@ -188,7 +188,7 @@ fn ground_clock_step_leaves_the_streams_unchanged() {
     assert_eq!(flight.attitude, whole.attitude);
     assert_eq!(flight.body_rate, whole.body_rate);
     assert_eq!(left_out(&flight, "step of the ground's clock"), 1);
-    // Setpoints right at the step are lost, the others are where they were.
+    // Setpoints at the step are lost; the others keep their times.
     assert!(flight.setpoint.len() + 250 > whole.setpoint.len());
     let worst = flight.setpoint.iter().map(|(time, _)| {
         let at = whole.setpoint.index_at(time + 1e-3).expect("a setpoint");

@@ -26,14 +26,14 @@ fn practice_tlogs() -> Vec<PathBuf> {
     files
 }
 
-/// Slope of the best line through the origin, and the share of `y` that it explains.
+/// Slope of the least-squares line through the origin, and the share of `y` that it explains.
 fn regression(pairs: &[(f64, f64)]) -> (f64, f64) {
     let sum = |f: fn(&(f64, f64)) -> f64| pairs.iter().map(f).sum::<f64>();
     let (xx, xy, yy) = (sum(|(x, _)| x * x), sum(|(x, y)| x * y), sum(|(_, y)| y * y));
     (xy / xx, xy * xy / (xx * yy))
 }
 
-/// A stream's integral from its start, by the trapezoidal rule.
+/// A stream's integral from its first sample, by the trapezoidal rule.
 struct Integral {
     times: Vec<f64>,
     sums: Vec<[f64; 3]>,
@@ -58,8 +58,8 @@ impl Integral {
     }
 }
 
-/// How the changes of `stream` over `window` seconds follow the integral of `rate`: slope, share
-/// explained, and the delay of `stream` at which it is largest.
+/// Regression of the changes of `stream` over `window` seconds on the integral of `rate`: slope,
+/// share explained, and the delay of `stream` that maximises the share.
 fn kinematics<T>(
     stream: &Stream<T>,
     rate: &Stream<[f64; 3]>,
@@ -90,7 +90,7 @@ fn kinematics<T>(
     best
 }
 
-/// Every practice log: rates, order of times, and streams that fit each other.
+/// In every practice log times ascend, rates suffice and streams agree.
 #[test]
 fn practice_logs_import_with_consistent_streams() {
     for path in practice_tlogs() {
@@ -103,7 +103,7 @@ fn practice_logs_import_with_consistent_streams() {
         assert_ascends(&flight.setpoint, &name);
         assert_ascends(&flight.voltage, &name);
         assert!(flight.outputs.rate() > 50.0, "{name}: {}", flight.outputs.rate());
-        // The streams of a flight cover the same time.
+        // All streams of a flight span the same interval.
         let ends = |times: &[f64]| Some((*times.first()?, *times.last()?));
         let outputs = ends(flight.outputs.times()).expect("outputs");
         for times in [flight.attitude.times(), flight.position.times(), flight.body_rate.times()] {
@@ -140,8 +140,8 @@ fn practice_logs_import_with_consistent_streams() {
             flight.left_out,
         );
         for (slope, explained, _) in [turn, way].into_iter().flatten() {
-            // Real flights near hover hardly turn: noise then explains the rest, and lowers the
-            // slope by as much.
+            // Real flights near hover hardly turn, so noise has a large share and lowers the slope
+            // by as much.
             let tolerance = if explained > 0.9 { 0.1 } else { 0.35 };
             assert!((slope - 1.0).abs() < tolerance, "{name}: {slope} {explained}");
         }

@@ -6,7 +6,7 @@ use downwash::log::import::{Choice, Flight, VehicleKind, open, open_chosen, writ
 use wire::Encoder;
 use wire::dialect::*;
 
-/// A telemetry log of one vehicle, message by message, every 10 ms of both clocks.
+/// Builds a telemetry log of one vehicle, message by message, with its ground and vehicle clocks.
 struct Telemetry {
     entries: Vec<(u64, Vec<u8>)>,
     encoder: Encoder,
@@ -39,7 +39,7 @@ impl Telemetry {
         self.send(&MavMessage::HEARTBEAT(data));
     }
 
-    /// Attitudes for so many seconds, with what `also` sends at each.
+    /// Sends attitudes at 100 Hz, and calls `also` after each with its number.
     fn fly(&mut self, seconds: u32, mut also: impl FnMut(&mut Self, u32)) {
         for step in 0..100 * seconds {
             let (roll, time_boot_ms) = (0.2 * (0.01 * step as f32).sin(), self.vehicle_ms);
@@ -71,7 +71,7 @@ fn parameter(name: &str, value: f32) -> MavMessage {
 fn longest_flight_or_the_requested_boot_is_imported() {
     let mut log = Telemetry::new();
     let quad = MavType::MAV_TYPE_QUADROTOR;
-    // On the ground for longer than the flight takes; switched off between.
+    // The first boot stays on the ground for longer than the second one flies.
     for (boot, seconds) in [(1, 40), (2, 20), (3, 5)] {
         log.vehicle_ms = 1000 * boot;
         log.fly(seconds, |log, step| {
@@ -150,7 +150,7 @@ fn imu_and_voltage_are_read_from_every_message() {
         assert_eq!((flight.voltage.len(), flight.voltage.values()[0]), (4, 15.1));
         assert_eq!(flight.left_out, []);
     }
-    // What another autopilot means by a raw number is not known.
+    // The scale of another autopilot's raw values is unknown.
     let flight = recorded(px4, raw);
     assert!(flight.specific_force.is_empty());
     assert_eq!(left_out(&flight, "RAW_IMU"), 400);
@@ -253,14 +253,14 @@ fn output_range_follows_the_autopilots_parameters() {
         flight.normalise_outputs(vehicle).expect("a unit");
         flight.outputs.values()[50]
     };
-    // PX4's simulated outputs have functions and no range.
+    // PX4's simulated outputs state functions and no range.
     let flight = recorded(px4, &stated, status);
     assert_eq!(normalised(flight.clone(), &vehicle), [0.1, 0.5, 0.9, 0.0]);
-    // It outlives an import.
+    // The range survives an import.
     let copy = place("ranges", "copy.mcap");
     write(&flight, &copy).expect("a log");
     assert_eq!(normalised(import(&copy), &vehicle), [0.1, 0.5, 0.9, 0.0]);
-    // A range of the file's own wins.
+    // The vehicle file's range takes precedence.
     let own = vehicle::MotorOutput {
         message: "ACTUATOR_OUTPUT_STATUS".to_owned(),
         fields: Vec::new(),
@@ -270,7 +270,7 @@ fn output_range_follows_the_autopilots_parameters() {
     };
     let with_own = vehicle::VehicleParams { motor_output: Some(own), ..vehicle.clone() };
     assert_eq!(normalised(flight, &with_own), [0.2, 0.6, 1.0, 0.0]);
-    // A real one states both.
+    // A real PX4 states both.
     let ends = [1, 2, 3, 4].map(|n| [format!("PWM_MAIN_MIN{n}"), format!("PWM_MAIN_MAX{n}")]);
     for [low, high] in &ends {
         stated.extend([(low.as_str(), 1100.0), (high.as_str(), 1900.0)]);
@@ -300,7 +300,7 @@ fn output_range_follows_the_autopilots_parameters() {
     for (found, expected) in found.into_iter().zip([0.0, 0.5, 1.0, 0.0]) {
         assert!((found - expected).abs() < 1e-6, "{found}");
     }
-    // Without a word on it nothing is concluded.
+    // Without a stated range no unit is assumed.
     let mut flight = recorded(ardupilot, &motors[..4], servos);
     let error = flight.normalise_outputs(&vehicle).expect_err("no unit").to_string();
     assert!(error.contains("MOT_PWM_*") && error.contains("motor_output"), "{error}");

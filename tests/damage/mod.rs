@@ -6,7 +6,7 @@ use std::path::Path;
 use downwash::log::record::Record;
 use wire::tlog;
 
-/// The flight's frames as entries of a telemetry log, each with its stamp in us.
+/// The flight's frames as entries of a telemetry log, each with its time in us.
 pub fn entries(records: &[Record]) -> Vec<(u64, Vec<u8>)> {
     let entry = |record: &Record| match record {
         Record::Frame(frame) => Some((frame.host.as_ns() / 1000, frame.bytes().to_vec())),
@@ -24,8 +24,8 @@ pub fn write_tlog(path: &Path, entries: &[(u64, Vec<u8>)]) {
     fs::write(path, writer.into_inner()).expect("a file");
 }
 
-/// Writes floats over the payload of each frame of message `id` from entry `from` on, for `count`
-/// entries, and gives it a right checksum: what a vehicle sends whose estimate has broken down.
+/// Overwrites the payload of each frame of message `id`, in `count` entries from `from` on, with
+/// `floats` and a valid checksum, as a vehicle with a failed estimator sends it.
 pub fn spoil(
     entries: &mut [(u64, Vec<u8>)],
     id: u8,
@@ -48,7 +48,7 @@ pub fn spoil(
     spoiled
 }
 
-/// Gives a MAVLink 2 frame the checksum of its content.
+/// Sets the checksum of a MAVLink 2 frame to match its content.
 pub fn sign(bytes: &mut [u8]) {
     use mavlink::Message;
     let end = bytes.len() - 2;
@@ -58,7 +58,7 @@ pub fn sign(bytes: &mut [u8]) {
     bytes[end..].copy_from_slice(&crc);
 }
 
-/// Moves the stamps that the vehicle puts into its messages, from entry `from` on.
+/// Shifts the vehicle's time stamps in its messages, from entry `from` on.
 pub fn move_vehicle_clock(entries: &mut [(u64, Vec<u8>)], from: usize, by_ms: i64) {
     for (_, bytes) in entries.iter_mut().skip(from).filter(|(_, bytes)| bytes[5] == 1) {
         match bytes[7] {

@@ -1,4 +1,4 @@
-//! A vehicle made of messages and a session, on a virtual clock.
+//! A scripted vehicle and a session, on a virtual clock.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -33,7 +33,7 @@ pub fn settings() -> Settings {
     }
 }
 
-/// A setpoint that may leave.
+/// A setpoint that the guard has cleared.
 pub fn cleared(now: HostTime, thrust_n: f64) -> Cleared {
     let mut guard = Guard::new(Limits::default(), 20.0, now);
     let setpoint = Setpoint { thrust_n, ..Setpoint::default() };
@@ -43,7 +43,7 @@ pub fn cleared(now: HostTime, thrust_n: f64) -> Cleared {
     guard.clear(now, order).expect("permitted")
 }
 
-/// A vehicle that answers as PX4 does, in as far as the session asks.
+/// A vehicle that answers the session's requests as PX4 does.
 pub struct Vehicle {
     pub booted: HostTime,
     pub autopilot: MavAutopilot,
@@ -51,12 +51,12 @@ pub struct Vehicle {
     pub decoder: Decoder,
     pub version: Option<(u16, u16)>,
     pub custom_mode: u32,
-    /// Period by message id, as asked for.
+    /// Requested period by message id.
     pub periods: BTreeMap<u32, Duration>,
     pub requests_of_interval: u32,
-    /// Commands to let pass unanswered.
+    /// Number of commands to ignore.
     pub deaf_for: u32,
-    /// Delay of TIMESYNC answers, by their number.
+    /// Delay of a TIMESYNC answer, by its number.
     pub reply_delay: fn(u32) -> Duration,
     pub replies: u32,
     pub delayed: VecDeque<(HostTime, MavMessage)>,
@@ -86,7 +86,7 @@ impl Vehicle {
         }
     }
 
-    /// Time since its boot, 30 s before START if it was not booted since.
+    /// Time since its last boot; the first is 30 s before START.
     pub fn boot(&self, now: HostTime) -> Duration {
         now.since(self.booted)
     }
@@ -197,7 +197,7 @@ impl Vehicle {
     }
 }
 
-/// A session and what it said.
+/// A session, its events and the messages that it passed on.
 pub struct World {
     pub now: HostTime,
     pub session: Session,
@@ -221,7 +221,7 @@ impl World {
         });
     }
 
-    /// Runs both for a time, in steps of a millisecond.
+    /// Runs session and vehicle for a time, in steps of a millisecond.
     pub fn run(&mut self, vehicle: &mut Vehicle, duration: Duration) {
         let end = self.now + duration;
         while self.now < end {

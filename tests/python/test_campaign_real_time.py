@@ -1,4 +1,4 @@
-"""Random fault scripts in real time, against a process on a socket: the scripts stop and kill it."""
+"""Random fault scripts in real time: downwash is a process on a socket, which the scripts stop and kill."""
 
 import json
 import os

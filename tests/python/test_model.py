@@ -130,7 +130,7 @@ def test_onnx_matches_the_weights(trained, tmp_path, features, kind, model):
     for found, expected in zip(outputs, by_hand(load_file(path), model, features, *columns)):
         assert found.shape == (count, 3)
         scale = np.abs(expected).max(axis=0)
-        # A correction of nothing is about 1e-308 here and 0 in single precision.
+        # A model that corrects nothing gives about 1e-308 here and 0 in single precision.
         assert (np.abs(found - expected) <= 1e-4 * scale + 1e-12).all()
 
 

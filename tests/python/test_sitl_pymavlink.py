@@ -147,7 +147,7 @@ def test_several_peers_over_several_links(sitl, mavlink_client):
     # One stops its stream; the others keep theirs.
     assert peers[0].command(SET_INTERVAL, 30, -1) == ACCEPTED
     peers[1].wait("ATTITUDE")
-    # All see at once a mode that one selects.
+    # A mode that one peer selects reaches all peers at once.
     assert peers[2].set_mode(POSCTL) == ACCEPTED
     for peer in peers:
         peer.wait("CURRENT_MODE", lambda mode: mode.custom_mode == POSCTL << 16, timeout=3)
