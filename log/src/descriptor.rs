@@ -294,7 +294,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn own_message_becomes_one_column_a_field() {
+    fn own_message_decodes_to_one_column_per_field() {
         let layout = Layout::parse(ControlMessage::NAME, &descriptor::<ControlMessage>()).unwrap();
         let message = ControlMessage {
             phase: "track".into(),
@@ -330,7 +330,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_decode_or_are_refused(data in proptest::collection::vec(any::<u8>(), 0..200)) {
+        fn arbitrary_bytes_never_panic_the_decoder(data in proptest::collection::vec(any::<u8>(), 0..200)) {
             let set = descriptor::<StateMessage>();
             let layout = Layout::parse(StateMessage::NAME, &set).unwrap();
             let _ = layout.decode(&data, &mut Vec::new());

@@ -43,7 +43,7 @@ mod tests {
     }
 
     #[test]
-    fn records_fill_a_chunk_to_the_byte() {
+    fn records_must_fill_a_chunk_exactly() {
         let two = [record(3, b"abc"), record(0, b"")].concat();
         assert!(records_fill(&two) && records_fill(b""));
         for wrong in [record(4, b"abc"), record(u64::MAX, b"abc"), record(2, b"abc")] {
@@ -53,7 +53,7 @@ mod tests {
     }
 
     #[test]
-    fn attachments_end_with_a_checksum() {
+    fn attachment_lengths_must_fit_the_record_exactly() {
         let name = [&3_u32.to_le_bytes()[..], b"abc"].concat();
         let whole = |length: u64| {
             let length = length.to_le_bytes();

@@ -131,7 +131,7 @@ mod tests {
 
     /// Checks the file with the `mcap` crate, by index and sequentially.
     #[test]
-    fn the_reference_implementation_reads_every_part() {
+    fn reference_mcap_reader_reads_every_part() {
         let mut out = Vec::new();
         let mut file = McapFile::new(&mut out, "test").unwrap();
         let facts = BTreeMap::from([("seed".to_owned(), "7".to_owned())]);
@@ -188,14 +188,14 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_file_is_valid() {
+    fn empty_file_is_valid() {
         let mut out = Vec::new();
         McapFile::new(&mut out, "test").unwrap().finish().unwrap();
         assert_eq!(mcap::Summary::read(&out).unwrap().unwrap().stats.unwrap().message_count, 0);
     }
 
     #[test]
-    fn the_time_of_publishing_never_goes_back_on_a_channel() {
+    fn publish_time_never_decreases_on_a_channel() {
         let mut out = Vec::new();
         let mut file = McapFile::new(&mut out, "test").unwrap();
         let channels = ["/a", "/b"].map(|topic| file.add_channel(topic, "p.M", b"d").unwrap());

@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_carry_utc_and_no_separators() {
+    fn file_names_contain_utc_and_no_path_separators() {
         let at = |seconds: u64| HostTime::from_ns(seconds * 1_000_000_000);
         assert_eq!(stem(at(0), "x", "y"), "1970-01-01T00-00-00Z_x_y");
         assert_eq!(stem(at(1_709_210_096), "../quad 1", ""), "2024-02-29T12-34-56Z_quad-1_unnamed");

@@ -373,7 +373,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frame_header_is_read_from_the_bytes() {
+    fn frame_header_is_parsed_from_bytes() {
         let mut bytes = vec![0xFD, 2, 0, 0, 7, 1, 191, 0x52, 0, 0, 0xAA, 0xBB, 0, 0];
         let frame = FrameRecord::from_bytes(Direction::Tx, HostTime::default(), &bytes).unwrap();
         assert_eq!((frame.message_id, frame.system, frame.component), (82, 1, 191));
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn severity_beyond_the_enumeration_is_debug() {
+    fn unknown_severity_becomes_debug() {
         assert_eq!(Severity::from(4), Severity::Warning);
         assert_eq!(Severity::from(200), Severity::Debug);
     }

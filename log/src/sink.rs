@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn first_error_is_kept_and_more_is_taken() {
+    fn first_write_error_is_kept_and_later_records_are_accepted() {
         let mut sink = LogSink::threaded(failing_writer(), Vec::new()).expect("a thread");
         (0..3).for_each(|_| sink.log(record()));
         let error = sink.finish().expect_err("the pipe is broken");

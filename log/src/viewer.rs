@@ -167,14 +167,14 @@ mod tests {
     use std::f64::consts::FRAC_1_SQRT_2;
 
     #[test]
-    fn level_and_facing_north_is_a_left_turn_from_east() {
+    fn level_facing_north_is_90_degrees_left_of_east() {
         let q = enu_flu(Attitude::default());
         assert!((q.w - FRAC_1_SQRT_2).abs() < 1e-12 && (q.z.abs() - FRAC_1_SQRT_2).abs() < 1e-12);
         assert!(q.z > 0.0 && q.x.abs() < 1e-12 && q.y.abs() < 1e-12);
     }
 
     #[test]
-    fn rotating_then_converting_is_converting_then_rotating() {
+    fn rotation_commutes_with_frame_conversion() {
         let attitude = vehicle::frame::Euler::new(0.3, -0.4, 1.2).attitude();
         let body = Frd::new(1.0, 2.0, 3.0);
         let expected = enu(attitude.to_world(body));

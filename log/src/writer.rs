@@ -302,14 +302,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_flight_over_a_link_is_not_called_real() {
+    fn flight_over_a_link_is_not_labelled_real() {
         let source =
             |simulated| RunInfo { simulated, ..RunInfo::default() }.metadata()["source"].clone();
         assert_eq!([source(true), source(false)], ["sim", "link"]);
     }
 
     #[test]
-    fn a_file_that_is_there_is_kept() {
+    fn existing_file_is_never_overwritten() {
         let name = format!("downwash-numbered-{}", std::process::id());
         let folder = std::env::temp_dir().join(name);
         fs::create_dir_all(&folder).unwrap();

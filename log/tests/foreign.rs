@@ -23,7 +23,7 @@ fn refusal(name: &str, bytes: &[u8]) -> String {
 }
 
 #[test]
-fn files_of_other_kinds_are_named() {
+fn refusal_names_the_kind_of_foreign_file() {
     let encrypted = [b"ULogEnc\x01".as_slice(), &[0; 14], &[0x9B; 400]].concat();
     let noise: Vec<u8> =
         (0..5000_u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
@@ -89,7 +89,7 @@ fn mcap(schema: &str, schema_encoding: &str, encoding: &str, body: &[u8]) -> Vec
 }
 
 #[test]
-fn mcap_files_of_other_programs_say_which_topics_they_have() {
+fn refusal_of_foreign_mcap_lists_its_topics() {
     for (schema, schema_encoding, encoding) in [
         ("Odometry", "jsonschema", "json"),
         ("nav_msgs/msg/Odometry", "ros2msg", "cdr"),
@@ -105,7 +105,7 @@ fn mcap_files_of_other_programs_say_which_topics_they_have() {
 }
 
 #[test]
-fn an_mcap_file_that_was_only_begun_is_of_nothing() {
+fn truncated_mcap_header_is_refused_as_unusable() {
     for bytes in [&b"\x89MCAP0\r\n"[..], b"\x89MC"] {
         let error = refusal("begun.mcap", bytes);
         assert!(error.contains("nothing in this mcap file can be used"), "{error}");

@@ -35,7 +35,7 @@ fn assert_sound<T>(stream: &Stream<T>) {
 }
 
 #[test]
-fn a_ulog_is_a_flight() {
+fn ulog_imports_as_a_flight() {
     // The name does not matter.
     let flight = import("ulog", "flight.txt", &ulog(4.0).bytes);
     assert_eq!(flight.origin.format, "ulog");
@@ -64,7 +64,7 @@ fn a_ulog_is_a_flight() {
 }
 
 #[test]
-fn a_dataflash_log_is_a_flight() {
+fn dataflash_log_imports_as_a_flight() {
     let flight = import("dataflash", "flight.log", &dataflash(4.0).bytes);
     assert_eq!(flight.origin.format, "dataflash");
     assert_eq!(flight.left_out, [("IMU: of instance 1, where 0 is used".to_owned(), 400)]);
@@ -88,7 +88,7 @@ fn a_dataflash_log_is_a_flight() {
 }
 
 #[test]
-fn an_imported_log_reads_back_with_its_facts() {
+fn imported_log_round_trips_through_mcap_with_its_facts() {
     for (name, bytes) in [("px4", ulog(2.0).bytes), ("copter", dataflash(2.0).bytes)] {
         let flight = import("again", name, &bytes);
         let path = place("again", &format!("{name}.mcap"));
@@ -102,7 +102,7 @@ fn an_imported_log_reads_back_with_its_facts() {
 }
 
 #[test]
-fn older_layouts_are_read_too() {
+fn older_ulog_layouts_are_read() {
     let mut log = Ulog::new();
     log.format("vehicle_attitude:uint64_t timestamp;float rollspeed;float pitchspeed;float yawspeed;float[4] q;");
     log.format("actuator_outputs:uint64_t timestamp;uint32_t noutputs;float[16] output;");
@@ -135,7 +135,7 @@ fn older_layouts_are_read_too() {
 }
 
 #[test]
-fn pulses_without_a_stated_range_stay_pulses() {
+fn pulses_without_a_stated_range_are_not_normalised() {
     let mut log = Ulog::new();
     log.format("actuator_outputs:uint64_t timestamp;float[16] output;");
     let outputs = log.subscribe("actuator_outputs", 0);
@@ -149,7 +149,7 @@ fn pulses_without_a_stated_range_stay_pulses() {
 }
 
 #[test]
-fn a_dataflash_log_of_before_2016_is_a_flight() {
+fn dataflash_log_from_before_2016_imports_as_a_flight() {
     let flight = import("timems", "flight.bin", &old_dataflash(4.0).bytes);
     assert_eq!(flight.left_out, []);
     assert_eq!(
@@ -173,7 +173,7 @@ fn a_dataflash_log_of_before_2016_is_a_flight() {
 }
 
 #[test]
-fn a_log_of_px4_before_ulog_is_called_what_it_is() {
+fn px4_log_from_before_ulog_is_identified_in_the_refusal() {
     let mut log = DataFlash::new();
     log.define(129, "TIME", "Q", "StartTime");
     log.define(2, "ATT", "fff", "Roll,Pitch,Yaw");
@@ -190,7 +190,7 @@ fn a_log_of_px4_before_ulog_is_called_what_it_is() {
 }
 
 #[test]
-fn a_log_of_which_nothing_is_known_says_what_it_has() {
+fn refusal_of_unknown_log_lists_its_topics() {
     let mut log = DataFlash::new();
     log.define(2, "CTUN", "f", "ThrIn");
     log.define(3, "WIND", "Qf", "TimeUS,Speed");
@@ -214,7 +214,7 @@ fn a_log_of_which_nothing_is_known_says_what_it_has() {
 }
 
 #[test]
-fn what_is_no_multirotor_is_known_in_every_log() {
+fn non_multirotor_is_recognised_in_every_log_kind() {
     let kind = |flight: &Flight| flight.facts.stated_otherwise().map(|stated| stated.kind);
     // ArduPilot: by the firmware alone, and by the functions of the outputs alone.
     let mut named = dataflash(1.0).bytes;
@@ -321,7 +321,7 @@ fn can(step: usize) -> [f32; 16] {
 }
 
 #[test]
-fn motors_are_on_the_device_that_drives_them() {
+fn motors_are_read_from_the_device_that_drives_them() {
     let mut functions: Vec<(String, i32)> = Vec::new();
     for n in 1..=8 {
         functions.push((format!("PWM_MAIN_FUNC{n}"), 0));
@@ -369,7 +369,7 @@ fn motors_are_on_the_device_that_drives_them() {
 }
 
 #[test]
-fn motors_on_can_of_an_older_px4_are_found() {
+fn motors_on_can_of_older_px4_are_found() {
     let parameters = [("MAV_TYPE", 2), ("PWM_MIN", 1000), ("PWM_MAX", 2000), ("UAVCAN_ENABLE", 3)];
     let flight =
         import("can", "flight.ulg", &px4_outputs(&parameters, &[(8, &idle), (4, &can)]).bytes);
@@ -386,7 +386,7 @@ fn motors_on_can_of_an_older_px4_are_found() {
 }
 
 #[test]
-fn outputs_that_drive_no_motor_are_none() {
+fn outputs_that_drive_no_motor_are_dropped() {
     let wing = [("PWM_MAIN_FUNC1", 201), ("PWM_MAIN_FUNC2", 202)];
     let flight = import("none", "flight.ulg", &px4_outputs(&wing, &[(8, &hovering)]).bytes);
     assert!(flight.outputs.is_empty());
@@ -394,7 +394,7 @@ fn outputs_that_drive_no_motor_are_none() {
 }
 
 #[test]
-fn the_oldest_ulogs_are_read() {
+fn oldest_ulog_layouts_are_read() {
     let mut log = Ulog::new();
     log.format(
         "vehicle_attitude:uint64_t timestamp;float rollspeed;float pitchspeed;float yawspeed;float roll;float pitch;float yaw;",
@@ -424,7 +424,7 @@ fn the_oldest_ulogs_are_read() {
 
 /// A damaged type makes the file's flags of a row, whose bytes then forbid reading the file.
 #[test]
-fn flags_in_the_middle_of_a_file_are_a_damaged_message() {
+fn flag_message_amid_a_ulog_is_treated_as_damage() {
     let whole = survives(&ULOG).expect("a flight").body_rate.len();
     let rows = (ULOG.len() / 5..ULOG.len()).filter(|at| ULOG[*at] == b'D').step_by(7);
     for at in rows {
@@ -436,7 +436,7 @@ fn flags_in_the_middle_of_a_file_are_a_damaged_message() {
 }
 
 #[test]
-fn data_appended_after_a_crash_are_read() {
+fn data_appended_after_a_crash_is_read() {
     let mut log = ulog(1.0);
     let cut = log.bytes.len() - 11;
     let rest = ulog(1.5).bytes;
@@ -454,7 +454,7 @@ fn data_appended_after_a_crash_are_read() {
 }
 
 #[test]
-fn a_newer_kind_of_ulog_is_refused_by_name() {
+fn newer_incompatible_ulog_is_refused_by_name() {
     let mut bytes = ulog(0.1).bytes;
     bytes[16 + 3 + 8] = 2;
     let path = place("newer", "flight.ulg");
@@ -484,7 +484,7 @@ fn survives(bytes: &[u8]) -> Option<Flight> {
 }
 
 #[test]
-fn logs_cut_anywhere_are_read_up_to_the_cut() {
+fn truncated_logs_are_read_up_to_the_cut() {
     for bytes in [&*ULOG, &*DATAFLASH] {
         let whole = survives(bytes).expect("a flight").body_rate.len();
         let mut before = 0;
@@ -499,7 +499,7 @@ fn logs_cut_anywhere_are_read_up_to_the_cut() {
 }
 
 #[test]
-fn a_cut_or_damaged_log_says_where() {
+fn truncated_or_damaged_log_reports_where() {
     for bytes in [&*ULOG, &*DATAFLASH] {
         assert_eq!(survives(bytes).expect("a flight").losses, Vec::<String>::new());
         // Some of these lengths end between two messages, which nothing tells from a whole log.
@@ -516,7 +516,7 @@ fn a_cut_or_damaged_log_says_where() {
 }
 
 #[test]
-fn a_piece_cut_out_costs_only_itself() {
+fn removed_bytes_lose_only_their_own_messages() {
     for bytes in [&*ULOG, &*DATAFLASH] {
         let whole = survives(bytes).expect("a flight").body_rate.len();
         let middle = bytes.len() / 2;
@@ -536,7 +536,7 @@ fn a_piece_cut_out_costs_only_itself() {
 
 /// The high byte of a length: some values lead to where another message begins.
 #[test]
-fn a_damaged_length_costs_no_message_behind_its_own() {
+fn damaged_length_loses_no_later_message() {
     let whole = survives(&ULOG).expect("a flight").body_rate.len();
     let middle = ULOG.len() / 2;
     let head = |at: &usize| ULOG[*at..].starts_with(&[46, 0, b'D', 1, 0]);
@@ -551,7 +551,7 @@ fn a_damaged_length_costs_no_message_behind_its_own() {
 
 proptest! {
     #[test]
-    fn no_damage_breaks_an_onboard_log(
+    fn damaged_onboard_log_never_panics_the_reader(
         is_ulog in any::<bool>(),
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..40),
         length in any::<prop::sample::Index>(),
@@ -566,7 +566,7 @@ proptest! {
     }
 
     #[test]
-    fn few_damaged_bytes_cost_few_samples(
+    fn few_damaged_bytes_lose_few_samples(
         is_ulog in any::<bool>(),
         // Behind the definitions, which all else hangs on.
         changes in prop::collection::vec((0.2..1.0, any::<u8>()), 1..6),
@@ -583,7 +583,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_behind_a_magic_are_survived(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+    fn arbitrary_bytes_after_the_magic_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         survives(&[&Ulog::new().bytes[..], &bytes].concat());
         survives(&[&DataFlash::new().bytes[..], &bytes].concat());
     }
@@ -641,7 +641,7 @@ fn apart<T>(
 }
 
 #[test]
-fn practice_logs_of_autopilots_agree_with_their_telemetry() {
+fn onboard_practice_logs_agree_with_their_telemetry() {
     let practice = practice();
     if practice.is_empty() {
         eprintln!(

@@ -66,7 +66,7 @@ fn shipped_mapping_reads_a_motion_capture_table() {
 }
 
 #[test]
-fn rows_that_cannot_be_used_are_left_out_and_counted() {
+fn unusable_rows_are_dropped_and_counted() {
     let sound = table(50);
     let mut lines: Vec<String> = sound.lines().map(str::to_owned).collect();
     lines[10] = lines[10].replacen(",1,2,3,", ",nan,2,3,", 1);
@@ -91,7 +91,7 @@ fn rows_that_cannot_be_used_are_left_out_and_counted() {
 }
 
 #[test]
-fn what_is_not_said_is_asked_for_by_name() {
+fn missing_mapping_settings_are_named_in_the_error() {
     let without = |line: &str| {
         let kept: Vec<_> = SHIPPED.lines().filter(|l| !l.starts_with(line)).collect();
         refusal("unsaid", &table(3), &kept.join("\n"))
@@ -127,7 +127,7 @@ fn what_is_not_said_is_asked_for_by_name() {
 }
 
 #[test]
-fn motors_of_every_kind() {
+fn motors_of_every_unit_are_read() {
     let motors = |lines: &str, value: f64| {
         let table = format!("m1,m2,m3,m4\n{value},0,{value},0\n");
         let columns = "columns = [\"m3\", \"m2\", \"m1\", \"m4\"]";
@@ -186,7 +186,7 @@ fn assert_pose(flight: &Flight) {
 }
 
 #[test]
-fn tables_of_every_dialect_are_read() {
+fn every_csv_dialect_is_read() {
     for (separator, decimal, end) in [
         (",", ".", ","),
         (";", ",", ""),
@@ -219,7 +219,7 @@ fn tables_of_every_dialect_are_read() {
 }
 
 #[test]
-fn both_marks_of_decimals_are_asked_about() {
+fn mixed_decimal_marks_are_refused_until_one_is_stated() {
     let table = pose(";", ",", "").replacen("0,500000", "0.500000", 1);
     let message = refusal("marks", &table, POSE);
     assert!(message.contains("write decimal = \".\""), "{message}");
@@ -229,7 +229,7 @@ fn both_marks_of_decimals_are_asked_about() {
 }
 
 #[test]
-fn tables_in_utf_16_are_read() {
+fn utf_16_tables_are_read() {
     let table = pose(",", ".", "");
     for (mark, big) in [(true, false), (true, true), (false, false), (false, true)] {
         let mut bytes: Vec<u8> = Vec::new();
@@ -244,7 +244,7 @@ fn tables_in_utf_16_are_read() {
 }
 
 #[test]
-fn the_line_of_names_is_found_or_said() {
+fn header_row_is_found_or_set_by_skip_lines() {
     let table = pose(",", ".", "");
     let preamble = "Recorded by a laboratory\r\n\r\nrate,100\r\nX,Y\r\n";
     assert_pose(&import("preamble", &format!("{preamble}{table}"), POSE).unwrap());
@@ -258,7 +258,7 @@ fn the_line_of_names_is_found_or_said() {
 }
 
 #[test]
-fn columns_are_found_by_number_and_by_the_words_above_them() {
+fn columns_are_found_by_number_or_by_header_groups() {
     let by_number = POSE
         .replace("\"t\"", "1")
         .replace("[\"px\", \"py\", \"pz\"]", "[2, 3, 4]")
@@ -285,7 +285,7 @@ fn columns_are_found_by_number_and_by_the_words_above_them() {
 }
 
 #[test]
-fn what_a_table_says_against_its_mapping_is_refused() {
+fn table_that_contradicts_its_mapping_is_refused() {
     let table = pose(",", ".", "");
     let units = |line: &str| table.replacen("\r\n", &format!("\r\n{line}\r\n"), 1);
     assert_pose(&import("contrary", &units("s,m,m,m,,,,"), POSE).unwrap());
@@ -333,7 +333,7 @@ fn motive(units: &str) -> String {
 }
 
 #[test]
-fn an_export_of_motive_is_read_by_the_shipped_mapping() {
+fn shipped_mapping_reads_a_motive_export() {
     let file = place("motive", "take.csv");
     fs::write(&file, motive("Meters")).unwrap();
     let flight = open(&file, Some(Path::new("motive"))).unwrap();
@@ -371,7 +371,7 @@ fn an_export_of_motive_is_read_by_the_shipped_mapping() {
 }
 
 #[test]
-fn worlds_with_any_axes_are_read() {
+fn world_frames_with_any_axes_are_read() {
     let read = |world: &str, body: &str| {
         let mapping = POSE.replace("\"nwu\"", world).replace("\"flu\"", body);
         import("axes", &pose(",", ".", ""), &mapping)
@@ -391,7 +391,7 @@ fn worlds_with_any_axes_are_read() {
 }
 
 #[test]
-fn streams_have_rows_of_their_own() {
+fn streams_keep_their_own_rows_and_rates() {
     // A pose at 50 Hz and a gyro at 200 Hz, in one table as joined by time.
     let mut table = "t,px,py,pz,qx,qy,qz,qw,wx,wy,wz\n".to_owned();
     for row in 0..200 {
@@ -411,7 +411,7 @@ fn streams_have_rows_of_their_own() {
 }
 
 #[test]
-fn a_table_of_which_nothing_can_be_used_is_an_error_that_says_why() {
+fn unusable_table_error_says_why() {
     let table = pose(",", ".", "").replace("\r\n0", "\r\nextra,0");
     let message = refusal("nothing", &table, POSE);
     assert!(message.contains("row 1 has 9 cells where the header has 8"), "{message}");
@@ -419,7 +419,7 @@ fn a_table_of_which_nothing_can_be_used_is_an_error_that_says_why() {
 }
 
 #[test]
-fn a_mapping_is_proposed_that_works() {
+fn proposed_mapping_imports_the_table() {
     let propose = |table: &str| {
         let file = place("propose", "flight.csv");
         fs::write(&file, table).unwrap();
@@ -515,7 +515,7 @@ fn a_mapping_is_proposed_that_works() {
 }
 
 #[test]
-fn a_table_written_as_a_log_reads_back_the_same() {
+fn imported_table_round_trips_through_a_log() {
     let flight = import("round_trip", &table(300), SHIPPED).unwrap();
     let path = place("round_trip", "flight.mcap");
     assert!(write(&flight, &path).unwrap() > 300 * 6);
@@ -529,7 +529,7 @@ fn a_table_written_as_a_log_reads_back_the_same() {
 }
 
 #[test]
-fn a_mapping_file_among_many_logs_is_for_the_tables() {
+fn mapping_applies_only_to_tables_among_mixed_logs() {
     let flight = import("mixed", &table(300), SHIPPED).unwrap();
     let (log, csv, map) = (
         place("mixed", "flight.mcap"),
@@ -555,7 +555,7 @@ proptest! {
 
     /// Turning a vector and then changing axes is changing axes and then turning.
     #[test]
-    fn attitudes_turn_vectors_alike_in_all_axes(
+    fn attitude_conversion_commutes_with_axis_change(
         rotation in any_rotation(),
         v in [-9.0..9.0, -9.0..9.0, -9.0..9.0f64],
         world in prop::sample::select(vec![WorldFrame::NED, WorldFrame::ENU, WorldFrame::NWU]),
@@ -574,7 +574,7 @@ proptest! {
 
     /// One state written in any axes, units, orders and forms is read back as it was.
     #[test]
-    fn any_way_of_writing_a_state_is_read_back(
+    fn state_round_trips_through_every_table_form(
         truth in any_rotation(),
         rate in [-5.0..5.0, -5.0..5.0, -5.0..5.0f64],
         velocity in [-9.0..9.0, -9.0..9.0, -9.0..9.0f64],
@@ -644,7 +644,7 @@ proptest! {
     }
 
     #[test]
-    fn no_text_breaks_a_mapping(text in "[ -~\n]{0,200}") {
+    fn arbitrary_text_never_panics_the_mapping_parser(text in "[ -~\n]{0,200}") {
         let _ = Mapping::parse(&text);
     }
 }

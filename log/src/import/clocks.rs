@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_offset_comes_back_within_a_tenth_of_a_millisecond() {
+    fn constant_offset_is_recovered_within_a_tenth_of_a_millisecond() {
         let envelope = envelope(20.0, |v| v + 1000.0);
         let map = ClockMap::new([(&envelope, 0.0)].into_iter(), 1.5e-3);
         for v in [0.0, 0.5, 7.3, 19.9] {
@@ -378,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn skew_is_followed() {
+    fn clock_skew_is_tracked() {
         let ground = |v: f64| 50.0 + 1.008 * v + 0.003 * (0.3 * v).sin();
         let envelope = envelope(60.0, ground);
         let map = ClockMap::new([(&envelope, 0.0)].into_iter(), 1.5e-3);
@@ -389,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stalled_link_is_no_step() {
+    fn stalled_link_is_not_taken_for_a_clock_step() {
         // Everything sent from 10 to 14 s arrives at 14 s.
         let stalled = |v: f64| if (10.0..14.0).contains(&v) { 14.0 } else { v };
         let envelope = envelope(40.0, stalled);
@@ -400,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_of_the_ground_starts_the_map_anew() {
+    fn ground_clock_step_starts_a_new_map_segment() {
         for step in [5.0, -5.0] {
             let ground = |v: f64| if v < 20.0 { v + 100.0 } else { v + 100.0 + step };
             let envelope = envelope(40.0, ground);
@@ -429,7 +429,7 @@ mod tests {
     }
 
     #[test]
-    fn another_epoch_is_found_and_another_delay_is_not() {
+    fn different_epoch_is_detected_and_different_delay_is_ignored() {
         let boot = envelope(20.0, |v| v + 100.0);
         let mut unix = Envelope::default();
         for point in boot.points() {

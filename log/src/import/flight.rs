@@ -423,7 +423,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_outputs_need_no_unit() {
+    fn flight_without_outputs_needs_no_motor_unit() {
         let origin = Origin {
             path: "a.tlog".into(),
             run: "a".into(),
@@ -441,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_keeps_only_what_is_later_and_finite() {
+    fn stream_keeps_only_later_finite_samples() {
         let mut stream = Stream::default();
         let kept = [(0.0, true), (0.1, true), (0.1, false), (f64::NAN, false), (0.05, false)];
         for (time, expected) in kept {

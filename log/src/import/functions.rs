@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn motors_are_where_functions_and_movement_agree() {
+    fn motors_are_on_the_device_whose_functions_and_movement_agree() {
         let mut stated: BTreeMap<String, f64> = motors("PWM_AUX").into_iter().collect();
         stated.extend((1..=8).map(|n| (format!("PWM_MAIN_FUNC{n}"), 0.0)));
         let found = |logged: &[Movement]| px4_drive(&stated, logged).map(|drive| drive.index);
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn without_functions_the_first_device_that_moves_is_taken() {
+    fn first_moving_device_is_used_without_output_functions() {
         let none = BTreeMap::new();
         let drive = px4_drive(&none, &[logged(&[]), logged(&[0, 1, 2, 3])]).expect("a drive");
         assert_eq!((drive.index, drive.device), (1, None));
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn what_drives_no_motor_is_said() {
+    fn missing_or_split_motor_functions_are_reported() {
         let wing = parameters(&[("PWM_MAIN_FUNC1", 201.0)]);
         assert!(px4_drive(&wing, &[logged(&[0])]).unwrap_err().contains("is a motor"));
         let split = parameters(&[("PWM_MAIN_FUNC1", 101.0), ("PWM_AUX_FUNC1", 102.0)]);
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn ardupilots_motors_are_by_their_functions() {
+    fn ardupilot_motors_follow_servo_functions() {
         let stated: Vec<(String, f64)> =
             (0..4).map(|n| (format!("SERVO{}_FUNCTION", 9 + n), 36.0 - f64::from(n))).collect();
         assert_eq!(ardupilot_motors(&stated.into_iter().collect()), Stated::Motors([11, 10, 9, 8]));

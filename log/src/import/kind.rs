@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn firmware_is_told_by_its_name_and_version() {
+    fn firmware_text_gives_the_vehicle_kind() {
         use VehicleKind as K;
         for (text, kind) in [
             ("ArduCopter V4.5.7 (2a3dc4b7)", Some(K::Multirotor)),
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_kinds_and_counts_of_motors() {
+    fn frame_name_gives_vehicle_kind_and_motor_count() {
         use VehicleKind as K;
         for (name, found) in [
             ("QUAD/X", Some((K::Multirotor, Some(4)))),
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_state_kinds() {
+    fn parameters_give_the_vehicle_kind() {
         use VehicleKind as K;
         let surfaces = [("SERVO1_FUNCTION", 4.0), ("SERVO3_FUNCTION", 70.0)];
         assert_eq!(kinds(&surfaces), [K::FixedWing]);
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn types_of_heartbeats_are_kinds() {
+    fn mav_type_gives_vehicle_kind_and_motor_count() {
         assert_eq!(of_mav_type(1.0), Some(VehicleKind::FixedWing));
         assert_eq!(of_mav_type(13.0), Some(VehicleKind::Multirotor));
         assert_eq!((of_mav_type(0.0), of_mav_type(6.0), of_mav_type(2.5)), (None, None, None));

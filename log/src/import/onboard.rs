@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn one_damaged_stamp_costs_one_row() {
+    fn one_damaged_timestamp_drops_one_row() {
         let mut stamps: Vec<f64> = (0..50).map(f64::from).map(|k| 100.0 + 0.1 * k).collect();
         let sound = stamps.clone();
         for damaged in [1e9, -3.0, 104.9, f64::NAN] {
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pause_of_the_logger_is_no_damage() {
+    fn logger_pause_is_not_taken_for_damage() {
         let stamps: Vec<f64> =
             (0..40).map(|k| f64::from(k) + if k < 20 { 0.0 } else { 600.0 }).collect();
         let (times, left_out) = stream(&stamps);
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn other_instances_are_counted() {
+    fn rows_of_other_instances_are_counted() {
         let mut topics = Topics::default();
         for instance in [1, 2, 2] {
             topics.push(WANTED, instance, 0.0, &[0.0]);

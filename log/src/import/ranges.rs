@@ -133,14 +133,14 @@ mod tests {
     }
 
     #[test]
-    fn arducopters_motors_span_spin_min_to_spin_max() {
+    fn arducopter_motor_range_spans_spin_min_to_spin_max() {
         let (ranges, _) = ardupilot(&parameters(COPTER)).expect("ranges");
         assert_eq!(ranges[2], OutputRange { zero: 1150.0, one: 1950.0 });
         assert_eq!([1000.0, 1550.0, 2000.0].map(|us| ranges[2].fraction(us)), [0.0, 0.5, 1.0]);
     }
 
     #[test]
-    fn px4_states_a_range_for_each_output_or_simulates_them() {
+    fn px4_output_ranges_come_from_parameters_or_simulation() {
         let (ranges, _) = px4(&parameters(SIH), &main_outputs(), 1600.0).expect("ranges");
         assert_eq!(ranges, [SIMULATED; 4]);
         let mut real = SIH.to_owned();

@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_of_the_log_stay_where_they_are_good() {
+    fn accurate_log_timestamps_are_kept() {
         let sent = flown(2e-4);
         for (before, after) in sent.iter().zip(steadied(sent.clone())) {
             assert_eq!(before.heard, after.heard);
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn rough_stamps_give_way_to_the_grounds_own() {
+    fn rough_log_timestamps_are_replaced_by_ground_timestamps() {
         let rough = 5e-3;
         for (k, sent) in steadied(flown(rough)).into_iter().enumerate() {
             let time = 10.0 + k as f64 * 0.01 + 0.0004;
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ground_without_a_clock_has_the_logs_stamps() {
+    fn log_timestamps_are_kept_without_a_ground_clock() {
         let mut sent = flown(5e-3);
         sent.iter_mut().for_each(|sent| sent.stamp_s = 0.0);
         for (before, after) in sent.iter().zip(steadied(sent.clone())) {

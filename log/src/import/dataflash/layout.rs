@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_are_found_by_their_names_and_read_in_their_formats() {
+    fn fields_are_found_by_name_and_decoded_by_format() {
         let body = definition(7, 3 + 8 + 2 + 2 + 4, "TEST", "Qcgn", "TimeUS,A,B,Name");
         let (kind, layout) = Layout::parse(&body).expect("a layout");
         assert_eq!((kind, layout.name.as_str()), (7, "TEST"));
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn definitions_that_contradict_themselves_are_refused() {
+    fn inconsistent_definitions_are_refused() {
         for wrong in [
             definition(7, 12, "TEST", "Qc", "TimeUS,A"),
             definition(7, 13, "TEST", "Qc", "TimeUS"),
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn units_are_what_the_log_says() {
+    fn unit_factors_come_from_the_log() {
         let body = definition(7, 3 + 8 + 4 + 2, "TEST", "Qfc", "TimeUS,A,B");
         let (kind, layout) = Layout::parse(&body).expect("a layout");
         let (a, b) = (layout.field(&["A"]).expect("a"), layout.field(&["B"]).expect("b"));

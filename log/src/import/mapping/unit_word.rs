@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn units_are_known_however_they_are_written() {
+    fn units_are_recognised_in_every_spelling() {
         for (cell, unit) in [
             ("mm", "mm"),
             ("[m/s]", "m/s"),
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_of_units_is_told_from_one_of_names() {
+    fn unit_row_is_distinguished_from_header_row() {
         let line = |text: &str| is_line(&text.split(',').map(str::to_owned).collect::<Vec<_>>());
         assert!(line(",,rad,rad,rad,mm,mm,mm"));
         assert!(line("[s],[m],[m],[-],[-]"));

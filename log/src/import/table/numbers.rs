@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn either_mark_is_read_and_both_are_a_doubt() {
+    fn either_decimal_mark_is_read_and_mixed_marks_are_ambiguous() {
         let mut numbers = Numbers::new(None);
         assert_eq!(numbers.read(b" \"-0,25\" "), Cell::Number(-0.25));
         assert_eq!(numbers.read(b"NaN"), Cell::Empty);
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stated_mark_is_kept_to() {
+    fn stated_decimal_mark_excludes_the_other() {
         let mut numbers = Numbers::new(Some(DecimalMark::Comma));
         assert_eq!(numbers.read(b"0,5"), Cell::Number(0.5));
         assert_eq!(numbers.read(b"0.5"), Cell::Other);

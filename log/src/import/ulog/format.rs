@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn nested_fields_and_arrays_lie_one_after_the_other() {
+    fn nested_fields_and_arrays_are_laid_out_contiguously() {
         let formats = formats(&[
             "esc_report:uint64_t timestamp;float esc_rpm;uint8_t[4] _padding0;",
             "esc_status:uint64_t timestamp;esc_report[2] esc;uint8_t count;uint8_t[7] _padding0;",
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn formats_that_hold_themselves_or_too_much_have_no_layout() {
+    fn recursive_oversized_or_incomplete_formats_have_no_layout() {
         let formats = formats(&[
             "loop:uint8_t x;loop[3] next;",
             "many:uint8_t[70000000000] x;uint8_t y;".replace("70000000000", "60000").as_str(),
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_definition_is_refused() {
+    fn malformed_format_definitions_are_refused() {
         let mut formats = Formats::default();
         for text in
             ["", "name", "name:float", "na me:float x;", "n:float[x] y;", "n:float[99999] y;"]
