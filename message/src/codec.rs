@@ -415,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn odometry_velocity_is_in_the_world_whatever_its_child_frame() {
+    fn odometry_velocity_is_converted_to_world_from_any_child_frame() {
         let velocity = |child| {
             let data = odometry_in(child);
             match decode(&MavMessage::ODOMETRY(data)).unwrap().unwrap() {
@@ -436,7 +436,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_true_is_refused() {
+    fn implausible_state_values_are_refused() {
         let mut data = odometry_in(MavFrame::MAV_FRAME_LOCAL_NED);
         data.x = f32::NAN;
         assert_eq!(decode(&MavMessage::ODOMETRY(data)), Err(Refusal::OutOfRange));
@@ -449,7 +449,7 @@ mod tests {
     }
 
     #[test]
-    fn battery_voltage_of_cells_and_of_a_pack() {
+    fn battery_voltage_is_decoded_from_cells_or_pack() {
         let voltage = |voltages, voltages_ext| {
             let data = BATTERY_STATUS_DATA {
                 voltages,
@@ -475,7 +475,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_type_of_the_future_is_still_a_vehicle() {
+    fn unknown_vehicle_type_still_decodes_as_a_heartbeat() {
         let payload = [0x00, 0x00, 0x06, 0x00, 250, 12, 0x81, 4, 3];
         let expected = Inbound::Heartbeat {
             autopilot: 12,
@@ -488,7 +488,7 @@ mod tests {
     }
 
     #[test]
-    fn servo_time_is_carried_over_its_wrap() {
+    fn servo_time_is_unwrapped() {
         let mut codec = Codec::default();
         let hour_and_more = (1u64 << 32) + 1_000;
         let attitude = HIGHRES_IMU_DATA { time_usec: hour_and_more, ..Default::default() };
@@ -502,7 +502,7 @@ mod tests {
     }
 
     #[test]
-    fn milliseconds_go_on_past_their_wrap_and_a_restart_begins_anew() {
+    fn boot_milliseconds_are_unwrapped_and_reset_by_a_reboot() {
         let mut codec = Codec::default();
         let mut time = |ms: u64| {
             let time_boot_ms = ms as u32;
@@ -519,7 +519,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_that_is_heard_after_its_wrap_has_one_clock() {
+    fn clock_is_consistent_when_first_received_after_a_wrap() {
         let mut codec = Codec::default();
         let us = 60 * 86_400 * 1_000_000;
         let imu = HIGHRES_IMU_DATA { time_usec: us, ..Default::default() };
@@ -533,7 +533,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn attitudes_keep_their_rotation(
+        fn decoded_attitude_keeps_its_rotation(
             w in -1f32..1.0, x in -1f32..1.0, y in -1f32..1.0, z in -1f32..1.0,
         ) {
             let norm = (w * w + x * x + y * y + z * z).sqrt();

@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn px4_integers_are_bytes_and_ardupilot_integers_are_values() {
+    fn px4_integers_are_byte_cast_and_ardupilot_integers_are_values() {
         let kind = MavParamType::MAV_PARAM_TYPE_INT32;
         assert_eq!(decode(7.0e-45, kind, ParameterCast::Bytes), 5.0);
         assert_eq!(decode(8.0, kind, ParameterCast::Value), 8.0);
@@ -68,7 +68,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn integers_come_back(value in any::<i32>()) {
+        fn byte_cast_integers_round_trip(value in any::<i32>()) {
             let kind = MavParamType::MAV_PARAM_TYPE_INT32;
             let sent = encode(value.into(), kind, ParameterCast::Bytes);
             prop_assert_eq!(decode(sent, kind, ParameterCast::Bytes), f64::from(value));

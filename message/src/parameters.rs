@@ -297,14 +297,14 @@ pub(crate) mod tests {
     pub(crate) const COPTER: &str = include_str!("../tests/parameters/arducopter.parm");
 
     #[test]
-    fn whose_parameters_they_are_shows_in_their_names() {
+    fn autopilot_is_recognised_by_parameter_names() {
         assert_eq!(parameters(SIH).autopilot(), Some(Autopilot::Px4));
         assert_eq!(parameters(COPTER).autopilot(), Some(Autopilot::ArduCopter));
         assert_eq!(Parameters::default().autopilot(), None);
     }
 
     #[test]
-    fn what_is_wanted_is_kept_of_logs() {
+    fn wanted_parameters_are_kept_from_logs() {
         for autopilot in [Autopilot::Px4, Autopilot::ArduCopter] {
             let wanted = autopilot.wanted();
             let lost: Vec<_> = wanted.iter().filter(|name| !is_of_vehicle(name)).collect();
@@ -313,7 +313,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn only_a_vehicle_that_px4_simulates_has_its_body_in_parameters() {
+    fn only_px4_simulated_vehicles_have_their_body_in_parameters() {
         assert!(parameters(SIH).is_simulated_in_hardware());
         // A real vehicle may have the module.
         let real = format!("{SIH}\nPWM_MAIN_MIN1 1100\nPWM_MAIN_MAX1 1900");

@@ -57,14 +57,14 @@ mod tests {
     }
 
     #[test]
-    fn a_single_text_is_whole() {
+    fn single_chunk_text_is_complete() {
         let mut texts = TextAssembler::default();
         let text = texts.push(&chunk(0, 0, "Arming denied: high throttle\t"));
         assert_eq!(text.as_deref(), Some("Arming denied: high throttle"));
     }
 
     #[test]
-    fn chunks_are_joined_and_a_lost_one_shows() {
+    fn chunks_are_joined_and_a_lost_chunk_is_marked() {
         let full = "x".repeat(50);
         let mut texts = TextAssembler::default();
         assert_eq!(texts.push(&chunk(7, 0, &full)), None);
@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn a_text_without_end_makes_room_for_the_next() {
+    fn unfinished_text_is_dropped_for_the_next() {
         let mut texts = TextAssembler::default();
         assert_eq!(texts.push(&chunk(1, 0, &"a".repeat(50))), None);
         assert_eq!(texts.push(&chunk(2, 0, "b")), Some("b".to_owned()));

@@ -142,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn px4s_rate_gains_are_scaled_by_k_and_its_rates_are_degrees() {
+    fn px4_rate_gains_scale_with_k_and_limits_are_degrees() {
         let doubled = SIH.replace("MC_ROLLRATE_K 1", "MC_ROLLRATE_K 2");
         let found = NormalisedLoop::of(&parameters(&doubled)).expect("a loop");
         assert_eq!((found.rate_p[0], found.rate_d[0], found.rate_p[1]), (0.3, 0.006, 0.15));
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn arducopter_shapes_the_setpoint_and_has_no_bound_at_0() {
+    fn arducopter_shapes_setpoints_and_zero_rate_limit_means_unbounded() {
         let found = NormalisedLoop::of(&parameters(COPTER)).expect("a loop");
         assert_eq!(found.input_time_constant_s, Some(0.15));
         assert_eq!(found.rate_max_rad_s, [NO_BOUND; 3]);
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_there_is_named() {
+    fn missing_parameters_are_named() {
         let without = SIH.replace("MC_YAW_P 2.8", "").replace("MC_PITCHRATE_P 0.15", "");
         let missing = NormalisedLoop::of(&parameters(&without)).unwrap_err();
         assert_eq!(missing, ["MC_PITCHRATE_P", "MC_YAW_P"]);

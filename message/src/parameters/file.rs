@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn each_program_writes_its_own_form() {
+    fn every_ground_station_format_is_parsed() {
         let expected = [("MC_ROLL_P".to_owned(), 6.5), ("SYS_AUTOSTART".to_owned(), 4001.0)];
         let ground_control = "# Onboard parameters for Vehicle 1\n#\n\
             1\t1\tMC_ROLL_P\t6.500000000000000000\t9\n1\t1\tSYS_AUTOSTART\t4001\t6\n";
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn px4_saves_a_document() {
+    fn px4_bson_document_is_parsed() {
         let mut document = vec![0; 4];
         document.extend(b"\x10SYS_AUTOSTART\0");
         document.extend(4001i32.to_le_bytes());
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn what_holds_none_is_told_with_its_line() {
+    fn file_without_parameters_is_refused_with_its_line() {
         let error = parse(b"# a\nname = \"crazyflie\"\n").unwrap_err().to_string();
         assert!(error.contains("line 2"), "{error}");
         assert!(parse(b"").unwrap_err().to_string().contains("it has none"));
@@ -148,7 +148,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_break_it(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+        fn arbitrary_bytes_never_panic_the_parser(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
             let _ = parse(&bytes);
         }
     }

@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn of_px4s_square_quadrotor_roll_drives_each_motor_by_a_root_of_a_half() {
+    fn px4_square_quad_roll_share_is_sqrt_half() {
         let mixer = Mixer::of(&parameters(SIH)).expect("a mixer");
         let half = 0.5f64.sqrt();
         let expected =
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_wide_px4_frame_roll_and_pitch_have_one_scale() {
+    fn wide_px4_frame_scales_roll_and_pitch_alike() {
         let wide = SIH.replace("_PY 1", "_PY 2").replace("_PY -1", "_PY -2");
         let mixer = Mixer::of(&parameters(&wide)).expect("a mixer");
         let half = 0.5f64.sqrt();
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn of_arducopters_plus_two_motors_roll_at_half_each() {
+    fn arducopter_plus_frame_rolls_with_two_motors_at_half() {
         let mixer = Mixer::of(&parameters(COPTER)).expect("a mixer");
         assert_eq!(mixer.shares[0], [-0.5, 0.5, 0.0, 0.0]);
         assert_eq!(mixer.shares[1], [0.0, 0.0, 0.5, -0.5]);
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn rotors_in_one_line_have_no_mixer() {
+    fn collinear_rotors_have_no_mixer() {
         let line = SIH.replace("_PX -1", "_PX 1");
         assert_eq!(Mixer::of(&parameters(&line)), None);
     }

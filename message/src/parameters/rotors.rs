@@ -125,13 +125,13 @@ mod tests {
     }
 
     #[test]
-    fn px4_says_where_each_rotor_is() {
+    fn px4_parameters_give_rotor_positions() {
         assert_eq!(places(SIH), [(1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)]);
         assert_eq!(parameters(SIH).motor_count(), Some(4));
     }
 
     #[test]
-    fn arducopter_says_it_by_the_frame() {
+    fn arducopter_frame_gives_rotor_positions() {
         assert_eq!(places(COPTER), [(0, 1, 1), (0, -1, 1), (1, 0, -1), (-1, 0, -1)]);
         let x = COPTER.replace("FRAME_TYPE,0", "FRAME_TYPE,1");
         assert_eq!(places(&x), [(1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)]);
