@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_both_spellings() {
+    fn both_endpoint_spellings_are_parsed() {
         let cases = [
             ("udpin:0.0.0.0:14540", Endpoint::UdpIn(address("0.0.0.0", 14540))),
             ("udpin://0.0.0.0:14540", Endpoint::UdpIn(address("0.0.0.0", 14540))),
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_and_says_what_to_write() {
+    fn invalid_endpoint_error_suggests_a_spelling() {
         let cases = [
             ("udp:127.0.0.1:14540", "udpin:127.0.0.1:14540 to listen or udpout:127.0.0.1:14540"),
             ("udp://:14540", "udpin::14540 to listen or udpout::14540 to send"),
@@ -250,7 +250,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_is_read_back(
+        fn endpoint_round_trips(
             scheme in prop::sample::select(vec!["udpin", "udpout", "tcp", "tcpin"]),
             host in "[a-z0-9][a-z0-9.-]{0,20}|\\[::[0-9a-f]{1,4}\\]",
             port in 1u16..,
@@ -263,7 +263,7 @@ mod tests {
         }
 
         #[test]
-        fn no_text_panics(text in "\\PC{0,40}") {
+        fn arbitrary_text_never_panics(text in "\\PC{0,40}") {
             if let Ok(endpoint) = text.parse::<Endpoint>() {
                 prop_assert_eq!(endpoint.to_string().parse(), Ok(endpoint));
             }

@@ -37,7 +37,7 @@ mod tests {
     }
 
     #[test]
-    fn both_versions_come_back_as_they_went() {
+    fn frames_of_both_versions_round_trip() {
         let mut decoder = Decoder::new();
         for version in [MavlinkVersion::V1, MavlinkVersion::V2] {
             let bytes = encoded(7, version);
@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn a_signed_frame_is_read() {
+    fn signed_frame_is_decoded() {
         let mut bytes = encoded(1, MavlinkVersion::V2);
         let crc_start = bytes.len() - 2;
         bytes[2] |= v2::IFLAG_SIGNED;
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn message_ids_that_mavlink_1_has_no_room_for_are_not_sent() {
+    fn message_ids_beyond_mavlink_1_are_not_encoded() {
         let mut encoder = Encoder::new(1, 1);
         encoder.set_version(MavlinkVersion::V1);
         let mut bytes = Vec::new();
@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn sequence_wraps() {
+    fn sequence_number_wraps() {
         let mut encoder = Encoder::new(1, 1);
         let mut decoder = Decoder::new();
         for k in 0..300u32 {
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_checksums_and_unknown_ids_are_counted_apart() {
+    fn checksum_errors_and_unknown_ids_are_counted_separately() {
         let mut broken = encoded(1, MavlinkVersion::V2);
         *broken.last_mut().unwrap() ^= 1;
         let unknown = [MAV_STX_V2, 1, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0x70, 9, 0, 0];
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_datagram_does_not_swallow_the_next() {
+    fn truncated_datagram_does_not_swallow_the_next() {
         let whole = encoded(1, MavlinkVersion::V2);
         let mut decoder = Decoder::new();
         for cut in 0..whole.len() {
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_behind_a_false_start_in_a_datagram_is_found_at_its_end() {
+    fn frame_after_a_false_start_is_found_at_datagram_end() {
         // The marker and length byte claim more than the datagram has.
         let mut datagram = vec![MAV_STX_V2, 255, 0];
         datagram.extend(encoded(3, MavlinkVersion::V2));
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_length_byte_that_lies_is_a_wrong_checksum_and_the_next_frame_is_found() {
+    fn wrong_length_byte_fails_the_checksum_and_decoding_recovers() {
         let next = encoded(2, MavlinkVersion::V2);
         for version in [MavlinkVersion::V1, MavlinkVersion::V2] {
             let honest = encoded(1, version);
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_signed_frame_that_is_cut_is_dropped_and_the_next_is_found() {
+    fn truncated_signed_frame_is_dropped_and_decoding_recovers() {
         let mut signed = resized(MavlinkVersion::V2, 28);
         let crc_start = signed.len() - 2;
         signed[2] |= v2::IFLAG_SIGNED;
@@ -216,7 +216,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_frame_is_found_in_any_garbage_and_any_chunks(
+        fn every_frame_is_found_amid_garbage_and_any_chunking(
             pieces in prop::collection::vec(any_piece(), 0..20),
             chunk in 1usize..400,
         ) {
@@ -254,7 +254,7 @@ mod tests {
         }
 
         #[test]
-        fn the_front_agrees_with_the_decoder(
+        fn front_agrees_with_the_decoder(
             bytes in prop::collection::vec(any::<u8>(), 0..300),
             number in any::<u32>(),
         ) {

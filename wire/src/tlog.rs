@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn splitter_gives_each_frame_its_own_entry() {
+    fn splitter_emits_one_entry_per_frame() {
         let (a, b) = (frame(1, MavlinkVersion::V2), frame(2, MavlinkVersion::V1));
         let garbage = [1, 2, MAV_STX_V2, 3];
         let wire = [&garbage[..], &a, &unknown_frame(), &b, &[MAV_STX]].concat();
@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_by_chance_across_a_stamp_hides_no_entry() {
+    fn accidental_frame_across_a_stamp_hides_no_entry() {
         let (log, count) = log_with_a_frame_by_chance();
         let (entries, skipped) = read_all(&log);
         assert_eq!((entries.len(), skipped), (count, 0));
@@ -436,7 +436,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_byte_is_lost_by_the_splitter(
+        fn splitter_loses_no_byte(
             wire in prop::collection::vec(any::<u8>(), 0..2000),
             cut in 1usize..50,
         ) {
@@ -471,7 +471,7 @@ mod tests {
         }
 
         #[test]
-        fn no_log_makes_the_reader_fail(log in prop::collection::vec(any::<u8>(), 0..3000)) {
+        fn arbitrary_log_never_fails_the_reader(log in prop::collection::vec(any::<u8>(), 0..3000)) {
             let (entries, skipped) = read_all(&log);
             let kept: usize = entries
                 .iter()

@@ -63,7 +63,7 @@ async fn udpin_answers_each_sender_at_its_address() {
 }
 
 #[tokio::test]
-async fn a_thread_that_waits_for_datagrams_itself_gets_them_in_turn() {
+async fn blocking_wait_receives_datagrams_in_order() {
     let mut listener = open("udpin:127.0.0.1:0").await;
     let mut vehicle = open(&format!("udpout:127.0.0.1:{}", port(&listener))).await;
     let remote = vehicle.peers().next().expect("udpout has its peer at once");
@@ -81,14 +81,14 @@ async fn a_thread_that_waits_for_datagrams_itself_gets_them_in_turn() {
 }
 
 #[tokio::test]
-async fn a_stream_is_not_waited_for_past_the_runtime() {
+async fn blocking_wait_on_a_stream_is_unsupported() {
     let mut listener = open("tcpin:127.0.0.1:0").await;
     let error = listener.wait(&mut [0; 8], Duration::ZERO).expect_err("refused");
     assert_eq!(error.kind(), io::ErrorKind::Unsupported);
 }
 
 #[tokio::test]
-async fn udpin_keeps_whom_it_talks_with_among_a_thousand_strangers() {
+async fn udpin_keeps_its_peer_among_a_thousand_strangers() {
     let mut listener = open("udpin:127.0.0.1:0").await;
     let to = ("127.0.0.1", port(&listener));
     let vehicle = UdpSocket::bind("127.0.0.1:0").await.unwrap();
@@ -109,7 +109,7 @@ async fn udpin_keeps_whom_it_talks_with_among_a_thousand_strangers() {
 }
 
 #[tokio::test]
-async fn udpin_keeps_who_speaks_when_its_table_is_full() {
+async fn udpin_keeps_active_peers_when_its_table_is_full() {
     let mut listener = open("udpin:127.0.0.1:0").await;
     let to = ("127.0.0.1", port(&listener));
     let vehicle = UdpSocket::bind("127.0.0.1:0").await.unwrap();
@@ -156,7 +156,7 @@ async fn udpout_survives_a_remote_that_does_not_listen_yet() {
 }
 
 #[tokio::test]
-async fn a_busy_port_is_named() {
+async fn busy_port_is_named() {
     let first = open("udpin:127.0.0.1:0").await;
     let endpoint: Endpoint = format!("udpin:127.0.0.1:{}", port(&first)).parse().unwrap();
     let error = Transport::open(&endpoint).await.expect_err("port is taken");
@@ -166,7 +166,7 @@ async fn a_busy_port_is_named() {
 }
 
 #[tokio::test]
-async fn tcpin_serves_several_and_tells_who_left() {
+async fn tcpin_serves_several_peers_and_reports_who_left() {
     let mut listener = open("tcpin:127.0.0.1:0").await;
     assert!(!listener.is_datagram());
     let mut a = open(&format!("tcp:127.0.0.1:{}", port(&listener))).await;
@@ -194,7 +194,7 @@ async fn tcpin_serves_several_and_tells_who_left() {
 }
 
 #[tokio::test]
-async fn tcpin_turns_away_more_than_it_can_serve() {
+async fn tcpin_refuses_peers_beyond_its_limit() {
     let mut listener = open("tcpin:127.0.0.1:0").await;
     let mut clients = Vec::new();
     let mut buffer = [0; 64];
@@ -210,7 +210,7 @@ async fn tcpin_turns_away_more_than_it_can_serve() {
 }
 
 #[tokio::test]
-async fn a_full_stream_drops_whole_frames_and_cuts_none() {
+async fn full_stream_drops_only_whole_frames() {
     const FRAME: usize = 100_000;
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let mut sender = open(&format!("tcp:{}", listener.local_addr().unwrap())).await;
@@ -245,7 +245,7 @@ async fn a_full_stream_drops_whole_frames_and_cuts_none() {
 }
 
 #[tokio::test]
-async fn a_dropped_receive_loses_nothing() {
+async fn dropped_receive_loses_nothing() {
     let mut listener = open("tcpin:127.0.0.1:0").await;
     let mut client = TcpStream::connect(("127.0.0.1", port(&listener))).await.unwrap();
     let mut received = Vec::new();
@@ -264,7 +264,7 @@ async fn a_dropped_receive_loses_nothing() {
 }
 
 #[tokio::test]
-async fn a_serial_port_is_exclusive_and_tells_when_it_is_pulled() {
+async fn serial_port_is_exclusive_and_reports_unplugging() {
     let (mut device, slave) = SerialStream::pair().unwrap();
     let path = slave.name().expect("a pty has a path");
     drop(slave);

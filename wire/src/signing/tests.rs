@@ -42,7 +42,7 @@ fn frame(bytes: &[u8]) -> Frame {
 }
 
 #[test]
-fn what_is_signed_is_believed_once_and_its_stamps_advance() {
+fn signed_frame_is_accepted_once_and_stamps_advance() {
     let (mut verifier, mut sender) = (verifier(), sender(7, 3, NOW));
     let mut last = None;
     for _ in 0..100 {
@@ -59,7 +59,7 @@ fn what_is_signed_is_believed_once_and_its_stamps_advance() {
 }
 
 #[test]
-fn whoever_lacks_the_key_is_refused_by_name() {
+fn frames_without_the_key_are_refused_with_the_reason() {
     let mut verifier = verifier();
     let unsigned = said(&mut Encoder::new(1, 1));
     assert_eq!(verifier.check(&frame(&unsigned)), Err(Refused::Unsigned));
@@ -85,7 +85,7 @@ fn whoever_lacks_the_key_is_refused_by_name() {
 }
 
 #[test]
-fn what_was_overtaken_is_believed_once_and_not_after_a_second() {
+fn overtaken_frame_is_accepted_once_within_a_second() {
     let (mut verifier, mut sender) = (verifier(), sender(7, 3, NOW));
     let frames: Vec<Frame> = (0..1000)
         .map(|number| {
@@ -116,7 +116,7 @@ fn what_was_overtaken_is_believed_once_and_not_after_a_second() {
 }
 
 #[test]
-fn a_new_stream_begins_at_most_a_minute_behind_and_a_day_ahead() {
+fn new_stream_may_be_a_minute_behind_or_a_day_ahead() {
     let minute = 60 * Stamp::PER_S;
     let at = |ticks: u64| frame(&said(&mut sender(7, 9, Stamp::from_ticks(ticks))));
     let now = NOW.ticks();
@@ -135,7 +135,7 @@ fn a_new_stream_begins_at_most_a_minute_behind_and_a_day_ahead() {
 }
 
 #[test]
-fn streams_are_apart_and_bounded() {
+fn signing_streams_are_separate_and_bounded() {
     let mut verifier = verifier();
     let mut streams: Vec<Encoder> = (0..=255).map(|link| sender(7, link, NOW)).collect();
     let mut believed = 0;
@@ -156,7 +156,7 @@ fn streams_are_apart_and_bounded() {
 }
 
 #[test]
-fn what_was_heard_before_a_restart_is_not_heard_again() {
+fn frames_from_before_a_restart_are_refused_as_replays() {
     let (mut before, mut sender) = (verifier(), sender(7, 3, NOW));
     let bytes = said(&mut sender);
     before.check(&frame(&bytes)).expect("new");
@@ -172,7 +172,7 @@ fn what_was_heard_before_a_restart_is_not_heard_again() {
 }
 
 #[test]
-fn stamps_never_go_back_whatever_clocks_say() {
+fn stamps_never_decrease_with_any_clock() {
     let mut signer = Signer::new(key(7), 0, NOW);
     let mut last = NOW;
     for clock in [NOW.ticks() - YEAR, NOW.ticks() + 5, NOW.ticks() - 1, NOW.ticks() + 5, 0] {
@@ -188,14 +188,14 @@ fn stamps_never_go_back_whatever_clocks_say() {
 }
 
 #[test]
-fn a_signer_speaks_mavlink_2_only() {
+fn signer_sends_only_mavlink_2() {
     let mut encoder = sender(7, 0, NOW);
     encoder.set_version(MavlinkVersion::V1);
     assert!(frame(&said(&mut encoder)).is_signed());
 }
 
 #[test]
-fn stamps_count_from_2015() {
+fn timestamps_count_from_2015() {
     assert_eq!(Stamp::from_unix_ns(1_420_070_400_000_010_000).ticks(), 1);
     assert_eq!(Stamp::from_unix_ns(1_400_000_000_000_000_000), Stamp::default());
     assert_eq!(Stamp::from_unix_ns(u64::MAX).to_bytes().len(), 6);
@@ -204,7 +204,7 @@ fn stamps_count_from_2015() {
 
 #[cfg(unix)]
 #[test]
-fn a_key_file_is_its_owners_alone() {
+fn key_file_readable_by_others_is_refused() {
     use std::os::unix::fs::PermissionsExt;
     let path = std::env::temp_dir().join(format!("wire-key-{}", std::process::id()));
     let write = |text: &str, mode: u32| {
@@ -234,7 +234,7 @@ fn a_key_file_is_its_owners_alone() {
 
 proptest! {
     #[test]
-    fn no_change_of_a_signed_frame_is_believed(at in 0usize..53, bits in 1u8.., cut in 0usize..53) {
+    fn modified_signed_frame_is_never_accepted(at in 0usize..53, bits in 1u8.., cut in 0usize..53) {
         let bytes = said(&mut sender(7, 3, NOW));
         prop_assume!(at < bytes.len());
         let mut changed = bytes.clone();
