@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn the_default_pack_hovers_for_about_eight_minutes() {
+    fn default_pack_hovers_for_about_eight_minutes() {
         let vehicle = quad();
         let mut battery = Battery::new(&vehicle, &BatteryConfig::default());
         let power = PowerModel::new(&vehicle).power(&[vehicle.mass * vehicle.gravity / 4.0; 4]);
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_circuit_stays_finite() {
+    fn short_circuit_stays_finite() {
         let mut battery = Battery::new(&quad(), &BatteryConfig::default());
         battery.advance(1e12, 1.0);
         assert!(battery.voltage() > 0.0 && battery.current().is_finite());

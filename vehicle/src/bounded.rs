@@ -36,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_without_an_end_is_refused_and_one_of_the_limit_is_read() {
+    fn endless_file_is_refused_and_file_at_the_limit_is_read() {
         let path = std::env::temp_dir().join(format!("bounded-{}", std::process::id()));
         std::fs::write(&path, vec![b'a'; 2 << 20]).expect("a file");
         assert_eq!(read(&path, 2 << 20).expect("its bytes").len(), 2 << 20);

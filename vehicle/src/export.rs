@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_expressed_is_named_in_the_file_too() {
+    fn inexpressible_effects_are_named_in_the_export() {
         let vehicle = with(&["battery_sag:exponent=1", "rotor_drag:d_xy=0.2,d_z=0.1"]);
         for peer in Peer::ALL {
             let Export { text, lost } = export(&vehicle, peer).unwrap();
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn effects_on_constants_are_in_the_numbers() {
+    fn effects_on_constants_change_the_exported_numbers() {
         let vehicle = with(&["mass:mass_kg=2.5", "inertia:scale=[2,1,1]"]);
         for peer in Peer::ALL {
             let Export { text, .. } = export(&vehicle, peer).unwrap();
@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_breaks_out_of_no_comment() {
+    fn exported_names_cannot_escape_comments() {
         let mut vehicle = quad();
         vehicle.name = "a\"]\nimport os --> <x/>".to_owned();
         for peer in Peer::ALL {

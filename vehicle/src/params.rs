@@ -474,7 +474,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_vehicle_survives_toml_and_json() {
+    fn vehicle_round_trips_through_toml_and_json() {
         let vehicle = quad().checked().unwrap();
         assert_eq!(VehicleParams::from_toml_str(&vehicle.to_toml().unwrap()).unwrap(), vehicle);
         let json = serde_json::to_string(&vehicle).unwrap();
@@ -514,7 +514,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_file_has_one_on_board_loop() {
+    fn vehicle_file_has_one_onboard_loop() {
         let cascade = cascade::tests::cascade();
         let vehicle = VehicleParams { attitude_cascade: Some(cascade), ..quad() };
         assert_eq!(vehicle.attitude_loop_pd(), Some(cascade.as_pd()));
@@ -525,20 +525,20 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_share_that_carries_is_by_mass_whatever_the_firmware_believes() {
+    fn hover_share_follows_the_mass_not_hover_thrust() {
         let vehicle = VehicleParams { hover_thrust: 0.9, ..quad() };
         assert!((vehicle.hover_share() - 1.2 * 9.80665 / 24.0).abs() < 1e-12);
     }
 
     #[test]
-    fn inertia_of_published_sets_may_break_the_triangle_by_a_percent() {
+    fn inertia_may_violate_the_triangle_inequality_slightly() {
         let mut vehicle = quad();
         vehicle.inertia = [1.0e-5, 1.0e-5, 2.03e-5];
         assert!(vehicle.checked().is_ok());
     }
 
     #[test]
-    fn an_unknown_key_is_refused_by_name() {
+    fn unknown_key_is_refused_by_name() {
         let text = quad().to_toml().unwrap();
         let error = VehicleParams::from_toml_str(&format!("colour = \"red\"\n{text}"));
         assert!(error.unwrap_err().to_string().contains("colour"));

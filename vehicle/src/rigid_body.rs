@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_spin_turns_by_rate_times_time() {
+    fn constant_spin_rotates_by_rate_times_time() {
         let body = RigidBody::new(1.0, [0.01, 0.02, 0.03], 0.0);
         let mut state = State { body_rate: Frd::new(0.0, 0.0, 2.0), ..State::default() };
         for _ in 0..1000 {
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn halving_the_step_divides_the_error_by_two_to_the_order() {
+    fn integration_error_shrinks_with_the_method_order() {
         let body = RigidBody::new(1.0, [0.012, 0.02, 0.03], 9.81);
         // A force fixed in the body that grows with its rate, and a moment that opposes the rate.
         let pushed = |s: &State, _: Stage| {
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_coarse_step_keeps_the_quaternion_a_rotation() {
+    fn coarse_step_keeps_the_quaternion_normalised() {
         let body = RigidBody::new(1.0, [0.01; 3], 9.81);
         let mut state = State { body_rate: Frd::new(0.0, 300.0, 0.0), ..State::default() };
         state = rk4(&state, 1e-2, |s: &State, _: Stage| {

@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn rotors_on_the_left_roll_right_and_at_the_front_pitch_up() {
+    fn left_rotors_roll_right_and_front_rotors_pitch_up() {
         let allocation = Allocation::new(&x_layout()).unwrap();
         let roll = allocation.outputs([10.0, 0.1, 0.0, 0.0]);
         assert!(roll[2] > roll[0] && roll[3] > roll[1]);
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn a_layout_without_authority_is_refused() {
+    fn layout_without_control_authority_is_refused() {
         let mut same_spin = x_layout();
         same_spin.iter_mut().for_each(|r| r.spin = 1);
         assert!(Allocation::new(&same_spin).is_none());
@@ -206,7 +206,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn unclipped_outputs_give_the_wrench_back(t in 0.0..20.0, x in -1.0..1.0, y in -1.0..1.0, z in -0.2..0.2) {
+        fn unclipped_outputs_reproduce_the_wrench(t in 0.0..20.0, x in -1.0..1.0, y in -1.0..1.0, z in -0.2..0.2) {
             let allocation = Allocation::new(&x_layout()).unwrap();
             let wrench = [t, x, y, z];
             let back = allocation.wrench(allocation.unclipped_outputs(wrench));
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn lag_answers_a_step_as_an_exponential() {
+    fn lag_step_response_is_exponential() {
         let lag = Lag::new(0.04, 1e-3);
         let mut states = [0.2; 4];
         for _ in 0..40 {
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn lag_follows_a_line_as_many_held_steps_would() {
+    fn lag_of_a_ramp_matches_many_held_steps() {
         let (first, last) = ([0.2, 0.5, 0.9, 0.4], [0.6, 0.5, 0.1, 0.5]);
         let start = [0.3, 0.4, 0.9, 0.0];
         for tau in [0.0, 1e-4, 0.003, 0.04] {

@@ -264,7 +264,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn gradient_equals_finite_difference(x in 0.2..2.0f64, y in 0.2..2.0f64) {
+        fn gradient_matches_finite_differences(x in 0.2..2.0f64, y in 0.2..2.0f64) {
             let dual = composed(Dual::<2>::variable(x, 0), Dual::<2>::variable(y, 1));
             let h = 1e-6;
             let dx = (composed(x + h, y) - composed(x - h, y)) / (2.0 * h);

@@ -73,7 +73,7 @@ fn apart<F: Precision>(vehicle: &VehicleParams, effects: &EffectSet, height: f64
 }
 
 #[test]
-fn a_batch_flies_as_plants_do_with_every_effect_alone_and_together() {
+fn batch_matches_plants_with_every_effect_alone_and_together() {
     let mut vehicle = quad();
     // Feedback against the reaction of rotors that follow at once amplifies rounding.
     vehicle.motor_time_constant_s = 0.02;
@@ -88,7 +88,7 @@ fn a_batch_flies_as_plants_do_with_every_effect_alone_and_together() {
 }
 
 #[test]
-fn every_set_of_instructions_gives_the_same_bits() {
+fn every_instruction_set_gives_the_same_bits() {
     let vehicle = quad();
     let flown = |width: Width, set: &EffectSet| {
         let batch = Batch::<f32>::new(&vehicle, set, &Setup::default(), 3, COUNT).unwrap();
@@ -107,7 +107,7 @@ fn every_set_of_instructions_gives_the_same_bits() {
 }
 
 #[test]
-fn feet_meet_the_floor_as_a_plants_do() {
+fn batch_floor_contact_matches_the_plant() {
     // Some fall onto the floor, turned, before they climb.
     let mut vehicle = quad();
     for lag in [0.0, 0.03] {
@@ -123,7 +123,7 @@ fn feet_meet_the_floor_as_a_plants_do() {
 }
 
 #[test]
-fn a_batch_takes_any_numbers() {
+fn batch_accepts_any_numbers() {
     let vehicle = quad();
     let new = |count| {
         Batch::<f32>::new(&vehicle, &EffectSet::new(), &Setup::default(), 1, count).unwrap()

@@ -14,7 +14,7 @@ fn run(plant: &mut Plant, steps: usize, outputs: [f64; 4]) {
 }
 
 #[test]
-fn without_thrust_it_falls_and_feels_nothing() {
+fn free_fall_has_no_specific_force() {
     let mut plant = airborne(&quad(), &EffectSet::new());
     run(&mut plant, 2000, [0.0; 4]);
     let fall = 0.5 * 9.80665 * 2.0 * 2.0;
@@ -25,7 +25,7 @@ fn without_thrust_it_falls_and_feels_nothing() {
 }
 
 #[test]
-fn at_hover_thrust_it_stays() {
+fn hover_thrust_keeps_the_vehicle_in_place() {
     let vehicle = quad();
     let mut plant = airborne(&vehicle, &EffectSet::new());
     run(&mut plant, 10_000, [vehicle.hover_thrust; 4]);
@@ -36,7 +36,7 @@ fn at_hover_thrust_it_stays() {
 }
 
 #[test]
-fn a_rotor_with_lag_answers_a_step_as_an_exponential() {
+fn rotor_lag_step_response_is_exponential() {
     let mut vehicle = quad();
     vehicle.motor_time_constant_s = 0.05;
     let mut plant = airborne(&vehicle, &EffectSet::new());
@@ -54,7 +54,7 @@ fn a_rotor_with_lag_answers_a_step_as_an_exponential() {
 }
 
 #[test]
-fn a_yaw_moment_spins_it_up_evenly() {
+fn yaw_moment_gives_constant_angular_acceleration() {
     let vehicle = quad();
     let allocation = Allocation::new(&vehicle.rotors).unwrap();
     let weight = vehicle.mass * vehicle.gravity;
@@ -65,7 +65,7 @@ fn a_yaw_moment_spins_it_up_evenly() {
 }
 
 #[test]
-fn energy_changes_by_the_work_of_the_thrust() {
+fn energy_change_equals_the_work_of_thrust() {
     let vehicle = quad();
     let mut plant = airborne(&vehicle, &EffectSet::new());
     plant.set_state(State { position: Ned::new(0.0, 0.0, -100.0), ..moving() });
@@ -97,7 +97,7 @@ fn energy_changes_by_the_work_of_the_thrust() {
 
 /// Turning the whole scene about the vertical turns the trajectory and nothing else.
 #[test]
-fn physics_does_not_know_where_north_is() {
+fn physics_is_invariant_under_heading_rotation() {
     let vehicle = quad();
     let angle = 0.9;
     let turn = Euler::new(0.0, 0.0, angle).attitude();
@@ -164,7 +164,7 @@ fn rotors_and_body_exchange_angular_momentum() {
 }
 
 #[test]
-fn outputs_that_are_not_numbers_count_as_zero() {
+fn non_finite_outputs_are_clamped() {
     let vehicle = quad();
     let fly = |outputs| {
         let mut plant = airborne(&vehicle, &EffectSet::new());
@@ -177,7 +177,7 @@ fn outputs_that_are_not_numbers_count_as_zero() {
 }
 
 #[test]
-fn a_state_that_is_not_finite_is_ignored() {
+fn non_finite_state_is_ignored() {
     let mut plant = airborne(&quad(), &EffectSet::new());
     let before = *plant.state();
     plant.set_state(State { velocity: Ned::new(f64::NAN, 0.0, 0.0), ..before });
@@ -187,7 +187,7 @@ fn a_state_that_is_not_finite_is_ignored() {
 }
 
 #[test]
-fn the_collective_that_hovers_is_found_whatever_the_effects() {
+fn hover_collective_is_found_under_any_effects() {
     let vehicle = quad();
     let sets: [&[&str]; 3] = [
         &[],

@@ -73,7 +73,7 @@ fn speed_ratio() -> f64 {
 }
 
 #[test]
-fn the_nominal_vehicle_is_thrust_and_drag_torque() {
+fn nominal_vehicle_has_only_thrust_and_drag_torque() {
     let (force, moment) = with(&[]);
     assert_close(force.to_array(), [0.0, 0.0, -rotor_thrusts().iter().sum::<f64>()]);
     assert_close(moment.to_array(), moments(rotor_thrusts()));
@@ -95,7 +95,7 @@ fn neutral(id: EffectId, vehicle: &VehicleParams) -> Slots {
 }
 
 #[test]
-fn neutral_parameters_are_the_nominal_vehicle() {
+fn neutral_parameters_match_the_nominal_vehicle() {
     let mut vehicle = quad();
     vehicle.motor_time_constant_s = 0.03;
     let fly = |set: &EffectSet| {
@@ -126,7 +126,7 @@ fn thrust_scale_scales_thrust_and_drag_torque() {
 }
 
 #[test]
-fn mass_changes_the_acceleration_only() {
+fn mass_changes_only_the_acceleration() {
     let physics = Physics::new(&quad(), &effects(&["mass:mass_kg=1.5"])).unwrap();
     assert_eq!((physics.body().mass(), physics.body().inertia()), (1.5, quad().inertia));
     assert_close(with(&["mass:mass_kg=1.5"]).0.to_array(), with(&[]).0.to_array());
@@ -191,7 +191,7 @@ fn parasitic_drag_is_quadratic() {
 }
 
 #[test]
-fn wind_acts_through_drag_and_not_without() {
+fn wind_acts_only_through_drag() {
     assert_close(added(&["wind:north_m_s=2,east_m_s=-1,down_m_s=3"]).0, [0.0; 3]);
     // Wind equal to the vehicle's velocity: no drag.
     let wind = "wind:north_m_s=2,east_m_s=-1,down_m_s=3";
@@ -203,7 +203,7 @@ fn wind_acts_through_drag_and_not_without() {
 }
 
 #[test]
-fn gusts_move_the_air_with_the_seed() {
+fn gusts_depend_on_the_seed() {
     let set = effects(&["gusts:sigma_m_s=2,length_m=1,speed_m_s=2", "rotor_drag:d_xy=0.3"]);
     let fly = |seed| {
         let mut setup = Setup::default();
@@ -230,7 +230,7 @@ fn assert_factor(argument: &str, factor: f64) {
 }
 
 #[test]
-fn ground_effect_is_cheeseman_and_bennett_up_to_its_limit() {
+fn ground_effect_follows_cheeseman_bennett_up_to_its_limit() {
     // The height is 0.6 m.
     assert_factor("ground_effect:r_eff_m=0.8", 1.0 / (1.0 - (0.8_f64 / 2.4).powi(2)));
     assert_factor("ground_effect:r_eff_m=2", 1.0 / 0.65);
@@ -256,7 +256,7 @@ fn translational_lift_grows_with_horizontal_speed_up_to_its_limit() {
 }
 
 #[test]
-fn blade_flapping_tilts_thrust_and_pitches_up() {
+fn blade_flapping_tilts_thrust_and_adds_moment() {
     let [x, y, _] = air_relative();
     let thrust: f64 = rotor_thrusts().iter().sum();
     let (force, moment) = added(&["blade_flapping:moment_Nms_m=0.04,tilt_rad_s_m=0.01"]);
@@ -269,7 +269,7 @@ fn blade_flapping_tilts_thrust_and_pitches_up() {
 }
 
 #[test]
-fn vortex_ring_takes_thrust_in_descent() {
+fn vortex_ring_reduces_thrust_in_descent() {
     let [x, y, z] = air_relative();
     let disc = std::f64::consts::PI * 0.127 * 0.127;
     let induced = (1.2 * 9.80665 / (2.0 * RHO * 4.0 * disc)).sqrt();
@@ -322,7 +322,7 @@ fn yaw_torque_scales_drag_torque() {
 }
 
 #[test]
-fn linear_drag_and_damping_of_the_file_act() {
+fn linear_drag_and_damping_of_the_file_are_applied() {
     let mut vehicle = quad();
     vehicle.linear_drag_n_per_m_s = Some(0.5);
     vehicle.angular_damping_nms = Some([0.01, 0.02, 0.03]);
@@ -336,7 +336,7 @@ fn linear_drag_and_damping_of_the_file_act() {
 }
 
 #[test]
-fn linear_drag_takes_the_place_of_modelled_rotor_drag_and_a_found_one_replaces_both() {
+fn linear_drag_replaces_modelled_and_identified_drag_replaces_both() {
     let mut vehicle = quad();
     vehicle.linear_drag_n_per_m_s = Some(0.5);
     let force = |vehicle: &VehicleParams, overlay: &EffectSet| {
@@ -352,7 +352,7 @@ fn linear_drag_takes_the_place_of_modelled_rotor_drag_and_a_found_one_replaces_b
 }
 
 #[test]
-fn rotor_gyroscopic_needs_the_rotors_speed() {
+fn rotor_gyroscopic_requires_rotor_max_rpm() {
     let mut vehicle = quad();
     vehicle.rotor_max_rpm = None;
     let set = effects(&["rotor_gyroscopic:rotor_inertia_kgm2=1e-5"]);
@@ -361,7 +361,7 @@ fn rotor_gyroscopic_needs_the_rotors_speed() {
 }
 
 #[test]
-fn rpm_has_the_sign_of_spin_and_knows_nothing_of_thrust() {
+fn rpm_has_the_sign_of_spin_regardless_of_thrust() {
     let mut plant = airborne(&quad(), &effects(&["thrust_scale:scale=0.5"]));
     plant.set_rotor_states([0.25; 4]);
     assert_eq!(plant.rpm(), Some([4250.0, -4250.0, 4250.0, -4250.0]));

@@ -17,7 +17,7 @@ fn vehicles() -> [VehicleParams; 2] {
 }
 
 #[test]
-fn it_sits_still_and_feels_its_weight() {
+fn vehicle_at_rest_on_the_floor_measures_its_weight() {
     for vehicle in vehicles() {
         let mut plant = on_floor(&vehicle, &EffectSet::new());
         for _ in 0..5000 {
@@ -31,7 +31,7 @@ fn it_sits_still_and_feels_its_weight() {
 }
 
 #[test]
-fn without_thrust_it_rests_at_the_floor_exactly() {
+fn unpowered_vehicle_rests_exactly_on_the_floor() {
     let mut plant = on_floor(&quad(), &EffectSet::new());
     for _ in 0..1000 {
         plant.step([0.0; 4]);
@@ -41,7 +41,7 @@ fn without_thrust_it_rests_at_the_floor_exactly() {
 }
 
 #[test]
-fn in_the_air_there_is_none() {
+fn airborne_plant_has_no_floor() {
     let mut plant = on_floor(&quad(), &EffectSet::new()).airborne();
     for _ in 0..1000 {
         plant.step([0.0; 4]);
@@ -52,7 +52,7 @@ fn in_the_air_there_is_none() {
 }
 
 #[test]
-fn more_than_hover_thrust_takes_off() {
+fn thrust_above_hover_takes_off() {
     let mut plant = on_floor(&quad(), &EffectSet::new());
     for _ in 0..1000 {
         plant.step([0.6; 4]);
@@ -62,7 +62,7 @@ fn more_than_hover_thrust_takes_off() {
 }
 
 #[test]
-fn a_hard_landing_ends_at_rest() {
+fn hard_landing_ends_at_rest() {
     for vehicle in vehicles() {
         for speed in [0.5, 3.0, 20.0, 200.0] {
             let mut plant = on_floor(&vehicle, &EffectSet::new());
@@ -88,7 +88,7 @@ fn a_hard_landing_ends_at_rest() {
 }
 
 #[test]
-fn full_thrust_on_its_back_stays_finite() {
+fn full_thrust_while_inverted_stays_finite() {
     for vehicle in vehicles() {
         let mut plant = on_floor(&vehicle, &EffectSet::new());
         plant.set_state(State {
@@ -104,7 +104,7 @@ fn full_thrust_on_its_back_stays_finite() {
 }
 
 #[test]
-fn one_rotor_tips_it_over() {
+fn one_sided_thrust_tips_the_vehicle_over() {
     let mut plant = on_floor(&quad(), &EffectSet::new());
     let mut most = 0.0_f64;
     for _ in 0..1500 {
@@ -127,7 +127,7 @@ fn extreme_effects_do_not_make_the_floor_unstable() {
 }
 
 #[test]
-fn a_floor_elsewhere_holds_as_well() {
+fn floor_at_another_height_supports_the_vehicle() {
     let mut setup = Setup { floor_down_m: 2.0, ..Setup::default() };
     setup.start.position_m = [3.0, 4.0, 2.0];
     let mut plant = Plant::new(&quad(), &EffectSet::new(), &setup, 1).unwrap();

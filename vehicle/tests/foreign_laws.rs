@@ -43,7 +43,7 @@ fn near(a: Frd, b: Frd, within: f64) -> bool {
 }
 
 #[test]
-fn plates_brake_each_axis_by_its_own_square() {
+fn plate_drag_is_quadratic_per_axis() {
     let law = Foreign::DragPlates { quadratic: [0.01, 0.02, 0.03] };
     let force = added(&[law], moving(Ned::new(3.0, -2.0, 1.0)));
     assert!(near(force, Frd::new(-0.09, 0.08, -0.03), 1e-3), "{force:?}");
@@ -59,7 +59,7 @@ fn two_laws_add_up() {
 }
 
 #[test]
-fn a_worn_rotor_loses_less_torque_than_thrust() {
+fn worn_rotor_loses_less_torque_than_thrust() {
     let vehicle = quad();
     let level = moving(Ned::zero());
     let worn = |torque_share| {
@@ -95,7 +95,7 @@ fn rotors_near_the_floor_level_a_tilted_vehicle() {
 }
 
 #[test]
-fn drag_above_a_payload_turns_the_vehicle_against_its_motion() {
+fn payload_drag_pitches_the_vehicle_against_its_motion() {
     let law = [Foreign::PayloadLever { drag_ns_m: 0.2, sunk_m: 0.05 }];
     // M = (0, 0, -z) x (-c v): forward flight pitches up.
     let moment = turned(&law, moving(Ned::new(5.0, 0.0, 0.0)));
@@ -126,7 +126,7 @@ fn curves_and_packs_scale_the_thrust() {
 }
 
 #[test]
-fn torque_by_another_power_is_the_nominal_one_at_hover() {
+fn power_law_torque_is_nominal_at_hover() {
     let vehicle = quad();
     let hover_n = vehicle.mass * vehicle.gravity / 4.0;
     let law = |by, apart, power| [Foreign::YawTorquePower { by, apart, power, hover_n }];
@@ -138,7 +138,7 @@ fn torque_by_another_power_is_the_nominal_one_at_hover() {
 }
 
 #[test]
-fn eddies_have_the_deviation_that_is_asked_for() {
+fn eddies_have_the_configured_deviation() {
     let law = Foreign::GustEddies { sigma_m_s: 2.0, length_m: 10.0, speed_m_s: 5.0 };
     let mut plant = airborne(&quad(), &effects(&[]));
     plant.disturb(law, 5);

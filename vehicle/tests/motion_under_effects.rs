@@ -34,7 +34,7 @@ fn hovering(arguments: &[&str], velocity: Ned) -> (Plant, impl Fn(&mut Plant, us
 
 /// v = v_t tanh(g t / v_t) and z = v_t^2 / g ln cosh(g t / v_t), v_t^2 = 2 m g / (rho CdA).
 #[test]
-fn under_parasitic_drag_a_fall_ends_at_the_terminal_velocity() {
+fn fall_with_parasitic_drag_reaches_terminal_velocity() {
     let mut plant = airborne(&quad(), &effects(&["parasitic_drag:cda_m2=0.2"]));
     let terminal = (2.0 * MASS * G / (AIR_DENSITY * 0.2)).sqrt();
     for step in 1..=6000 {
@@ -82,7 +82,7 @@ fn induced() -> f64 {
 /// Beyond the full ratio a constant share of the thrust is lost: the fall is uniformly
 /// accelerated, by less where the air flows across. Below the onset nothing happens.
 #[test]
-fn a_vortex_ring_takes_its_share_of_the_thrust_beyond_the_full_ratio() {
+fn vortex_ring_loses_its_full_thrust_share_beyond_the_full_ratio() {
     for across in [0.0, 0.7] {
         let wind = format!("wind:east_m_s={}", across * induced());
         let (mut plant, fly) =
@@ -101,7 +101,7 @@ fn a_vortex_ring_takes_its_share_of_the_thrust_beyond_the_full_ratio() {
 /// Between onset and full ratio dv/dt = g loss S(v): the time from one speed to another is the
 /// integral of its inverse.
 #[test]
-fn a_vortex_ring_sets_in_by_a_smooth_step() {
+fn vortex_ring_onset_is_a_smooth_step() {
     let v_i = induced();
     let (from, to) = (0.35 * v_i, 0.75 * v_i);
     let (mut plant, fly) = hovering(&["vortex_ring:loss_max=0.25"], Ned::new(0.0, 0.0, from));
@@ -123,7 +123,7 @@ fn a_vortex_ring_sets_in_by_a_smooth_step() {
 /// A body with I_x = I_y and rotors of constant momentum h along z precesses: p and q turn with
 /// lambda = ((I_z - I_x) r + h) / I_x.
 #[test]
-fn spinning_rotors_make_the_body_precess() {
+fn rotor_momentum_makes_the_body_precess() {
     let mut vehicle = quad();
     vehicle.inertia = [0.012, 0.012, 0.021];
     let gyroscopic = "rotor_gyroscopic:rotor_inertia_kgm2=4e-5";
@@ -151,7 +151,7 @@ fn spinning_rotors_make_the_body_precess() {
 /// tumble and whatever the rotors do: the finite difference of the rotors' angular momentum in
 /// the world is the torque that the body feels, turned round.
 #[test]
-fn body_and_rotors_keep_their_angular_momentum_while_tumbling() {
+fn body_and_rotors_conserve_angular_momentum_while_tumbling() {
     for (tau, tolerance) in [(0.05, 1e-9), (0.0, 1e-4)] {
         let mut vehicle = quad();
         vehicle.motor_time_constant_s = tau;
@@ -213,7 +213,7 @@ fn mean_square(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 /// Dryden's: north sigma^2 2 tau / (1 + w^2), across sigma^2 tau (1 + 3 w^2) / (1 + w^2)^2 with
 /// w = tau omega. Over 2000 s a variance is known to 3 %, a spectral density to 7 %.
 #[test]
-fn gusts_have_drydens_variance_correlation_and_spectrum() {
+fn gusts_match_dryden_variance_correlation_and_spectrum() {
     let (air, _) = gusty_flight();
     let dt = EVERY as f64 * Plant::STEP;
     let lag = (TIME_CONSTANT / dt).round() as usize;
@@ -263,7 +263,7 @@ fn periodogram(values: impl Iterator<Item = f64>, omega: f64, dt: f64) -> f64 {
 /// A vehicle with drag of time constant m / d follows first-order gusts of time constant tau with
 /// variance sigma^2 tau / (tau + m / d): half, where both are the same.
 #[test]
-fn a_vehicle_with_drag_is_carried_by_the_gusts_as_a_low_pass_is() {
+fn vehicle_with_drag_low_passes_the_gusts() {
     let (_, north) = gusty_flight();
     let settled = &north[SEGMENT..];
     let share = mean_square(settled.iter().copied()) / (SIGMA * SIGMA);
@@ -272,7 +272,7 @@ fn a_vehicle_with_drag_is_carried_by_the_gusts_as_a_low_pass_is() {
 
 /// Under outputs that change as an on-board loop's do, over a second that turns it over.
 #[test]
-fn a_coarse_plant_moves_as_the_fine_one_does() {
+fn coarse_plant_matches_the_fine_one() {
     let set = ["motor_lag:tau_s=0.03", "rotor_drag:d_xy=0.3,d_z=0.1", "wind:north_m_s=3"];
     let mut fine = airborne(&quad(), &effects(&set));
     fine.set_rotor_states([0.5; 4]);

@@ -297,7 +297,7 @@ fn shows(effect: EffectId) -> Shows {
 /// nothing else. Attitude has more: the loop's 250 outputs a second are logged 100 times, in step
 /// with the setpoints, and what they do between is lost.
 #[test]
-fn the_true_effects_explain_the_flights() {
+fn true_effects_explain_the_practice_flights() {
     let folder = practice_folders().swap_remove(0);
     let Ok(key) = std::fs::read_to_string(folder.join("key.json")) else {
         eprintln!("skipped: no practice flights; set DOWNWASH_PRACTICE to their folder");

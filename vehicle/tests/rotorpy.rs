@@ -48,7 +48,7 @@ impl Sample {
 }
 
 #[test]
-fn the_plant_flies_as_rotorpy_does() {
+fn plant_matches_rotorpy() {
     let golden: Golden = serde_json::from_str(include_str!("golden/rotorpy.json")).unwrap();
     let steps = (golden.hold_s / Plant::STEP).round() as usize;
     assert_eq!(golden.flights.len(), 2);

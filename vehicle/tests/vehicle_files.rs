@@ -6,7 +6,7 @@ use vehicle::effects::EffectSet;
 use vehicle::physics::Physics;
 
 #[test]
-fn shipped_vehicles_hover_where_they_say() {
+fn shipped_vehicles_hover_at_their_stated_thrust() {
     for name in ["crazyflie", "quad1200"] {
         let path = root().join(format!("config/vehicles/{name}.toml"));
         let vehicle = VehicleParams::load(path).unwrap();

@@ -221,7 +221,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_exponential_is_that_of_the_library(x in -80.0..80.0_f64) {
+        fn exponential_matches_the_standard_library(x in -80.0..80.0_f64) {
             let double = Lane::<f64>(x).exp().0;
             prop_assert!((double / x.exp() - 1.0).abs() < 1e-13, "{double}");
             let single = Lane::<f32>(x as f32).exp().0;

@@ -75,7 +75,7 @@ mod tests {
     use crate::effects::{EffectId, MotorLag};
 
     #[test]
-    fn arguments_go_over_the_file() {
+    fn arguments_override_the_file() {
         let folder = std::env::temp_dir().join(format!("sitl-effects-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let file = folder.join("effects.toml");

@@ -116,7 +116,7 @@ mod tests {
     /// Sample moments over many correlation times, at one step much shorter than the time constant
     /// and one comparable to it.
     #[test]
-    fn standard_deviations_are_those_of_the_specification() {
+    fn gust_deviations_match_the_specification() {
         for step in [0.02, 0.5] {
             let mut rng = Pcg64Mcg::seed_from_u64(4);
             let gusts = Gusts { sigma_m_s: 2.0, length_m: 2.0, speed_m_s: 4.0 };
@@ -137,7 +137,7 @@ mod tests {
 
     /// Autocorrelations: exp(-t / tau) along north, (1 - t / (2 tau)) exp(-t / tau) across.
     #[test]
-    fn correlations_fall_off_as_dryden_says() {
+    fn gust_correlations_match_dryden() {
         let mut rng = Pcg64Mcg::seed_from_u64(5);
         let gusts = Gusts { sigma_m_s: 1.0, length_m: 1.0, speed_m_s: 1.0 };
         let mut air = Turbulence::new(&gusts, 0.1, &mut rng);

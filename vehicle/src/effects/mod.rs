@@ -255,7 +255,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_specification_is_sound() {
+    fn every_effect_specification_is_consistent() {
         for id in EffectId::ALL {
             let spec = id.spec();
             assert_eq!(spec.id.parse::<EffectId>().unwrap(), id);
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn the_slots_of_a_vector_follow_one_another() {
+    fn vector_slots_are_consecutive() {
         let slots: Vec<_> = EffectId::PdGain.spec().slots().collect();
         assert_eq!(slots.len(), 6);
         assert_eq!(

@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn an_argument_with_a_time_sets_in_then() {
+    fn timed_argument_starts_at_its_time() {
         let schedule = requested(&[
             "rotor_loss:rotor=1,scale=0.92@41.2",
             "motor_lag:tau_s=0.03",
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_set_in_is_refused_by_name() {
+    fn effects_that_cannot_start_in_flight_are_refused_by_name() {
         let message = |text: &str| requested(&[text]).unwrap_err().to_string();
         assert!(message("command_delay:delay_s=0.02@3").contains("command_delay cannot start"));
         assert!(message("thrust_scale:scale=0.9@soon").contains("time of an onset"));

@@ -396,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn an_argument_takes_scalars_vectors_and_defaults() {
+    fn argument_takes_scalars_vectors_and_defaults() {
         let set = parsed("pd_gain:kp_scale=[1.2, 1.1,1.0]").unwrap();
         assert_eq!(set.value(EffectId::PdGain, "kp_scale", 1), Some(1.1));
         assert_eq!(set.value(EffectId::PdGain, "kd_scale", 2), Some(1.0));
@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_argument_is_refused_by_name() {
+    fn invalid_argument_is_refused_by_name() {
         let message = |argument: &str| parsed(argument).unwrap_err().to_string();
         assert!(message("rotor_drug:d_xy=1").contains("unknown effect \"rotor_drug\""));
         assert!(
@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn a_set_survives_json_and_toml() {
+    fn effect_set_round_trips_through_json_and_toml() {
         let mut set = parsed("inertia:scale=[1.2,1.1,1.0]").unwrap();
         set.insert_argument("rotor_loss:rotor=2,scale=0.9").unwrap();
         set.insert_argument("wind:north_m_s=3").unwrap();
@@ -442,7 +442,7 @@ mod tests {
     }
 
     #[test]
-    fn an_overlay_replaces_whole_effects() {
+    fn overlay_replaces_whole_effects() {
         let base = parsed("rotor_drag:d_xy=0.1,d_z=0.2").unwrap();
         let top = parsed("rotor_drag:d_xy=0.3").unwrap();
         let both = base.overlay(&top);

@@ -27,7 +27,7 @@ fn with(text: &str) -> EffectSet {
 }
 
 #[test]
-fn wrong_units_are_refused_with_what_they_are() {
+fn wrong_units_are_refused_with_both_units() {
     let text = reason("force_x = air_x");
     assert!(text.contains("the formula is in m/s, expected N"), "{text}");
     let text = reason("force_x = 1[N] + air_x");
@@ -43,7 +43,7 @@ fn wrong_units_are_refused_with_what_they_are() {
 }
 
 #[test]
-fn a_law_survives_toml_and_json() {
+fn law_round_trips_through_toml_and_json() {
     let text = r#"
         [law.drag]
         about = "drag of the body"
@@ -67,7 +67,7 @@ fn a_law_survives_toml_and_json() {
 }
 
 #[test]
-fn a_formula_acts_as_the_effect_of_the_catalogue_with_its_equation() {
+fn formula_acts_like_the_catalogue_effect_with_its_equation() {
     let mut known = EffectSet::new();
     known.insert_argument("rotor_drag:d_xy=0.02,d_z=0.01").unwrap();
     let law = with(
@@ -91,7 +91,7 @@ fn a_formula_acts_as_the_effect_of_the_catalogue_with_its_equation() {
 }
 
 #[test]
-fn a_batch_flies_a_law_as_a_plant_does() {
+fn batch_and_plant_agree_on_a_law() {
     let law = with("force_north = 0.05[N] * sin(heading); moment_z = -1e-6[N m s]*rate_z");
     let mut plant = Plant::new(&vehicle(), &law, &Setup::default(), 1).unwrap().airborne();
     let mut batch = crate::batch::Batch::<f64>::new(&vehicle(), &law, &Setup::default(), 1, 3)
@@ -108,7 +108,7 @@ fn a_batch_flies_a_law_as_a_plant_does() {
 }
 
 #[test]
-fn what_is_beyond_the_range_or_the_bound_is_as_at_their_end() {
+fn law_saturates_beyond_its_range_and_bound() {
     let mut text = line("force_x = -1[kg/s] * air_x").unwrap().text().clone();
     text.range.insert("air_x".to_owned(), [-2.0, 3.0]);
     text.max_force_n = Some(2.5);
@@ -125,7 +125,7 @@ fn what_is_beyond_the_range_or_the_bound_is_as_at_their_end() {
 
 proptest! {
     #[test]
-    fn no_text_panics_or_hangs(text in "[-a-z_0-9+*/^()., =;\\[\\]]{0,200}", raw in "\\PC{0,200}") {
+    fn arbitrary_text_never_panics_or_hangs(text in "[-a-z_0-9+*/^()., =;\\[\\]]{0,200}", raw in "\\PC{0,200}") {
         for text in [text, raw] {
             let _ = line(&text);
             let _ = line(&format!("force_x = {text}"));
@@ -134,7 +134,7 @@ proptest! {
     }
 
     #[test]
-    fn nesting_is_refused_and_not_followed(depth in 1_usize..400) {
+    fn deep_nesting_is_refused(depth in 1_usize..400) {
         let text = format!("thrust = {}tilt{}", "(".repeat(depth), ")".repeat(depth));
         prop_assert_eq!(line(&text).is_ok(), depth < 24);
         let _ = line(&format!("thrust = {}tilt", "-".repeat(depth)));
@@ -142,7 +142,7 @@ proptest! {
     }
 
     #[test]
-    fn derivatives_are_exact(
+    fn law_derivatives_match_finite_differences(
         x in prop::array::uniform9(-3.0_f64..3.0),
         which in 0_usize..5,
     ) {

@@ -129,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_unit_is_read_and_written() {
+    fn units_are_parsed_and_printed() {
         for (text, written) in [
             ("N m", "N m"),
             ("kg m/s^2", "N"),

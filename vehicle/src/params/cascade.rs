@@ -92,7 +92,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn as_a_pd_law_both_loops_gains_multiply() {
+    fn equivalent_pd_gains_are_products_of_cascade_gains() {
         let pd = cascade().as_pd();
         assert_eq!(pd.kp, [6.5 * 0.25, 6.5 * 0.25, 2.8 * 0.12]);
         assert_eq!(pd.kd, [0.25, 0.25, 0.12]);
@@ -100,7 +100,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_shaped_setpoint_is_followed_within_its_time_constant() {
+    fn shaped_setpoint_is_followed_with_its_time_constant() {
         let pd = AttitudeCascade { input_time_constant_s: Some(0.2), ..cascade() }.as_pd();
         assert_eq!((pd.kp[0], pd.kd[0]), (0.25 / 0.2, 0.25));
     }

@@ -303,12 +303,12 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_of_sense_has_no_remark() {
+    fn plausible_vehicle_has_no_remark() {
         assert_eq!(remarks(|_| {}), []);
     }
 
     #[test]
-    fn a_mass_in_grams_is_told_as_such() {
+    fn mass_in_grams_is_recognised() {
         let found = remarks(|v| v.mass = 1200.0);
         assert_eq!(found[0].doubt, Doubt::CannotFly);
         assert_eq!(found[0].field, "mass");
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn inertia_and_arms_in_other_units_are_told_as_such() {
+    fn inertia_and_arms_in_wrong_units_are_recognised() {
         for (factor, unit) in [(1e4, "kg cm^2"), (1e6, "kg mm^2"), (1e7, "g cm^2"), (1e9, "g mm^2")]
         {
             let found = remarks(|v| v.inertia = v.inertia.map(|moment| factor * moment));
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn every_pair_of_numbers_is_held_against_each_other() {
+    fn related_numbers_are_cross_checked() {
         let field = |change: &dyn Fn(&mut VehicleParams)| remarks(change).first().map(|r| r.field);
         assert_eq!(field(&|v| v.hover_thrust = 0.3), Some("hover_thrust"));
         // In kg cm^2.
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_brief() {
+    fn numbers_are_printed_briefly() {
         let told = [0.0, 0.0123456, 1.23456, 12.3456, 1234.56, 1.0e300, 2.0e-7].map(brief);
         assert_eq!(told, ["0.00000", "0.0123", "1.23", "12.3", "1235", "1.00e300", "2.00e-7"]);
     }

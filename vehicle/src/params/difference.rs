@@ -106,7 +106,7 @@ mod tests {
     use crate::params::{MotorOutput, VehicleParams};
 
     #[test]
-    fn of_four_rotors_the_one_that_differs_is_named() {
+    fn differing_rotor_is_named() {
         let mut other = quad();
         other.rotors[2].thrust_max_n = 7.5;
         let told = quad().difference(&other).expect("a difference").to_string();
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn vehicles_differ_by_what_they_are_and_not_by_what_is_believed_of_them() {
+    fn difference_covers_the_vehicle_and_not_beliefs_about_it() {
         let difference = |change: &dyn Fn(&mut VehicleParams)| {
             let mut other = quad();
             change(&mut other);
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_gains_a_line_is_of_the_same_vehicle() {
+    fn added_optional_key_is_no_difference() {
         let gains: [&dyn Fn(&mut VehicleParams); 6] = [
             &|v| v.attitude_cascade = Some(crate::params::cascade::tests::cascade()),
             &|v| v.attitude_pd = Some(crate::params::cascade::tests::cascade().as_pd()),
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_difference_is_told_as_files_have_it() {
+    fn difference_is_printed_in_file_terms() {
         let mut other = quad();
         other.rotor_max_rpm = Some(8000.0);
         let difference = quad().difference(&other).map(|difference| difference.to_string());

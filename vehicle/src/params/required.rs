@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_key_is_named_with_its_table() {
+    fn missing_key_is_named_with_its_table() {
         let places = [
             ("", "the top level"),
             ("/rotors/2", "[[rotors]] number 3"),
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_that_is_null_lacks_no_key() {
+    fn null_table_lacks_no_key() {
         let mut file = whole();
         file["attitude_pd"] = serde_json::Value::Null;
         file["battery"].as_object_mut().unwrap().remove("cells").unwrap();
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_misspelt_key_is_told_where_it_is() {
+    fn misspelt_key_is_reported_with_its_line() {
         let text = quad().to_toml().unwrap().replace("gravity", "gravitation");
         let error = VehicleParams::from_toml_str(&text).unwrap_err().to_string();
         assert!(error.contains("line") && error.contains("gravitation"), "{error}");

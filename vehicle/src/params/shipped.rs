@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shipped_vehicles_are_found_by_their_own_names_and_have_no_remark() {
+    fn shipped_vehicles_are_found_by_name_without_remarks() {
         for Shipped { name, text, .. } in SHIPPED {
             let vehicle = VehicleParams::load(name).unwrap();
             assert_eq!(vehicle.name, name);
@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_name_is_told_the_names_there_are() {
+    fn unknown_name_error_lists_the_names() {
         let error = VehicleParams::load("crazyfly").unwrap_err();
         assert!(matches!(error, VehicleError::Read { .. }));
         let told = error.to_string();
