@@ -282,7 +282,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn speeds_that_make_no_sense_are_refused() {
+    fn invalid_speeds_are_refused() {
         assert_eq!("2.5".parse(), Ok(Speed(2.5)));
         for bad in ["0", "-1", "NaN", "inf", "fast", ""] {
             assert!(bad.parse::<Speed>().is_err(), "{bad}");

@@ -52,7 +52,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_neither_slips_nor_stalls_is_the_hosts() {
+    fn ideal_clock_equals_the_host_clock() {
         let clock = clock(1.0, &[]);
         for us in [0, 1, 999, 123_456_789] {
             assert_eq!((clock.host_us(us), clock.vehicle_us(us)), (us, us));
@@ -60,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn it_stands_still_during_a_stall_and_goes_on_after_it() {
+    fn clock_stops_during_a_stall_and_resumes_after_it() {
         let clock = clock(1.0, &[(2.0, 0.4)]);
         assert_eq!(clock.vehicle_us(2_000_000), 2_000_000);
         assert_eq!(clock.vehicle_us(2_399_000), 2_000_000);
@@ -71,7 +71,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_host_time_of_a_vehicle_time_shows_it(
+        fn host_us_inverts_vehicle_us(
             rate in 0.5f64..2.0, at in 0.0f64..5.0, length in 0.0f64..0.9, us in 0u64..10_000_000,
         ) {
             let clock = clock(rate, &[(at, length)]);

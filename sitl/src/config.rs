@@ -394,7 +394,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_empty_file_is_the_default() {
+    fn empty_file_gives_the_default() {
         assert_eq!(SitlConfig::from_toml_str("").unwrap(), SitlConfig::default());
     }
 

@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn it_sees_the_vehicle_at_its_rate_with_noise() {
+    fn room_reports_the_vehicle_at_its_rate_with_noise() {
         let told = told(&mut room(&[]), 2.0);
         assert_eq!(told.len(), 200);
         let error = |(k, place): (usize, &[f64; 3])| (place[2] - 0.01 * k as f64).abs();
@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn its_faults_come_and_go() {
+    fn room_faults_start_and_end_on_time() {
         assert_eq!(told(&mut room(&["drop-out@0.5+0.5"]), 2.0).len(), 150);
         let frozen = told(&mut room(&["freeze@0.5+0.5"]), 2.0);
         let same = frozen.windows(2).filter(|pair| pair[0] == pair[1]).count();

@@ -308,7 +308,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pace_does_not_drift_and_lets_go_after_a_suspension() {
+    fn pace_does_not_drift_and_resets_after_a_suspension() {
         let mut pacer = Pacer::new(4.0, 1000);
         let start = pacer.host;
         let later = start + Duration::from_millis(250);

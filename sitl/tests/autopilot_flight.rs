@@ -9,7 +9,7 @@ const ACCEPTED: MavResult = MavResult::MAV_RESULT_ACCEPTED;
 const REJECTED: MavResult = MavResult::MAV_RESULT_TEMPORARILY_REJECTED;
 
 #[test]
-fn takes_off_to_the_parameter_s_height_and_holds() {
+fn takes_off_to_the_parameter_height_and_holds() {
     let mut bench = Bench::new();
     bench.run(0.5);
     bench.fly();
@@ -22,7 +22,7 @@ fn takes_off_to_the_parameter_s_height_and_holds() {
 }
 
 #[test]
-fn take_off_altitude_of_the_command_is_above_sea_level() {
+fn take_off_command_altitude_is_above_sea_level() {
     let mut bench = Bench::new();
     bench.run(0.1);
     bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[242.0]));
@@ -43,7 +43,7 @@ fn take_off_altitude_of_the_command_is_above_sea_level() {
 }
 
 #[test]
-fn lands_and_disarms_by_itself() {
+fn lands_and_disarms_automatically() {
     let mut bench = Bench::new();
     bench.fly();
     assert_eq!(bench.command(MavCmd::MAV_CMD_NAV_LAND, &[]), ACCEPTED);
@@ -55,7 +55,7 @@ fn lands_and_disarms_by_itself() {
 }
 
 #[test]
-fn returns_to_where_it_was_armed() {
+fn returns_to_the_arming_position() {
     let mut bench = Bench::new();
     bench.fly();
     bench.stream(setpoint(0.2, 0.0, 0.5, 0x07));
@@ -70,7 +70,7 @@ fn returns_to_where_it_was_armed() {
 }
 
 #[test]
-fn disarms_when_there_is_no_take_off() {
+fn disarms_without_take_off() {
     let mut bench = Bench::new();
     assert_eq!(bench.arm(), ACCEPTED);
     bench.run(9.5);
@@ -80,7 +80,7 @@ fn disarms_when_there_is_no_take_off() {
 }
 
 #[test]
-fn disarming_in_the_air_needs_the_force_code() {
+fn disarming_in_the_air_requires_the_force_code() {
     let mut bench = Bench::new();
     bench.fly();
     let (result, texts) = bench.command_and_texts(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, &[0.0]);
@@ -97,7 +97,7 @@ fn disarming_in_the_air_needs_the_force_code() {
 }
 
 #[test]
-fn land_mode_does_not_arm_and_says_so() {
+fn arming_in_land_mode_is_refused_with_a_reason() {
     let mut bench = Bench::new();
     assert_eq!(bench.set_mode(Mode::Land), ACCEPTED);
     let (result, texts) =
@@ -107,7 +107,7 @@ fn land_mode_does_not_arm_and_says_so() {
 }
 
 #[test]
-fn a_ground_station_is_needed_where_a_parameter_asks_for_one() {
+fn arming_requires_a_ground_station_if_a_parameter_says_so() {
     let mut bench = Bench::new();
     let one = f32::from_bits(1);
     bench.set_parameter("NAV_DLL_ACT", one, MavParamType::MAV_PARAM_TYPE_INT32);
@@ -119,7 +119,7 @@ fn a_ground_station_is_needed_where_a_parameter_asks_for_one() {
 }
 
 #[test]
-fn another_peer_takes_over() {
+fn second_peer_takes_over_from_offboard() {
     let mut bench = Bench::new();
     let pilot = Peer(9);
     bench.join(pilot, mavlink::MavlinkVersion::V1);

@@ -32,7 +32,7 @@ fn time_to_leave(bench: &mut Bench) -> f64 {
 }
 
 #[test]
-fn while_disarmed_it_is_accepted_and_arming_waits_for_the_stream() {
+fn disarmed_offboard_is_accepted_and_arming_requires_a_stream() {
     let mut bench = Bench::new();
     assert_eq!(bench.set_mode(Mode::Offboard), ACCEPTED);
     let (result, texts) = bench.command_and_texts(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, &[1.0]);
@@ -44,7 +44,7 @@ fn while_disarmed_it_is_accepted_and_arming_waits_for_the_stream() {
 }
 
 #[test]
-fn in_flight_without_a_stream_it_is_refused_once_and_the_mode_stays() {
+fn offboard_in_flight_without_a_stream_is_refused() {
     let mut bench = Bench::new();
     bench.fly();
     assert_eq!(bench.set_mode(Mode::Offboard), REJECTED);
@@ -54,7 +54,7 @@ fn in_flight_without_a_stream_it_is_refused_once_and_the_mode_stays() {
 }
 
 #[test]
-fn takes_off_from_offboard() {
+fn takes_off_in_offboard() {
     let mut bench = Bench::new();
     assert_eq!(bench.set_mode(Mode::Offboard), ACCEPTED);
     bench.stream(setpoint(0.0, 0.0, 0.6, 0x07));
@@ -76,7 +76,7 @@ fn attitude_is_tracked_with_and_without_rates() {
 }
 
 #[test]
-fn rates_are_honoured_with_the_attitude_and_alone() {
+fn rates_are_followed_with_and_without_attitude() {
     // Together: the offset at which kp balances kd, kd / kp * rate.
     let mut bench = in_offboard(0x00);
     bench.stream(setpoint(0.0, 0.5, HOVER, 0x00));
@@ -96,7 +96,7 @@ fn rates_are_honoured_with_the_attitude_and_alone() {
 }
 
 #[test]
-fn the_echo_is_the_setpoint_in_force() {
+fn attitude_target_echoes_the_active_setpoint() {
     let mut bench = in_offboard(0x00);
     bench.stream(setpoint(0.1, 0.0, 0.5, 0x07));
     bench.run(0.1);
@@ -112,7 +112,7 @@ fn the_echo_is_the_setpoint_in_force() {
 }
 
 #[test]
-fn a_loss_keeps_the_last_setpoint_then_lands() {
+fn stream_loss_holds_the_last_setpoint_then_lands() {
     let mut bench = in_offboard(0x00);
     bench.stream(setpoint(0.05, 0.0, 0.5, 0x00));
     bench.run(0.5);
@@ -136,7 +136,7 @@ fn a_loss_keeps_the_last_setpoint_then_lands() {
 }
 
 #[test]
-fn the_timeout_is_the_parameter() {
+fn loss_timeout_follows_the_parameter() {
     let mut bench = in_offboard(0x00);
     bench.set_parameter("COM_OF_LOSS_T", 0.2, MavParamType::MAV_PARAM_TYPE_REAL32);
     bench.run(0.1);
@@ -148,7 +148,7 @@ fn the_timeout_is_the_parameter() {
 }
 
 #[test]
-fn a_resumed_stream_takes_control_back_only_while_offboard_is_intended() {
+fn resumed_stream_regains_control_only_while_offboard_is_intended() {
     let mut bench = in_offboard(0x00);
     bench.stop_stream();
     bench.run(1.2);
@@ -166,7 +166,7 @@ fn a_resumed_stream_takes_control_back_only_while_offboard_is_intended() {
 }
 
 #[test]
-fn setpoints_that_do_not_count_do_not_keep_it_alive() {
+fn invalid_setpoints_do_not_keep_offboard_alive() {
     for bad in [
         setpoint(0.0, 0.0, HOVER, 0x87),
         setpoint(0.0, 0.0, HOVER, 0x47),
@@ -182,7 +182,7 @@ fn setpoints_that_do_not_count_do_not_keep_it_alive() {
 }
 
 #[test]
-fn a_setpoint_acts_after_the_command_delay() {
+fn setpoint_acts_after_the_command_delay() {
     let mut bench = in_offboard(0x00);
     bench.run(0.1);
     bench.stop_stream();

@@ -14,7 +14,7 @@ const UNSUPPORTED: MavResult = MavResult::MAV_RESULT_UNSUPPORTED;
 const SET_INTERVAL: MavCmd = MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL;
 
 #[test]
-fn default_rates_are_px4s() {
+fn default_stream_rates_match_px4() {
     let mut bench = Bench::new();
     bench.run(1.0);
     bench.heard();
@@ -41,7 +41,7 @@ fn default_rates_are_px4s() {
 }
 
 #[test]
-fn requested_rates_are_met_and_stamps_are_whole_intervals() {
+fn requested_rates_are_met_at_whole_intervals() {
     let mut bench = Bench::new();
     bench.run(0.5);
     for (id, interval) in
@@ -72,7 +72,7 @@ fn requested_rates_are_met_and_stamps_are_whole_intervals() {
 }
 
 #[test]
-fn intervals_that_cannot_be_set_fail() {
+fn setting_a_fixed_or_unknown_interval_fails() {
     let mut bench = Bench::new();
     assert_eq!(bench.command(SET_INTERVAL, &[0.0, 10_000.0]), FAILED, "HEARTBEAT");
     assert_eq!(bench.command(SET_INTERVAL, &[9999.0, 10_000.0]), FAILED, "unknown");
@@ -84,7 +84,7 @@ fn intervals_that_cannot_be_set_fail() {
 }
 
 #[test]
-fn a_message_interval_can_be_asked_for() {
+fn message_interval_can_be_queried() {
     let mut bench = Bench::new();
     bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[331.0]));
     bench.send(&bench::command_long(SET_INTERVAL, &[331.0, 10_000.0]));
@@ -97,7 +97,7 @@ fn a_message_interval_can_be_asked_for() {
 }
 
 #[test]
-fn it_says_what_it_is() {
+fn heartbeat_and_version_identify_the_vehicle() {
     let mut bench = Bench::new();
     bench.run(1.1);
     let heard = bench.heard();
@@ -117,7 +117,7 @@ fn it_says_what_it_is() {
 }
 
 #[test]
-fn the_battery_has_no_fault() {
+fn battery_status_reports_no_fault() {
     let mut bench = Bench::new();
     bench.fly();
     let heard = bench.heard();
@@ -132,7 +132,7 @@ fn the_battery_has_no_fault() {
 }
 
 #[test]
-fn every_stream_can_be_requested() {
+fn every_message_can_be_requested() {
     let mut bench = Bench::new();
     bench.fly();
     let all = [
@@ -149,7 +149,7 @@ fn every_stream_can_be_requested() {
 }
 
 #[test]
-fn an_unsupported_command_is_answered_so_even_if_nobody_knows_its_number() {
+fn unknown_commands_are_answered_unsupported() {
     let mut bench = Bench::new();
     assert_eq!(bench.command(MavCmd::MAV_CMD_DO_SET_ROI_NONE, &[]), UNSUPPORTED);
     bench.heard();
@@ -170,7 +170,7 @@ fn an_unsupported_command_is_answered_so_even_if_nobody_knows_its_number() {
 }
 
 #[test]
-fn command_int_does_the_same() {
+fn command_int_acts_like_command_long() {
     let mut bench = Bench::new();
     bench.heard();
     bench.send(&MavMessage::COMMAND_INT(COMMAND_INT_DATA {
@@ -185,7 +185,7 @@ fn command_int_does_the_same() {
 }
 
 #[test]
-fn only_what_is_addressed_to_it_counts() {
+fn commands_for_other_systems_are_ignored() {
     let mut bench = Bench::new();
     let arm = |target_system, target_component| {
         let MavMessage::COMMAND_LONG(mut command) =
@@ -207,7 +207,7 @@ fn only_what_is_addressed_to_it_counts() {
 }
 
 #[test]
-fn timesync_is_answered_with_the_vehicle_s_clock() {
+fn timesync_is_answered_with_the_vehicle_clock() {
     let mut bench = Bench::new();
     bench.vehicle.advance_to(1_234_567);
     bench.heard();
@@ -263,7 +263,7 @@ fn parameters_are_listed_read_and_set() {
 }
 
 #[test]
-fn a_peer_of_version_1_is_answered_so_until_it_speaks_version_2() {
+fn mavlink_1_peer_gets_version_1_until_it_sends_version_2() {
     let mut bench = Bench::new();
     let old = Peer(1);
     bench.join(old, MavlinkVersion::V1);
@@ -281,7 +281,7 @@ fn a_peer_of_version_1_is_answered_so_until_it_speaks_version_2() {
 }
 
 #[test]
-fn one_peer_s_rates_are_not_another_s() {
+fn each_peer_has_its_own_rates() {
     let mut bench = Bench::new();
     bench.join(Peer(1), MavlinkVersion::V2);
     assert_eq!(bench.command(SET_INTERVAL, &[30.0, -1.0]), ACCEPTED);
@@ -294,7 +294,7 @@ fn one_peer_s_rates_are_not_another_s() {
 }
 
 #[test]
-fn an_empty_mission_satisfies_ground_stations() {
+fn mission_request_gets_an_empty_mission() {
     let mut bench = Bench::new();
     bench.heard();
     bench.send(&MavMessage::MISSION_REQUEST_LIST(MISSION_REQUEST_LIST_DATA {
@@ -307,7 +307,7 @@ fn an_empty_mission_satisfies_ground_stations() {
 }
 
 #[test]
-fn a_file_without_the_loop_is_refused_in_words() {
+fn vehicle_file_without_attitude_pd_is_refused() {
     let mut params = bench::params();
     params.attitude_pd = None;
     let refused = sitl::autopilot::Vehicle::new(params, Default::default(), Default::default(), 1);

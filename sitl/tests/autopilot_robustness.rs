@@ -20,7 +20,7 @@ fn flight(seed: u64) -> Vec<u8> {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes() {
+fn same_seed_gives_the_same_bytes() {
     let first = flight(7);
     assert!(first.len() > 100_000);
     assert!(first == flight(7), "bytes differ");
@@ -28,7 +28,7 @@ fn the_same_seed_gives_the_same_bytes() {
 }
 
 #[test]
-fn bytes_do_not_depend_on_how_time_is_cut() {
+fn bytes_do_not_depend_on_time_steps() {
     let run = |step_us: usize| {
         let mut bench = Bench::new();
         let mut bytes = Vec::new();
@@ -42,7 +42,7 @@ fn bytes_do_not_depend_on_how_time_is_cut() {
 }
 
 #[test]
-fn a_frame_in_pieces_is_taken_from_a_stream() {
+fn frame_split_across_reads_is_decoded() {
     let mut bench = Bench::new();
     bench.vehicle.connect(Peer(5), LinkKind::Stream);
     let mut bytes = Vec::new();
@@ -55,7 +55,7 @@ fn a_frame_in_pieces_is_taken_from_a_stream() {
 }
 
 #[test]
-fn a_flood_of_peers_is_bounded() {
+fn vehicle_answers_after_a_flood_of_peers() {
     let mut bench = Bench::new();
     for peer in 0..10_000 {
         bench.vehicle.receive(Peer(peer), b"hello");
@@ -76,7 +76,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn garbage_never_fails(chunks in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..400), 1..20)) {
+    fn garbage_never_panics_the_vehicle(chunks in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..400), 1..20)) {
         let mut bench = Bench::new();
         bench.vehicle.connect(Peer(4), LinkKind::Stream);
         for chunk in chunks {
@@ -88,7 +88,7 @@ proptest! {
     }
 
     #[test]
-    fn no_message_fails_or_breaks_the_state(messages in prop::collection::vec(any_message(), 1..60)) {
+    fn no_message_panics_or_corrupts_the_state(messages in prop::collection::vec(any_message(), 1..60)) {
         let mut bench = Bench::new();
         bench.fly();
         let mut encoder = Encoder::new(255, 190);

@@ -52,7 +52,7 @@ fn speed(bench: &Bench) -> f64 {
 }
 
 #[test]
-fn it_is_an_arducopter_with_its_modes() {
+fn heartbeat_and_modes_match_arducopter() {
     let mut bench = on_the_ground();
     bench.run(1.1);
     let heartbeat = bench.heard().into_iter().find_map(|heard| match heard.message {
@@ -68,7 +68,7 @@ fn it_is_an_arducopter_with_its_modes() {
 }
 
 #[test]
-fn guided_needs_no_stream_and_is_accepted_once() {
+fn guided_is_accepted_without_a_stream() {
     let mut bench = Bench::hovering(Autopilot::Arducopter);
     let (answers, _) = bench.answers(MavCmd::MAV_CMD_DO_SET_MODE, &[1.0, 4.0]);
     assert_eq!(answers, [ACCEPTED]);
@@ -114,7 +114,7 @@ fn setpoints_outside_guided_are_ignored() {
 }
 
 #[test]
-fn thrust_is_a_climb_rate_unless_the_option_says_otherwise() {
+fn thrust_means_climb_rate_unless_guid_options_is_set() {
     let climb = |thrust: f32| {
         let mut bench = in_guided();
         bench.set_parameter("GUID_OPTIONS", 0.0, REAL);
@@ -143,14 +143,14 @@ fn angle_boost_divides_thrust_by_the_cosine_of_the_tilt() {
 }
 
 #[test]
-fn an_attitude_step_is_shaped() {
+fn attitude_step_is_shaped() {
     // Measured: 63 % of 8 degrees after some 209 ms.
     let time = in_guided().roll_step_s(8.0, HOVER, 0x07);
     assert!((0.15..0.3).contains(&time), "{time} s");
 }
 
 #[test]
-fn the_echo_is_the_shaped_target() {
+fn attitude_target_echoes_the_shaped_setpoint() {
     let mut bench = in_guided();
     bench.request(83, 100.0);
     bench.stream(setpoint(0.14, 0.0, HOVER, 0x07));
@@ -167,7 +167,7 @@ fn the_echo_is_the_shaped_target() {
 }
 
 #[test]
-fn rates_with_an_attitude_are_fed_forward_in_the_commands_axes() {
+fn rates_with_attitude_are_fed_forward_in_the_commanded_axes() {
     // 0.8 Hz, 8 degrees: measured a gain of 0.83 with attitude alone, 1.05 with rates, and at a
     // heading of 90 degrees rates must be turned back by the sender.
     let amplitude = 8f64.to_radians();
@@ -214,7 +214,7 @@ fn rates_with_an_attitude_are_fed_forward_in_the_commands_axes() {
 }
 
 #[test]
-fn partial_masks_and_wrong_quaternions_stop_the_vehicle() {
+fn partial_masks_and_invalid_quaternions_stop_the_vehicle() {
     let tilted = setpoint(0.14, 0.0, HOVER, 0x07);
     let scaled = tilted.q.map(|c| 1.2 * c);
     for bad in [
@@ -235,7 +235,7 @@ fn partial_masks_and_wrong_quaternions_stop_the_vehicle() {
 }
 
 #[test]
-fn a_lost_stream_is_flown_to_its_time_out_then_level_and_guided_for_ever() {
+fn lost_stream_levels_out_after_its_timeout_and_stays_guided() {
     let mut bench = in_guided();
     bench.set_parameter("GUID_TIMEOUT", 3.0, REAL);
     bench.stream(setpoint(8f64.to_radians(), 0.0, HOVER, 0x07));
@@ -256,7 +256,7 @@ fn a_lost_stream_is_flown_to_its_time_out_then_level_and_guided_for_ever() {
 }
 
 #[test]
-fn with_rates_the_target_turns_on_until_the_time_out() {
+fn last_yaw_rate_is_held_until_the_timeout() {
     let mut bench = in_guided();
     bench.set_parameter("GUID_TIMEOUT", 3.0, REAL);
     let message = setpoint(0.0, 0.0, HOVER, 0x00);
@@ -282,7 +282,7 @@ fn heartbeat(bench: &mut Bench, system: u8) {
 }
 
 #[test]
-fn only_the_ground_stations_silence_makes_it_return_or_land() {
+fn only_ground_station_loss_triggers_return_or_land() {
     for (action, expected) in [(0.0, Mode::Offboard), (1.0, Mode::Return), (5.0, Mode::Land)] {
         for (system, expected) in [(255, Mode::Offboard), (7, expected)] {
             let mut bench = in_guided();
@@ -303,7 +303,7 @@ fn only_the_ground_stations_silence_makes_it_return_or_land() {
 }
 
 #[test]
-fn lost_radio_returns() {
+fn radio_loss_triggers_return() {
     let mut bench = in_guided();
     bench.send(&MavMessage::MANUAL_CONTROL(MANUAL_CONTROL_DATA {
         target: 1,
@@ -318,7 +318,7 @@ fn lost_radio_returns() {
 }
 
 #[test]
-fn landing_disarms_at_once_and_the_mode_stays() {
+fn landing_disarms_at_once_and_keeps_the_mode() {
     let mut bench = in_guided();
     bench.set_mode_number(LAND);
     bench.stop_stream();
@@ -328,7 +328,7 @@ fn landing_disarms_at_once_and_the_mode_stays() {
 }
 
 #[test]
-fn without_take_off_it_disarms_after_its_delay() {
+fn disarms_after_its_delay_without_take_off() {
     let mut bench = on_the_ground();
     bench.set_mode_number(GUIDED);
     assert_eq!(bench.arm(), ACCEPTED);
@@ -339,7 +339,7 @@ fn without_take_off_it_disarms_after_its_delay() {
 }
 
 #[test]
-fn parameters_are_plain_numbers_and_say_the_loop_of_the_vehicle_file() {
+fn parameters_are_plain_numbers_and_match_the_vehicle_loop() {
     let mut bench = on_the_ground();
     assert_eq!(bench.parameter("GUID_OPTIONS"), Some(0.0));
     assert_eq!(bench.parameter("MAV_GCS_SYSID"), Some(255.0));
@@ -360,7 +360,7 @@ fn parameters_are_plain_numbers_and_say_the_loop_of_the_vehicle_file() {
 }
 
 #[test]
-fn rates_are_none_by_default_and_honest() {
+fn streams_are_off_by_default_and_unreachable_rates_are_denied() {
     let mut bench = Bench::hovering(Autopilot::Arducopter);
     for id in [30, 31, 32, 331, 36, 83, 147, 1] {
         assert_eq!(bench.rate_of(id), 0.0, "default of {id}");

@@ -38,7 +38,7 @@ fn resets(heard: &[Heard]) -> (Vec<u8>, f64) {
 }
 
 #[test]
-fn a_short_glitch_is_rejected_and_a_long_one_resets_the_estimate() {
+fn short_gps_glitch_is_rejected_and_long_one_resets_the_estimate() {
     for (for_s, counters, least, most) in [(8.0, vec![0], 0.0, 0.5), (10.0, vec![0, 1], 5.0, 6.0)] {
         let mut bench = hovering(Autopilot::Px4, |config| config.estimator = glitch(for_s));
         bench.run(13.0);
@@ -49,7 +49,7 @@ fn a_short_glitch_is_rejected_and_a_long_one_resets_the_estimate() {
 }
 
 #[test]
-fn a_glitch_is_told_in_the_autopilots_words_and_in_its_health() {
+fn gps_glitch_is_reported_in_text_and_health_flags() {
     let cases = [
         (Autopilot::Px4, "GNSS data fusion stopped"),
         (Autopilot::Arducopter, "GPS Glitch or Compass error"),
@@ -79,7 +79,7 @@ fn a_glitch_is_told_in_the_autopilots_words_and_in_its_health() {
 }
 
 #[test]
-fn the_estimate_wanders_by_what_is_asked_for() {
+fn position_estimate_wanders_by_the_configured_amount() {
     let mut bench = hovering(Autopilot::Px4, |config| {
         config.estimator.wander_m = 0.17;
         config.estimator.wander_time_s = 1.0;
@@ -104,7 +104,7 @@ fn the_estimate_wanders_by_what_is_asked_for() {
 }
 
 #[test]
-fn the_velocity_wanders_beside_the_position() {
+fn velocity_wander_leaves_the_position_alone() {
     let mut bench = hovering(Autopilot::Px4, |config| {
         config.estimator.velocity_wander_m_s = 0.16;
         config.estimator.velocity_wander_time_s = 1.0;
@@ -133,7 +133,7 @@ fn the_velocity_wanders_beside_the_position() {
 }
 
 #[test]
-fn the_position_is_unknown_until_the_estimator_is_ready() {
+fn position_is_unknown_until_the_estimator_is_ready() {
     let mut config = SitlConfig { autopilot: Autopilot::Arducopter, ..SitlConfig::default() };
     config.estimator.ready_after_s = 5.0;
     let mut bench = Bench::with(config, 1);
@@ -149,7 +149,7 @@ fn the_position_is_unknown_until_the_estimator_is_ready() {
 }
 
 #[test]
-fn the_code_that_forces_arming_skips_arducopters_checks_and_not_px4s() {
+fn force_code_skips_arming_checks_on_arducopter_only() {
     let cases = [
         (Autopilot::Px4, MavResult::MAV_RESULT_TEMPORARILY_REJECTED),
         (Autopilot::Arducopter, ACCEPTED),
@@ -175,7 +175,7 @@ fn charge_state(bench: &mut Bench) -> Option<MavBatteryChargeState> {
 }
 
 #[test]
-fn a_low_pack_is_told_and_acted_on_as_the_parameters_say() {
+fn low_battery_is_reported_and_handled_per_parameters() {
     let low = |config: &mut SitlConfig| config.battery.charge = 0.05;
     let mut bench = hovering(Autopilot::Px4, low);
     bench.run(0.5);
@@ -199,7 +199,7 @@ fn a_low_pack_is_told_and_acted_on_as_the_parameters_say() {
 }
 
 #[test]
-fn a_landing_that_goes_unnoticed_leaves_the_vehicle_armed() {
+fn unnoticed_landing_leaves_the_vehicle_armed() {
     for (unnoticed, armed) in [(false, false), (true, true)] {
         let mut bench = hovering(Autopilot::Arducopter, |config| {
             config.landing_goes_unnoticed = unnoticed;
@@ -212,7 +212,7 @@ fn a_landing_that_goes_unnoticed_leaves_the_vehicle_armed() {
 }
 
 #[test]
-fn the_shipped_configurations_fly() {
+fn shipped_configurations_load_and_run() {
     for (name, autopilot) in
         [("sitl-px4-sih.toml", Autopilot::Px4), ("sitl-arducopter.toml", Autopilot::Arducopter)]
     {

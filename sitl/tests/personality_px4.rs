@@ -76,7 +76,7 @@ fn modes(heard: &[Heard]) -> Vec<(u64, u32)> {
 }
 
 #[test]
-fn it_is_px4_and_no_bundled_vehicle() {
+fn heartbeat_and_version_identify_px4() {
     let mut bench = on_the_ground();
     bench.run(1.1);
     let heard = bench.heard();
@@ -94,7 +94,7 @@ fn it_is_px4_and_no_bundled_vehicle() {
 }
 
 #[test]
-fn a_mode_that_it_cannot_enter_is_accepted_first_and_rejected_then() {
+fn unavailable_mode_is_accepted_then_rejected() {
     let mut bench = Bench::hovering(Autopilot::Px4);
     let offboard = [1.0, 6.0, 0.0];
     let (answers, texts) = bench.answers(MavCmd::MAV_CMD_DO_SET_MODE, &offboard);
@@ -106,7 +106,7 @@ fn a_mode_that_it_cannot_enter_is_accepted_first_and_rejected_then() {
 }
 
 #[test]
-fn disarmed_offboard_is_accepted_and_arming_waits_for_the_stream() {
+fn px4_accepts_disarmed_offboard_and_arms_only_with_a_stream() {
     let mut bench = on_the_ground();
     assert_eq!(bench.set_mode(Mode::Offboard), ACCEPTED);
     let (result, texts) = bench.command_and_texts(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, &[1.0]);
@@ -120,7 +120,7 @@ fn disarmed_offboard_is_accepted_and_arming_waits_for_the_stream() {
 }
 
 #[test]
-fn rates_with_an_attitude_override_it_the_more_the_more_often_they_come() {
+fn rates_override_the_attitude_more_at_higher_setpoint_rates() {
     // Measured with a roll rate of 2 rad/s and level attitude.
     for (hz, degrees) in [(50, 6.0), (100, 17.0), (200, 57.0)] {
         let mut bench = enter(Bench::hovering_as(sih(), Autopilot::Px4), 0x07, hz);
@@ -132,7 +132,7 @@ fn rates_with_an_attitude_override_it_the_more_the_more_often_they_come() {
 }
 
 #[test]
-fn a_yaw_rate_with_an_attitude_is_fed_forward() {
+fn yaw_rate_with_attitude_is_fed_forward() {
     let mut bench = in_offboard(0x07, 100);
     let message =
         SET_ATTITUDE_TARGET_DATA { body_yaw_rate: 0.5, ..setpoint(0.0, 0.0, HOVER, 0x03) };
@@ -145,7 +145,7 @@ fn a_yaw_rate_with_an_attitude_is_fed_forward() {
 }
 
 #[test]
-fn rates_alone_are_followed_without_a_lasting_error() {
+fn rate_only_setpoints_are_tracked_without_steady_state_error() {
     let mut bench = in_offboard(0x07, 100);
     bench.stream(setpoint(0.0, 0.5, HOVER, 0x80));
     bench.run(0.5);
@@ -154,7 +154,7 @@ fn rates_alone_are_followed_without_a_lasting_error() {
 }
 
 #[test]
-fn throttle_left_out_is_no_thrust_and_the_mode_stays() {
+fn masked_throttle_gives_no_thrust_and_keeps_the_mode() {
     let mut bench = in_offboard(0x07, 100);
     let before = bench.height();
     bench.stream(setpoint(0.0, 0.0, HOVER, 0x47));
@@ -165,7 +165,7 @@ fn throttle_left_out_is_no_thrust_and_the_mode_stays() {
 }
 
 #[test]
-fn a_quaternion_of_another_scale_is_flown() {
+fn unnormalised_quaternion_is_flown() {
     let mut bench = in_offboard(0x07, 100);
     let message = setpoint(8f64.to_radians(), 0.0, HOVER, 0x07);
     let q = message.q.map(|c| 1.2 * c);
@@ -175,7 +175,7 @@ fn a_quaternion_of_another_scale_is_flown() {
 }
 
 #[test]
-fn what_has_nothing_usable_is_no_stream() {
+fn unusable_setpoints_do_not_count_as_a_stream() {
     for mask in [0x87, 0x81] {
         let mut bench = in_offboard(0x07, 100);
         bench.stream(setpoint(0.0, 0.0, HOVER, mask));
@@ -185,7 +185,7 @@ fn what_has_nothing_usable_is_no_stream() {
 }
 
 #[test]
-fn an_attitude_step_takes_the_loops_time_whatever_the_rate_of_setpoints() {
+fn attitude_step_time_does_not_depend_on_setpoint_rate() {
     // Measured: 63 % of 8 degrees after some 280 ms.
     let time = |hz| {
         let bench = Bench::hovering_as(sih(), Autopilot::Px4);
@@ -199,7 +199,7 @@ fn an_attitude_step_takes_the_loops_time_whatever_the_rate_of_setpoints() {
 }
 
 #[test]
-fn integrals_take_up_a_steady_moment() {
+fn rate_integrals_cancel_a_steady_moment() {
     // A centre of mass off to the front: the PD alone would hang in pitch by M / kp.
     let mut effects = vehicle::effects::EffectSet::new();
     effects.insert_argument("com_offset:x_m=0.005,y_m=0").unwrap();
@@ -220,7 +220,7 @@ fn integrals_take_up_a_steady_moment() {
 }
 
 #[test]
-fn lost_stream_returns_lands_and_reads_offboard_again_after_disarming() {
+fn lost_stream_returns_lands_and_reports_offboard_after_disarming() {
     let mut bench = on_the_ground();
     bench.set_mode(Mode::Offboard);
     bench.stream(setpoint(0.0, 0.0, 0.55, 0x07));
@@ -238,7 +238,7 @@ fn lost_stream_returns_lands_and_reads_offboard_again_after_disarming() {
 }
 
 #[test]
-fn after_a_commanded_landing_offboard_comes_back_and_is_told_before_disarming_is() {
+fn offboard_is_restored_and_reported_before_disarming_after_landing() {
     let mut bench = on_the_ground();
     bench.set_mode(Mode::Offboard);
     bench.stream(setpoint(0.0, 0.0, 0.55, 0x07));
@@ -265,7 +265,7 @@ fn after_a_commanded_landing_offboard_comes_back_and_is_told_before_disarming_is
 }
 
 #[test]
-fn a_mode_chosen_in_flight_is_what_comes_back_if_a_flight_can_begin_in_it() {
+fn mode_chosen_in_flight_is_restored_after_landing() {
     let mut bench = in_offboard(0x07, 100);
     bench.set_mode(Mode::Hold);
     bench.stop_stream();
@@ -275,7 +275,7 @@ fn a_mode_chosen_in_flight_is_what_comes_back_if_a_flight_can_begin_in_it() {
 }
 
 #[test]
-fn loss_actions_and_timeout_are_the_parameters() {
+fn loss_action_and_timeout_follow_the_parameters() {
     let cases = [(5, Mode::Hold), (4, Mode::Land), (3, Mode::Return), (0, Mode::Return)];
     for (action, expected) in cases {
         let mut bench = in_offboard(0x07, 100);
@@ -293,7 +293,7 @@ fn loss_actions_and_timeout_are_the_parameters() {
 }
 
 #[test]
-fn lost_sticks_hold_then_return() {
+fn stick_loss_holds_then_returns() {
     let mut bench = in_offboard(0x07, 100);
     bench.send(&MavMessage::MANUAL_CONTROL(MANUAL_CONTROL_DATA {
         target: 1,
@@ -318,7 +318,7 @@ fn integers_are_byte_cast_and_unknown_names_are_not_answered() {
 }
 
 #[test]
-fn gains_and_geometry_say_the_loop_of_the_vehicle_file() {
+fn gain_and_geometry_parameters_match_the_vehicle_loop() {
     let mut bench = on_the_ground();
     let params = bench::params();
     let pd = params.attitude_pd.unwrap();
@@ -341,7 +341,7 @@ fn gains_and_geometry_say_the_loop_of_the_vehicle_file() {
 }
 
 #[test]
-fn a_gain_that_is_set_is_flown() {
+fn gain_set_by_parameter_takes_effect() {
     let mut bench = in_offboard(0x07, 100);
     for name in ["MC_ROLL_P", "MC_PITCH_P"] {
         bench.set_parameter(name, 3.0, REAL);
@@ -352,7 +352,7 @@ fn a_gain_that_is_set_is_flown() {
 }
 
 #[test]
-fn rates_are_px4s_defaults_and_what_it_grants() {
+fn default_and_granted_rates_match_px4() {
     let mut bench = Bench::hovering(Autopilot::Px4);
     for (id, hz) in [(30, 100.0), (31, 50.0), (331, 30.0), (36, 10.0), (375, 0.0), (83, 10.0)] {
         let found = bench.rate_of(id);

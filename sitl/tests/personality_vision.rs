@@ -61,7 +61,7 @@ fn is_healthy(bench: &mut Bench) -> Option<bool> {
 }
 
 #[test]
-fn without_poses_there_is_no_position_and_no_arming() {
+fn no_position_or_arming_without_external_poses() {
     for autopilot in ALL {
         let mut bench = bench(autopilot);
         assert_eq!(bench.rate_of(32), 0.0, "{autopilot:?}");
@@ -76,7 +76,7 @@ fn without_poses_there_is_no_position_and_no_arming() {
 }
 
 #[test]
-fn where_it_does_not_come_from_outside_poses_change_nothing() {
+fn external_poses_are_ignored_unless_configured() {
     let mut bench = Bench::with(SitlConfig::default(), 1);
     bench.run(0.5);
     bench.send(&MavMessage::VISION_POSITION_ESTIMATE(VISION_POSITION_ESTIMATE_DATA {
@@ -94,7 +94,7 @@ fn where_it_does_not_come_from_outside_poses_change_nothing() {
 /// In the air the poses end: the position is vouched for a while longer, then no more, and the vehicle comes
 /// down.
 #[test]
-fn a_vehicle_that_is_no_longer_seen_says_so_and_lands() {
+fn pose_loss_is_reported_and_leads_to_landing() {
     for (autopilot, after_s) in [(Autopilot::Px4, 5.8), (Autopilot::Bundled, 5.8)] {
         let mut bench = bench(autopilot);
         see(&mut bench, 1.0, false);

@@ -66,7 +66,7 @@ fn deviation(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 #[test]
-fn ideal_sensors_tell_the_truth() {
+fn ideal_sensors_report_the_true_state() {
     for (readings, truth) in fly(&ideal(), &EffectSet::new(), 1, 200) {
         assert_eq!(readings.estimate.position, truth.position);
         assert_eq!(readings.gyro, truth.body_rate);
@@ -76,7 +76,7 @@ fn ideal_sensors_tell_the_truth() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_readings() {
+fn same_seed_gives_the_same_readings() {
     let config = SitlConfig::default();
     assert_eq!(fly(&config, &EffectSet::new(), 5, 400), fly(&config, &EffectSet::new(), 5, 400));
     let (a, b) = (fly(&config, &EffectSet::new(), 5, 4), fly(&config, &EffectSet::new(), 6, 4));
@@ -106,7 +106,7 @@ fn noise_has_the_configured_size() {
 }
 
 #[test]
-fn a_sensor_without_noise_does_not_change_the_others() {
+fn disabling_one_noise_leaves_other_sensors_unchanged() {
     let noisy = fly(&SitlConfig::default(), &EffectSet::new(), 3, 40);
     let mut config = SitlConfig::default();
     config.sensors.gyro = SensorConfig::IDEAL.gyro;
@@ -118,7 +118,7 @@ fn a_sensor_without_noise_does_not_change_the_others() {
 }
 
 #[test]
-fn trim_turns_the_reported_attitude_and_not_the_imu() {
+fn trim_rotates_the_reported_attitude_but_not_the_imu() {
     let set = effects(&["attitude_trim:roll_rad=0.02,pitch_rad=-0.03,yaw_rad=0.01"]);
     let trim = Euler::new(0.02, -0.03, 0.01).attitude();
     for (readings, truth) in fly(&ideal(), &set, 1, 100) {
@@ -131,7 +131,7 @@ fn trim_turns_the_reported_attitude_and_not_the_imu() {
 }
 
 #[test]
-fn latency_ages_pose_and_velocity_only() {
+fn latency_delays_pose_and_velocity_only() {
     let set = effects(&["estimator_latency:latency_s=0.0225"]);
     let mut plant = airborne(&quad(), &set);
     let start = State { velocity: Ned::new(1.0, 0.0, 0.0), ..*plant.state() };
@@ -163,7 +163,7 @@ fn latency_longer_than_the_flight_reports_the_start() {
 }
 
 #[test]
-fn rotors_shake_the_sensors_at_their_own_speed() {
+fn vibration_follows_the_rotor_speed() {
     let vehicle = quad();
     let vibration = Vibration { rotor_max_hz: 100.0, gyro_rad_s: 0.1, accelerometer_m_s2: 2.0 };
     let config = SitlConfig { sensors: SensorConfig::IDEAL, vibration, ..SitlConfig::default() };
@@ -188,7 +188,7 @@ fn rotors_shake_the_sensors_at_their_own_speed() {
 }
 
 #[test]
-fn the_example_configuration_is_the_default() {
+fn example_configuration_equals_the_default() {
     let config =
         SitlConfig::load(Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/sitl.toml"))
             .unwrap();

@@ -99,7 +99,7 @@ mod tests {
     };
 
     #[test]
-    fn each_check_has_its_words() {
+    fn every_arming_check_has_its_message() {
         assert_eq!(READY.refusal(Mode::Hold), None);
         let cases = [
             (Preflight { tilt: 0.5, ..READY }, "not level: tilted by 29 degrees"),

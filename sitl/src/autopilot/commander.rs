@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn offboard_in_the_air_needs_a_stream_and_a_refusal_changes_nothing() {
+    fn offboard_in_flight_requires_a_stream_and_refusal_keeps_mode() {
         let mut commander = airborne();
         assert_eq!(commander.request_mode(Mode::Offboard, false), Err(Refusal::NoOffboardSignal));
         assert_eq!((commander.mode(), commander.intended()), (Mode::Hold, Mode::Hold));
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn each_loss_action_leads_to_its_mode() {
+    fn each_loss_action_enters_its_mode() {
         let modes = [
             (0, Some(Mode::Return)),
             (1, Some(Mode::Return)),
@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn a_resumed_stream_resumes_offboard_unless_someone_chose_another_mode() {
+    fn resumed_stream_restores_offboard_unless_another_mode_was_chosen() {
         let parameters = parameters();
         let live = Situation { stream_live: true, ..CALM };
         let mut commander = in_offboard();
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn moved_sticks_take_over_for_good() {
+    fn moved_sticks_take_over_permanently() {
         let parameters = parameters();
         let mut commander = in_offboard();
         let sticks = Situation { stream_live: true, sticks_live: true, sticks_moved: true, ..CALM };
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mode_chosen_while_disarmed_comes_back_after_the_flight() {
+    fn mode_chosen_while_disarmed_is_restored_after_disarming() {
         let parameters = parameters();
         let mut commander = in_offboard();
         commander.mode_after_disarming = Some(Mode::Offboard);
@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn no_disarming_in_the_air_without_force() {
+    fn disarming_in_the_air_requires_force() {
         let mut commander = airborne();
         assert_eq!(commander.disarm(false, false), Err(Refusal::InAir));
         assert!(commander.armed());
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn critical_battery_acts_only_if_told_to() {
+    fn critical_battery_acts_only_if_configured() {
         let mut parameters = parameters();
         let empty = Situation { battery: 0.05, ..CALM };
         let mut commander = airborne();

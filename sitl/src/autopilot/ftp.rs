@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn there_is_no_file_to_open_and_answers_are_not_answered() {
+    fn open_is_refused_and_responses_are_ignored() {
         let mut request = FILE_TRANSFER_PROTOCOL_DATA { payload: [0; 251], ..Default::default() };
         request.payload[..4].copy_from_slice(&[255, 255, 3, 4]);
         let nak = answer(&request, 255, 190).unwrap();

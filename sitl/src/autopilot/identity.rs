@@ -55,7 +55,7 @@ mod tests {
     use crate::config::Autopilot;
 
     #[test]
-    fn every_mode_is_available_and_no_more() {
+    fn exactly_the_modes_of_the_autopilot_are_available() {
         for autopilot in [Autopilot::Bundled, Autopilot::Px4, Autopilot::Arducopter] {
             let personality = personality::of(autopilot);
             let count = personality.modes().len();

@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn rising_is_flight_and_stillness_without_thrust_is_landed() {
+    fn climb_means_flight_and_stillness_without_thrust_means_landed() {
         let mut detector = LandDetector::new(true, true, 0.3);
         assert!(!detector.update(0, &motion(0.0, 0.9)));
         assert!(detector.update(4000, &motion(-0.3, 1.1)));
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_that_is_to_lean_on_the_ground_has_not_landed() {
+    fn commanded_lean_prevents_landing_detection() {
         let mut detector = LandDetector::new(false, true, 0.3);
         let leaning = Motion { lean_asked: 0.4, ..motion(0.0, 0.1) };
         for tick in 0..1000 {

@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_are_px4s() {
+    fn custom_modes_match_px4() {
         assert_eq!(Mode::Offboard.custom_mode(), 0x0006_0000);
         assert_eq!(Mode::Hold.custom_mode(), 0x0304_0000);
         assert_eq!(Mode::Return.custom_mode(), 0x0504_0000);
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn words_and_modes_round_trip() {
+    fn custom_modes_round_trip() {
         for mode in Mode::ALL {
             let [_, _, main, sub] = mode.custom_mode().to_le_bytes();
             assert_eq!(Mode::from_main_and_sub(main, sub), Some(mode));

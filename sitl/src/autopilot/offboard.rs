@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn only_three_masks_count() {
+    fn only_three_type_masks_are_accepted() {
         for mask in 0..=255 {
             let counts = AttitudeSetpoint::from_message(&message(mask)).is_some();
             assert_eq!(counts, matches!(mask, 0x00 | 0x07 | 0x80), "mask {mask:#x}");
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn masked_fields_are_not_used() {
+    fn masked_fields_are_ignored() {
         let setpoint = AttitudeSetpoint::from_message(&message(0x07)).unwrap();
         assert_eq!(setpoint.body_rate, Frd::zero());
         let mut rates_only = message(0x80);
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_not_finite_are_refused() {
+    fn non_finite_setpoints_are_refused() {
         for spoil in [
             |m: &mut SET_ATTITUDE_TARGET_DATA| m.q[2] = f32::NAN,
             |m: &mut SET_ATTITUDE_TARGET_DATA| m.q = [0.0; 4],
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn thrust_is_clamped_and_scale_of_the_quaternion_is_not_seen() {
+    fn thrust_is_clamped_and_quaternion_scale_is_ignored() {
         let mut large = message(0x00);
         large.thrust = 3.0;
         large.q = [1.2, 0.0, 0.0, 0.0];
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn mean_delay_is_the_one_asked_for() {
+    fn mean_delay_matches_the_configured_delay() {
         let mut rng = Pcg64Mcg::seed_from_u64(1);
         let setpoint = AttitudeSetpoint::from_message(&message(0x00)).unwrap();
         let mut total = 0.0;
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_is_live_until_its_timeout() {
+    fn stream_is_live_until_its_timeout() {
         let mut stream = OffboardStream::new(0.0);
         assert!(!stream.is_live(0, 1000));
         let setpoint = AttitudeSetpoint::from_message(&message(0x00)).unwrap();

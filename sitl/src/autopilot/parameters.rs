@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_value_leaves_the_old_one() {
+    fn refused_value_keeps_the_old_one() {
         let mut parameters = parameters();
         let refusals = [
             ("COM_OF_LOSS_T", Value::Float(f32::NAN)),

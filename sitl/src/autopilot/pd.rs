@@ -67,7 +67,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn unclipped_outputs_make_the_law_s_moments(
+        fn unclipped_outputs_produce_the_pd_moments(
             roll in -0.05..0.05f64, pitch in -0.05..0.05f64, yaw in -0.05..0.05f64, rate in -0.1..0.1f64,
         ) {
             let (vehicle, pd, attitude_loop) = attitude_loop();
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn yaw_error_takes_the_short_way() {
+    fn yaw_error_wraps_the_short_way() {
         let (_, _, attitude_loop) = attitude_loop();
         let desired = setpoint(Some(Euler::new(0.0, 0.0, 3.1)), Frd::zero(), 0.5);
         let across = attitude_loop.outputs(&desired, Euler::new(0.0, 0.0, -3.1), Frd::zero());
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_alone_do_not_look_at_the_attitude() {
+    fn rate_only_setpoints_ignore_the_attitude() {
         let (_, _, attitude_loop) = attitude_loop();
         let rates = setpoint(None, Frd::zero(), 0.5);
         let tilted = attitude_loop.outputs(&rates, Euler::new(0.5, -0.5, 1.0), Frd::zero());

@@ -138,7 +138,7 @@ mod tests {
     use vehicle::frame::Frd;
 
     #[test]
-    fn at_the_target_it_hovers_level() {
+    fn controller_hovers_level_at_the_target() {
         let parameters = parameters();
         let mut controller = PositionController::new(9.81);
         let here = Ned::new(1.0, 2.0, -3.0);
@@ -151,7 +151,7 @@ mod tests {
     proptest! {
         /// At any heading, the force tilts towards the target and the tilt stays within its limit.
         #[test]
-        fn force_points_to_the_target(north in -9.0..9.0f64, east in -9.0..9.0f64, yaw in -3.1..3.1f64) {
+        fn force_points_towards_the_target(north in -9.0..9.0f64, east in -9.0..9.0f64, yaw in -3.1..3.1f64) {
             prop_assume!(north.hypot(east) > 0.1);
             let parameters = parameters();
             let mut controller = PositionController::new(9.81);

@@ -27,7 +27,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn long_texts_are_chunked_and_short_ones_are_not() {
+    fn only_long_texts_are_chunked() {
         let long = "x".repeat(120);
         let chunks: Vec<_> = status_text(MavSeverity::MAV_SEVERITY_INFO, &long, 7).collect();
         assert_eq!(chunks.len(), 3);

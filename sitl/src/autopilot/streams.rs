@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn streams_index_the_table() {
+    fn stream_discriminants_index_the_table() {
         for (index, (stream, id)) in TABLE.iter().enumerate() {
             assert_eq!(*stream as usize, index);
             assert_eq!(Stream::from_id(*id), Some(*stream));
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn defaults_are_px4s() {
+    fn default_intervals_match_px4() {
         for (stream, expected) in [
             (Stream::Heartbeat, 10),
             (Stream::Attitude, 1000),
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn heartbeat_and_unknown_ids_keep_their_interval() {
+    fn heartbeat_and_unknown_intervals_cannot_be_set() {
         let mut schedule = Schedule::new(&BUNDLED, 0);
         assert_eq!(schedule.set_interval(0, 1000.0, 0), Err(IntervalError::Fixed));
         assert_eq!(schedule.set_interval(9999, 1000.0, 0), Err(IntervalError::Unknown));
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn zero_restores_the_default_and_negative_stops() {
+    fn zero_interval_restores_default_and_negative_stops() {
         let mut schedule = Schedule::new(&BUNDLED, 0);
         schedule.set_interval(30, -1.0, 0).unwrap();
         assert_eq!(schedule.interval(30), -1);
@@ -337,7 +337,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_requested_rate_is_met(interval in 4_000u32..1_000_000, start in 0u64..5_000_000) {
+        fn requested_rate_is_met(interval in 4_000u32..1_000_000, start in 0u64..5_000_000) {
             let mut schedule = Schedule::new(&BUNDLED, 0);
             schedule.set_interval(331, interval as f32, start).unwrap();
             let sent = count(&mut schedule, Stream::Odometry, start, 20);

@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn there_is_no_position_before_a_pose_and_none_long_after_the_last() {
+    fn position_is_unknown_before_and_long_after_poses() {
         let mut vision = Vision::new(5.0, 1);
         run(&mut vision, 0, 1_000_000, None);
         assert!(!vision.is_known(1_000_000));
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn poses_far_off_are_not_believed_until_the_position_is_lost() {
+    fn outlier_poses_are_rejected_until_the_position_is_lost() {
         let mut vision = Vision::new(5.0, 1);
         run(&mut vision, 0, 2_000_000, Some(Ned::zero()));
         run(&mut vision, 2_000_000, 4_000_000, Some(Ned::new(2.0, 0.0, 0.0)));

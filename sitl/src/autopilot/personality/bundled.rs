@@ -181,7 +181,7 @@ mod tests {
     use crate::autopilot::testing;
 
     #[test]
-    fn parameters_fit_the_protocol_and_are_sorted() {
+    fn parameter_names_fit_the_protocol_and_are_sorted() {
         let vehicle = testing::vehicle();
         let parameters = parameters(&vehicle, &vehicle.attitude_pd.unwrap());
         let names: Vec<_> =

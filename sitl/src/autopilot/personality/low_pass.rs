@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn gyro_filter_passes_slow_motion_and_halves_the_power_at_its_cutoff() {
+    fn gyro_filter_passes_slow_motion_and_halves_power_at_cutoff() {
         assert!((gain(40.0, 1.0) - 1.0).abs() < 0.01);
         assert!((gain(40.0, 40.0) - 0.5_f64.sqrt()).abs() < 0.02);
         assert!(gain(40.0, 150.0) < 0.05);

@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn outputs_undo_the_thrust_curve() {
+    fn outputs_invert_the_thrust_curve() {
         for a in [0.0, 0.3, 0.65, 1.0] {
             for share in [0.0, 0.2, 0.7, 1.0] {
                 let u = output_of(share, a);

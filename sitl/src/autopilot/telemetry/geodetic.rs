@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_degree_north_is_111_km() {
+    fn one_degree_north_is_111_km() {
         let origin = Home { latitude_deg: 47.0, longitude_deg: 8.0, altitude_m: 400.0 };
         let [latitude, longitude, altitude] = geodetic(&origin, Ned::new(111_195.0, 0.0, -10.0));
         assert!((latitude - 480_000_000).abs() < 1000);

@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fields_of_motor_messages_name_their_slots() {
+    fn motor_field_names_give_their_output_slots() {
         assert_eq!(slot_of("actuator[2]"), Some(2));
         assert_eq!(slot_of("servo3_raw"), Some(2));
         assert_eq!(slot_of("servo0_raw"), None);

@@ -183,7 +183,7 @@ mod tests {
     use crate::autopilot::testing;
 
     #[test]
-    fn a_torque_of_one_is_arducopters() {
+    fn unit_torque_matches_arducopter_mixer() {
         // X layout, four equal rotors: 2 y T about roll, 2 T kappa about yaw.
         let moments = unit_moments(&testing::vehicle());
         for (found, expected) in moments.into_iter().zip([0.5, 0.5, 0.075]) {
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn rotors_in_any_order_find_their_motors() {
+    fn rotors_in_any_order_map_to_their_motors() {
         let mut vehicle = testing::vehicle();
         assert_eq!(frame(&vehicle), (1, [0, 3, 1, 2]));
         vehicle.rotors.swap(0, 2);
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn names_fit_the_protocol() {
+    fn parameter_names_fit_the_protocol() {
         let specs = table(&testing::vehicle(), 400.0);
         assert!(specs.iter().all(|spec| spec.name().len() <= 16));
         assert!(GAINS.iter().all(|gain| gain.name.len() <= 16));

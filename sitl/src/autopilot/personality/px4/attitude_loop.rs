@@ -133,7 +133,7 @@ mod tests {
     use vehicle::frame::Euler;
 
     #[test]
-    fn tilt_goes_before_heading_and_each_alone_is_whole() {
+    fn yaw_weight_reduces_heading_but_not_tilt() {
         let level = Attitude::default();
         let tilted = Euler::new(0.3, -0.2, 0.0).attitude();
         assert!(weigh_yaw(level, tilted, 0.4).tilt() - tilted.tilt() < 1e-12);

@@ -162,7 +162,7 @@ mod tests {
     use crate::autopilot::testing;
 
     #[test]
-    fn a_torque_of_one_is_px4s() {
+    fn unit_torque_matches_px4_mixer() {
         // X layout, four equal rotors: sqrt(8) y T about roll, 4 T kappa about yaw.
         let vehicle = testing::vehicle();
         let moments = unit_moments(&vehicle, &vehicle.allocation().unwrap());
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn names_fit_the_protocol() {
+    fn parameter_names_fit_the_protocol() {
         let specs = table(&testing::vehicle());
         assert!(specs.iter().all(|spec| spec.name().len() <= 16));
         assert!(GAINS.iter().all(|gain| gain.name.len() <= 16));
