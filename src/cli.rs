@@ -459,7 +459,7 @@ mod tests {
     }
 
     #[test]
-    fn flags_of_no_command_are_in_each_others_way() {
+    fn command_flags_do_not_conflict() {
         Cli::command().debug_assert();
     }
 
@@ -470,14 +470,14 @@ mod tests {
     }
 
     #[test]
-    fn a_search_for_changes_without_flags_is_the_one_of_the_command_line() {
+    fn onset_args_default_to_the_command_line_defaults() {
         let typed = Onset::try_parse_from(["onset", "a.mcap", "--vehicle", "v.toml"]);
         let made = OnsetArgs::new(vec!["a.mcap".into()], "v.toml".into());
         assert_eq!(format!("{:?}", typed.expect("arguments").args), format!("{made:?}"));
     }
 
     #[test]
-    fn a_diagnosis_without_flags_is_the_one_of_the_command_line() {
+    fn diagnose_args_default_to_the_command_line_defaults() {
         let typed = Diagnose::try_parse_from(["diagnose", "a.mcap", "--vehicle", "v.toml"]);
         let made = DiagnoseArgs::new(vec!["a.mcap".into()], "v.toml".into());
         assert_eq!(format!("{:?}", typed.expect("arguments").args), format!("{made:?}"));

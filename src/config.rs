@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn the_older_name_of_the_controllers_settings_is_read() {
+    fn former_pilot_section_is_read_as_offboard() {
         let environment = [("DOWNWASH_PILOT__SUPERVISOR__HOLD_S", "0.5")];
         let config = load(None, &environment).expect("a configuration");
         assert_eq!(config.settings.offboard.supervisor.hold_s, 0.5);
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn later_layers_win_and_the_origin_is_known() {
+    fn later_layers_win_and_record_their_origin() {
         let folder = std::env::temp_dir().join(format!("downwash-config-{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a folder");
         let path = folder.join("c.toml");
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_file_shows_every_default() {
+    fn shipped_file_lists_every_default() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/downwash.toml");
         let shipped: Table =
             std::fs::read_to_string(path).expect("the file").parse().expect("TOML");
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_would_limit_nothing_are_refused() {
+    fn non_finite_and_negative_limits_are_refused() {
         for (name, text) in [
             ("DOWNWASH_OFFBOARD__SAFETY__TILT_MAX_RAD", "nan"),
             ("DOWNWASH_CONTROL__RATE_HZ", "-100"),
@@ -407,7 +407,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn only_settings_must_be_utf_8() {
+    fn only_own_settings_must_be_utf_8() {
         use std::os::unix::ffi::OsStringExt;
 
         let load = |name: &str| {
@@ -421,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn empty_folders_are_unset() {
+    fn empty_xdg_folder_counts_as_unset() {
         let user = |xdg: Option<&str>| {
             user_folder(|name| if name == "HOME" { Some("/h".into()) } else { xdg.map(Into::into) })
         };
@@ -441,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn variables_of_the_tests_and_benchmarks_are_not_settings() {
+    fn test_and_benchmark_variables_are_not_settings() {
         let environment = [("DOWNWASH_PEERS_PROBLEM", "problem"), ("DOWNWASH_SHARED", "shared")];
         load(None, &environment).expect("a configuration");
     }

@@ -233,7 +233,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_list_takes_names_of_messages_and_no_setpoints() {
+    fn allow_list_accepts_message_names_except_setpoints() {
         let list = AllowList::new(&["HEARTBEAT", "PARAM_REQUEST_READ"]).expect("names");
         assert_eq!(list.0, BTreeSet::from([0, 20]));
         for (wrong, words) in [("HEARTBEET", "no message"), ("SET_ATTITUDE_TARGET", "remove it")] {
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn an_endpoint_is_where_datagrams_go() {
+    fn forwarding_requires_a_udpout_endpoint() {
         for wrong in ["udpin:127.0.0.1:14550", "tcp:127.0.0.1:5760"] {
             let endpoint: Endpoint = wrong.parse().expect("an endpoint");
             let error = Forward::start(&[endpoint], AllowList::default()).err().expect(wrong);

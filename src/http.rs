@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_request_is_a_path_a_websocket_or_nothing() {
+    fn request_parses_as_page_websocket_or_nothing() {
         let parse = |text: &str| {
             let request = Request::parse(text.as_bytes().to_vec())?;
             Some((request.is_get, request.path, request.is_upgrade))

@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_runs_is_well_and_one_that_stands_is_not() {
+    fn health_is_ok_only_while_updates_arrive() {
         let service = Service::start("127.0.0.1:0").expect("loopback");
         assert!(get(&service, "/health").starts_with("HTTP/1.1 503"));
         let now = HostTime::from_ns(10_000_000_000);
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_taken_and_nobody_else_is_served() {
+    fn service_is_read_only_and_loopback_only() {
         let service = Service::start("127.0.0.1:0").expect("loopback");
         let post = ask(&service, "POST /status HTTP/1.1\r\n\r\n");
         assert!(post.starts_with("HTTP/1.1 405"), "{post}");

@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn the_file_of_the_vehicle_that_flew_fits() {
+    fn file_of_the_flown_vehicle_fits() {
         let vehicle = file();
         let expected = ["hover", "outputs", "roll", "pitch", "yaw"].map(|of| (of, Verdict::Fits));
         assert_eq!(verdicts(&flown(&vehicle, 0.15), &vehicle), expected);
@@ -196,7 +196,7 @@ mod tests {
     /// ArduCopter's log contains the target after shaping. The file's loop follows it without
     /// shaping it again, and feeds its rate forward.
     #[test]
-    fn a_target_that_was_shaped_on_board_is_not_shaped_again() {
+    fn onboard_shaped_target_is_not_shaped_again() {
         let mut vehicle = file();
         let inertia = vehicle.inertia;
         vehicle.attitude_pd = None;
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn what_differs_is_told_with_both_numbers() {
+    fn difference_is_reported_with_both_numbers() {
         let (vehicle, mut heavy) = (file(), file());
         let flight = flown(&vehicle, 0.15);
         heavy.mass *= 1.3;
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_still_hover_shows_no_loop() {
+    fn still_hover_does_not_reveal_the_loop() {
         let vehicle = file();
         let all = verdicts(&flown(&vehicle, 0.005), &vehicle);
         assert_eq!(all[0], ("hover", Verdict::Fits));
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn outputs_of_another_range_than_the_parameters_say_are_told() {
+    fn output_range_that_contradicts_the_parameters_is_reported() {
         let mut vehicle = file();
         let mut flight = flown(&vehicle, 0.15);
         for outputs in flight.outputs.values_mut() {

@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_that_px4_simulates_is_whole() {
+    fn px4_simulated_vehicle_gives_a_complete_file() {
         let draft = draft(SIH, Measured::default());
         assert_eq!(draft.missing(), []);
         let text = draft.to_toml();
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn what_arducopter_does_not_say_is_named_and_left_out() {
+    fn values_missing_from_arducopter_are_named_and_omitted() {
         let draft = draft(COPTER, Measured::default());
         let missing = ["mass", "rotors.position_m", "rotors.thrust_max_N", "inertia"];
         assert_eq!(keys(draft.missing()), missing);
@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn arducopter_with_a_scale_and_a_ruler_is_whole() {
+    fn arducopter_with_measured_mass_and_arm_is_complete() {
         let measured = Measured {
             mass_kg: Some(3.0),
             arm_m: Some(0.35),
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn inertia_that_nothing_states_says_what_it_was_taken_as() {
+    fn assumed_inertia_is_stated() {
         let weighed = Measured { mass_kg: Some(3.0), arm_m: Some(0.35), ..Measured::default() };
         let taken = draft(COPTER, weighed.clone()).assumption("inertia").expect("an assumption");
         assert!(taken.contains("0.091875") && taken.contains("mass times arm squared"), "{taken}");
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_measured_numbers_make_a_file_without_a_loop() {
+    fn few_measurements_make_a_file_without_a_loop() {
         let measured = Measured {
             mass_kg: Some(1.4),
             arm_m: Some(0.22),
@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_measured_wins_over_what_parameters_say() {
+    fn measurements_override_parameters() {
         let measured =
             Measured { mass_kg: Some(1.3), thrust_max_n: Some(7.0), ..Measured::default() };
         let draft = draft(SIH, measured);
@@ -402,7 +402,7 @@ mod tests {
     }
 
     #[test]
-    fn another_number_of_motors_is_no_quadrotor() {
+    fn wrong_motor_count_or_airframe_is_no_quadrotor() {
         let six = COPTER.replace("FRAME_CLASS,1", "FRAME_CLASS,2");
         let refused = Draft::new("a test", &parameters(&six), &Measured::default());
         assert_eq!(refused, Err(NoQuadrotor::Motors(6)));

@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn neither_repeats_nor_lines_are_news() {
+    fn repeats_and_interpolation_do_not_raise_the_rate() {
         let held = rate(&logged(|a, _, _| a), |u| *u);
         let drawn = rate(&logged(|a, b, share| a + (b - a) * share), |u| *u);
         let own = rate(&logged(|a, _, share| a + (7.0 * share).sin()), |u| *u);
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn pauses_do_not_slow_a_rate_down() {
+    fn pauses_do_not_lower_the_rate() {
         let mut number = 0;
         let paused = logged(|a, _, share| a + (7.0 * share).sin()).filter_map(|u| {
             number += 1;
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn outputs_are_rounded_to_their_step() {
+    fn quantisation_step_of_outputs_is_found() {
         let rounded = logged(|a, _, _| (100.0 * a).round() / 100.0);
         assert!((step(&rounded).expect("it changes") - 0.01).abs() < 1e-9);
     }

@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bump_weighs_a_derivative_without_taking_it() {
+    fn bump_function_gives_the_derivative_without_differentiation() {
         let (x, v) = (sampled(|t| (3.0 * t).sin()), sampled(|t| 3.0 * (3.0 * t).cos()));
         let of = |_, value: &f64| Some(SVector::<f64, 1>::new(*value));
         for bump in &bumps(x.times(), &[0.25])[1..70] {
@@ -367,13 +367,13 @@ mod tests {
     }
 
     #[test]
-    fn a_pause_of_ages_has_no_bumps() {
+    fn long_pause_has_no_bump_functions() {
         let times = [0.0, 0.1, 0.2, 0.3, 1e12, 1e12 + 0.1, 1e12 + 0.4];
         assert!(bumps(&times, &[0.1]).len() < times.len());
     }
 
     #[test]
-    fn no_bump_reaches_over_a_gap_or_an_end() {
+    fn bump_functions_do_not_span_gaps_or_ends() {
         let x = sampled(|t| t).filter_map(|t| (!(5.0..5.3).contains(t)).then_some(*t));
         let of = |_, value: &f64| Some(SVector::<f64, 1>::new(*value));
         assert!(weigh(&x, Bump { centre: 5.0, half: 0.25, group: 0 }, of).is_none());

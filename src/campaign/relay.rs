@@ -175,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_lay_unread_bears_the_time_at_which_it_was_sent() {
+    fn unread_datagram_keeps_its_send_time() {
         let mut relay = Relay::open().expect("a socket");
         let station =
             UdpSocket::bind((Ipv4Addr::LOCALHOST, relay.station_port())).expect("its port");

@@ -59,7 +59,7 @@ mod tests {
     use crate::campaign::script::{Fault, Timed};
 
     #[test]
-    fn what_is_not_needed_goes() {
+    fn shrinking_removes_unneeded_faults() {
         let foreign = Timed { at_s: 3.0, for_s: 4.0, fault: Fault::Foreign { system: 77 } };
         let mut script = draw::script(1, 1);
         script.faults.insert(1, foreign);

@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_that_was_too_fast_to_stop_when_setpoints_came_back_is_nobodys_fault() {
+    fn unavoidable_overshoot_after_setpoint_loss_is_no_violation() {
         assert_eq!(judged(0.0, 2.5, 0.0), Some(Rule::Envelope), "flown out");
         assert_eq!(judged(0.0, 2.5, 0.3), Some(Rule::Envelope), "it could have stopped");
         assert_eq!(judged(0.0, 2.5, 0.9), None, "it could not");

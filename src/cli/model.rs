@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn a_training_without_flags_is_the_one_of_the_command_line() {
+    fn train_args_default_to_the_command_line_defaults() {
         let typed = ["train", "a.mcap", "--vehicle", "v.toml", "--out", "m.safetensors"];
         let typed = Train::try_parse_from(typed).expect("arguments").args;
         let made = TrainArgs::new(vec!["a.mcap".into()], "v.toml".into(), "m.safetensors".into());

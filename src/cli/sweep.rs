@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_point_is_in_one_shard() {
+    fn every_point_is_in_exactly_one_shard() {
         let shards: Vec<Shard> =
             (1..=7).map(|index| format!("{index}/7").parse().expect("a shard")).collect();
         for point in 0..50 {

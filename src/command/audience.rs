@@ -253,7 +253,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_may_lack_its_host_or_port() {
+    fn address_host_and_port_have_defaults() {
         for (asked, expected) in [
             ("9000", "127.0.0.1:9000"),
             (":9000", "127.0.0.1:9000"),

@@ -182,7 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_are_told_apart_value_by_value() {
+    fn files_are_flattened_to_key_value_pairs() {
         let facts = flattened("setting", "a = 1\n[b]\nc = \"x\"\n[[b.d]]\ne = [1, 2]\n");
         let expected = [("setting.a", "1"), ("setting.b.c", "x"), ("setting.b.d.1.e", "[1,2]")];
         let found: Vec<(&str, &str)> =

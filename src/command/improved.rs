@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn toml_keeps_comments_order_and_numbers() -> anyhow::Result<()> {
+    fn toml_edit_keeps_comments_order_and_numbers() -> anyhow::Result<()> {
         let vehicle = VehicleParams::from_toml_str(TOML)?;
         let own = format!("# My quad.\n{TOML}# Its end.\n");
         let out = additions().to_file(&own, &vehicle, [Form::Toml; 2])?;
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn ends_of_lines_are_kept() -> anyhow::Result<()> {
+    fn line_endings_are_kept() -> anyhow::Result<()> {
         let vehicle = VehicleParams::from_toml_str(TOML)?;
         for (text, form) in
             [(TOML.to_owned(), Form::Toml), (serde_json::to_string_pretty(&vehicle)?, Form::Json)]
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn an_effect_that_is_there_is_changed_in_place() -> anyhow::Result<()> {
+    fn existing_effect_is_edited_in_place() -> anyhow::Result<()> {
         let text = format!(
             "{TOML}\n# By hand.\n[modelled_effects.rotor_drag]\nd_xy = 0.5 # a guess\nd_z = 1e-3\n\
              [modelled_effects.motor_lag]\ntau_s = 5.0e-2\n"
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn json_keeps_order_and_numbers() -> anyhow::Result<()> {
+    fn json_edit_keeps_order_and_numbers() -> anyhow::Result<()> {
         let vehicle = VehicleParams::from_toml_str(TOML)?;
         let mut object: Ordered = serde_json::from_str(&serde_json::to_string(&vehicle)?)?;
         object.0.reverse();
@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_found_leaves_the_file_as_it_was() -> anyhow::Result<()> {
+    fn no_additions_leave_the_file_unchanged() -> anyhow::Result<()> {
         let vehicle = VehicleParams::from_toml_str(TOML)?;
         let none = Additions { effects: Map::new(), provenance: Map::new() };
         assert_eq!(none.to_file(TOML, &vehicle, [Form::Toml; 2])?, TOML);

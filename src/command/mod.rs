@@ -314,7 +314,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_pipe_is_written_into_and_stays_one() -> anyhow::Result<()> {
+    fn output_to_a_pipe_keeps_the_pipe() -> anyhow::Result<()> {
         use std::ffi::CString;
         use std::os::unix::ffi::OsStrExt;
         use std::os::unix::fs::FileTypeExt;
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_error_says_it_says_once() {
+    fn error_text_is_not_repeated() {
         let cause = || anyhow::anyhow!("no such file").context("a.toml: no such file");
         assert_eq!(in_words(&cause()), "a.toml: no such file");
         assert_eq!(in_words(&cause().context("a.toml")), "a.toml: no such file");

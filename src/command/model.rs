@@ -406,7 +406,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_model_that_predicts_better_than_holding_is_called_the_best() {
+    fn only_a_model_better_than_holding_is_called_best() {
         let words = |best| best_in_words(best, ModelKind::Hybrid);
         assert_eq!(words(Best::Better), "best on validation: hybrid\n");
         let poor = words(Best::NoBetterThanHolding);

@@ -99,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_output_that_is_an_input_is_refused() -> anyhow::Result<()> {
+    fn output_path_equal_to_an_input_is_refused() -> anyhow::Result<()> {
         let folder = std::env::temp_dir().join(format!("downwash-output-{}", std::process::id()));
         fs::create_dir_all(&folder)?;
         let [log, other, partial] = ["a.csv", "b.csv", "b.csv.part"].map(|name| folder.join(name));

@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_takes_long_is_said_and_said_again_until_it_is_done() {
+    fn long_wait_is_reported_repeatedly_until_done() {
         let (said, heard) = mpsc::channel();
         let pause = Duration::from_millis(1);
         let patience = Patience::told(pause, pause, move |waited| {
@@ -60,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_soon_done_is_not_said() {
+    fn short_wait_is_not_reported() {
         let (said, heard) = mpsc::channel();
         let hour = Duration::from_secs(3600);
         drop(Patience::told(hour, hour, move |waited| {

@@ -81,14 +81,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_sequence_of_a_message_gets_to_the_terminal() {
+    fn escape_sequences_in_messages_do_not_reach_the_terminal() {
         let text =
             "\u{1b}[2m 0.1s\u{1b}[0m \u{1b}[32m INFO\u{1b}[0m vehicle: \u{1b}[2J\u{7}hi\nthere";
         assert_eq!(without_colours(text), " 0.1s  INFO vehicle: hi\nthere");
     }
 
     #[test]
-    fn messages_are_kept_up_to_a_number_and_stay_under_the_eye() {
+    fn message_history_is_bounded_and_keeps_its_scroll_position() {
         let scene = Scene::default();
         scene.print(b"one\n\ntwo\n");
         scene.lock().scrolled = 1;

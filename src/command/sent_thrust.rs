@@ -157,7 +157,7 @@ mod tests {
     use vehicle::effects::EffectSet;
 
     #[test]
-    fn asking_for_the_weight_hovers_whatever_the_rotors_lack() {
+    fn commanding_the_weight_hovers_despite_weak_rotors() {
         let text = include_str!("../../config/vehicles/crazyflie.toml");
         let mut params = VehicleParams::from_toml_str(text).expect("a vehicle");
         let mut effects = EffectSet::new();
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn autopilot_that_straightens_its_motors_gives_the_wrench_that_it_is_asked_for() {
+    fn autopilot_that_linearises_its_motors_gives_the_commanded_wrench() {
         let text = include_str!("../../config/vehicles/crazyflie.toml");
         let params = VehicleParams::from_toml_str(text).expect("a vehicle");
         let weight = params.mass * params.gravity;
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn jacobian_behind_straightened_motors_is_the_slope() {
+    fn jacobian_behind_linearised_motors_matches_finite_differences() {
         let model = straightened();
         let at = Point { input: [0.33, 2e-4, -3e-4, 5e-5], ..Point::default() };
         let (_, jacobian) = model.linearize(&at);

@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_go_on_after_a_restart_and_a_file_of_another_key_is_refused() {
+    fn stamps_continue_after_restart_and_foreign_key_state_is_refused() {
         let folder = folder("signing-state");
         let key_file = Some(key_file(&folder));
         let settings = SigningSettings { key_file, ..SigningSettings::default() };
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_has_one_place_and_a_state() {
+    fn key_has_one_source_and_requires_a_state_file() {
         let none = SigningSettings::default();
         assert!(SigningState::opened(&none, None).expect("nothing asked").is_none());
         let text = Key::new([9; 32]).to_hex();

@@ -396,7 +396,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_setting_is_toml_or_else_a_word() -> anyhow::Result<()> {
+    fn setting_is_parsed_as_toml_or_taken_as_string() -> anyhow::Result<()> {
         let given = ["control.thrust=0.5", "control.position_m = [1, 2.5, 3]", "control.law=lqr"];
         let read = settings(&given.map(str::to_owned))?;
         assert_eq!(read["control.thrust"], Value::Float(0.5));
@@ -407,7 +407,7 @@ mod tests {
     }
 
     #[test]
-    fn a_log_changes_nothing_in_the_row() -> anyhow::Result<()> {
+    fn writing_a_log_leaves_the_row_unchanged() -> anyhow::Result<()> {
         let folder = std::env::temp_dir().join(format!("downwash-simulate-{}", std::process::id()));
         std::fs::create_dir_all(&folder)?;
         let trajectory = folder.join("short.toml");

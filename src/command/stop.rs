@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn request_that_comes_while_nobody_waits_is_kept() {
+    fn stop_request_is_kept_while_nobody_waits() {
         let mut signals = StopSignals::new().expect("signals");
         assert_eq!(signals.wait(Duration::from_millis(1)), None);
         // SAFETY: sends this process a signal that it handles.

@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stop_is_told_only_where_nothing_else_became_of_the_vehicle() {
+    fn interrupt_is_the_exit_only_without_another_end() {
         let exit = |end: Option<End>| end_in_words(end.as_ref(), Some(Stop::Interrupt)).1;
         assert_eq!(exit(Some(End::Stopped)), Exit::Interrupted);
         assert_eq!(exit(None), Exit::Interrupted);

@@ -324,7 +324,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_checkpoint_of_which_a_bit_changed_is_damaged() {
+    fn checkpoint_with_a_flipped_bit_is_rejected() {
         let bytes = sealed(b"{\"weights\":[1,2]}");
         assert_eq!(unsealed(&bytes).expect("whole"), b"{\"weights\":[1,2]}");
         for at in 0..bytes.len() {

@@ -182,12 +182,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_built_in_is_possible() {
+    fn default_settings_pass_the_checks() {
         assert_eq!(check_offboard(&OffboardSettings::default()), Ok(()));
     }
 
     #[test]
-    fn numbers_are_checked_wherever_they_are() {
+    fn nested_numbers_are_checked() {
         let check = |path: &str, text: &str| check_numbers(path, &text.parse().expect("a value"));
         for (path, text) in [
             ("plan.box_m", "[[-2.0, -2.0, -3.0], [2.0, 2.0, -0.3]]"),
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_that_contradict_each_other_are_refused() {
+    fn contradictory_limits_are_refused() {
         let refused = |limits: Limits| {
             let settings = OffboardSettings { limits, ..OffboardSettings::default() };
             check_offboard(&settings).expect_err("refused").settings[0]
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn adaptation_that_forgets_at_once_or_believes_all_is_refused() {
+    fn adaptation_without_memory_or_bounds_is_refused() {
         let settings = AdaptationSettings::default();
         assert_eq!(check_adaptation(&settings), Ok(()));
         let refused = |settings| check_adaptation(&settings).expect_err("refused").settings[0];
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn speeds_of_zero_are_refused() {
+    fn zero_speeds_are_refused() {
         let mut settings = OffboardSettings::default();
         settings.guidance.climb_speed_m_s = 0.0;
         let impossible = check_offboard(&settings).expect_err("refused");
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn times_that_cannot_be_counted_are_refused() {
+    fn out_of_range_times_are_refused() {
         for retry_s in [1e300, 86_401.0, -1.0, f64::NAN, f64::INFINITY] {
             let mut settings = OffboardSettings::default();
             settings.supervisor.retry_s = retry_s;

@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn without_lag_the_attitude_settles_as_the_hover_model_says() {
+    fn delayed_model_without_lag_matches_the_hover_model() {
         let hover = HoverModel::continuous(&NANO, &PD).discretised(0.01);
         let delayed = DelayedModel::new(
             &HoverModel::continuous(&NANO, &PD),
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn rotors_lag_makes_a_pd_overshoot_and_changes_nothing_of_a_measured_loop() {
+    fn motor_lag_makes_pd_overshoot_but_not_a_measured_loop() {
         let slow = Actuation { command_delay_s: 0.0, motor_time_constant_s: 0.06 };
         let (end, prompt) = roll_step(&PD, &Actuation::IMMEDIATE);
         assert!((end - 0.1).abs() < 1e-3 && prompt < 0.102, "{end} {prompt}");

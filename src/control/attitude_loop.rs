@@ -223,7 +223,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn folded_rates_make_the_moments_of_the_loop_that_takes_them(
+        fn folded_rates_give_the_moments_of_a_rate_loop(
             desired in prop::array::uniform3(-0.5..0.5f64),
             rate_desired in prop::array::uniform3(-2.0..2.0f64),
             rate in prop::array::uniform3(-2.0..2.0f64),
@@ -258,7 +258,7 @@ mod tests {
         }
 
         #[test]
-        fn loop_on_the_rotation_is_sent_the_same_direction_of_thrust_at_any_heading(
+        fn rotation_error_loop_keeps_thrust_direction_at_any_heading(
             roll in -0.5..0.5f64, pitch in -0.5..0.5f64, yaw in -3.0..3.0f64, ahead in -0.8..0.8f64,
         ) {
             let heading = wrap_angle(yaw + ahead);

@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn thrust_that_holds_a_heavier_vehicle_is_held() {
+    fn extra_thrust_for_a_heavier_vehicle_is_learned() {
         let observer = watched(State::default(), &hover(1.2), &Expected::default(), 500);
         let shift = observer.shift(&Reference::default(), 0.0);
         assert!((shift.input.thrust_n - 0.2 * QUAD.hover_thrust_n()).abs() < 0.01);
@@ -292,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn tilt_that_stands_against_wind_is_held_at_every_heading() {
+    fn tilt_against_wind_is_learned_for_every_heading() {
         // Nose down into a wind from the north, which pushes south.
         let attitude = Euler::new(0.0, -0.2, 0.0);
         let state = State { attitude: attitude.attitude(), ..State::default() };
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_reference_expects_is_not_estimated_again() {
+    fn expected_disturbance_is_not_estimated_again() {
         let attitude = Euler::new(0.0, -0.2, 0.0);
         let state = State { attitude: attitude.attitude(), ..State::default() };
         let sent = Setpoint { attitude: Euler::new(0.0, -0.15, 0.0), ..hover(1.0) };
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_new_model_expects_does_not_count_twice() {
+    fn new_model_expectation_is_not_counted_twice() {
         let heavier = Ned::new(0.0, 0.0, 0.2 * QUAD.gravity);
         let mut observer = watched(State::default(), &hover(1.2), &Expected::default(), 500);
         observer.expect_anew(&Expected { acceleration: heavier, ..Expected::default() });
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn attitude_beside_the_one_sent_is_made_up_for() {
+    fn steady_attitude_offset_is_compensated() {
         let state = State { attitude: Euler::new(0.05, 0.0, 0.1).attitude(), ..State::default() };
         let observer = watched(state, &hover(1.0), &Expected::default(), 500);
         let shift = observer.shift(&Reference::default(), 0.1);
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn velocity_that_the_position_does_not_have_is_left_out() {
+    fn velocity_bias_is_separated_from_motion() {
         let mut observer = observer();
         let state = State { velocity: Ned::new(0.0, -0.13, 0.0), ..State::default() };
         for tick in 0..300 {
@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_beyond_its_bounds_is_believed_and_a_reset_forgets() {
+    fn estimates_stay_in_bounds_and_reset_clears_them() {
         let settings = OffsetFreeSettings::default();
         let state = State { velocity: Ned::new(30.0, 0.0, 0.0), ..State::default() };
         let mut observer = observer();
@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn drag_of_a_circle_is_told_from_wind() {
+    fn drag_on_a_circle_is_distinguished_from_wind() {
         const DRAG_PER_S: f64 = 0.6;
         let wind = Ned::new(2.0, -1.0, 0.0);
         let body = RigidBody::new(QUAD.mass_kg, QUAD.inertia, QUAD.gravity);

@@ -122,7 +122,7 @@ mod tests {
         AttitudeLoop::Pd { kp: [5e-3, 5.2e-3, 2.4e-3], kd: [5e-4, 5.2e-4, 5.1e-4] };
 
     #[test]
-    fn hover_is_an_equilibrium_and_its_jacobian_the_textbook_one() {
+    fn hover_is_an_equilibrium_with_the_textbook_jacobian() {
         let mut hover = [0.0; INPUTS];
         hover[0] = NANO.hover_thrust_n();
         let rest = state_derivative(&NANO, &PD, [0.0; STATES], hover);
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn discretisation_agrees_with_fine_steps_of_the_continuous_model() {
+    fn discretisation_matches_fine_integration_of_continuous_model() {
         for attitude_loop in [PD, AttitudeLoop::PX4] {
             let model = HoverModel::continuous(&NANO, &attitude_loop);
             let exact = model.discretised(0.01);
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn loop_that_ignores_rates_has_no_use_for_them() {
+    fn loop_that_ignores_rates_has_zero_rate_inputs() {
         let model = HoverModel::continuous(&NANO, &AttitudeLoop::PX4);
         assert_eq!(model.input.fixed_view::<STATES, 3>(0, 4).norm(), 0.0);
     }

@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn setpoint_within_the_limits_is_left_alone() {
+    fn setpoint_within_the_limits_is_unchanged() {
         let setpoint = Setpoint {
             thrust_n: 3.0,
             attitude: Euler::new(0.1, -0.2, 1.0),
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn yaw_is_approached_by_the_shorter_way() {
+    fn yaw_is_limited_along_the_shorter_way() {
         let setpoint =
             Setpoint { thrust_n: 3.0, attitude: Euler::new(0.0, 0.0, -3.0), ..Setpoint::default() };
         let (limited, met) = Limits::default().apply(setpoint, 10.0, 2.0).expect("finite");
@@ -191,7 +191,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_comes_in_leaves_finite_and_within_limits(
+        fn output_is_always_finite_and_within_limits(
             thrust in any_component(), roll in any_component(), pitch in any_component(),
             yaw in any_component(), p in any_component(), q in any_component(), now in -3.0..3.0f64,
         ) {
@@ -215,7 +215,7 @@ mod tests {
         }
 
         #[test]
-        fn tilt_keeps_its_direction(roll in -1.2..1.2f64, pitch in -1.2..1.2f64) {
+        fn limited_tilt_keeps_its_direction(roll in -1.2..1.2f64, pitch in -1.2..1.2f64) {
             let setpoint = Setpoint {
                 thrust_n: 3.0, attitude: Euler::new(roll, pitch, 0.0), body_rate: Frd::zero(),
             };

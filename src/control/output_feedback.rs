@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn with_every_state_measured_the_best_gain_is_the_regulators() {
+    fn full_state_output_feedback_recovers_the_lqr_gain() {
         let problem = problem();
         let OutputFeedback { state, input, state_weight, input_weight, .. } = problem;
         let best = solve_dare(&state, &input, &state_weight, &input_weight).expect("a gain").gain;
@@ -177,12 +177,12 @@ mod tests {
     }
 
     #[test]
-    fn gain_that_does_not_settle_the_loop_is_refused() {
+    fn destabilising_initial_gain_is_refused() {
         assert!(problem().improve(Matrix1x2::new(0.5, 0.0)).is_none());
     }
 
     #[test]
-    fn margin_of_an_integrator_is_that_of_its_largest_sensitivity() {
+    fn integrator_margin_matches_its_peak_sensitivity() {
         let (one, gain) = (Matrix1::new(1.0), 0.5);
         let integrator = OutputFeedback {
             state: one,
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn sum_of_a_scalar_is_the_geometric_series() {
+    fn scalar_lyapunov_sum_is_the_geometric_series() {
         let sum = summed(&Matrix1::new(0.9), &Matrix1::new(2.0)).expect("it decays");
         assert!((sum[0] - 2.0 / (1.0 - 0.81)).abs() < 1e-9);
         assert!(summed(&Matrix1::new(1.0), &Matrix1::new(2.0)).is_none());

@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_stabilised_is_refused() {
+    fn unstabilisable_pair_is_refused() {
         let one = Matrix1::new(1.0);
         for a in [1.0, 1.5, -2.0] {
             let refused = solve_dare(&Matrix1::new(a), &Matrix1::new(0.0), &one, &one);
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_weights_and_nan_are_named() {
+    fn invalid_weights_and_nan_are_named() {
         let one = Matrix1::new(1.0);
         assert_eq!(
             solve_dare(&one, &one, &one, &Matrix1::new(0.0)).err(),

@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn way_begins_at_the_offset_and_ends_at_rest_on_the_reference() {
+    fn way_back_starts_at_the_offset_and_ends_on_the_reference() {
         let state = State {
             position: Ned::new(0.1, -0.05, 0.02),
             velocity: Ned::new(0.2, 0.1, -0.1),

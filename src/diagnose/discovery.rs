@@ -379,7 +379,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn golden_sections_find_the_top() {
+    fn golden_section_search_finds_the_maximum() {
         let (at, top) = greatest([-1.0, 3.0], &|x| Some(5.0 - (x - 1.3).powi(2))).unwrap();
         assert!((at - 1.3).abs() < 0.02 && (top - 5.0).abs() < 1e-3, "{at} {top}");
         assert!(greatest([0.0, 1.0], &|_| None).is_none());

@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_named_where_the_files_numbers_close_the_gap() {
+    fn nothing_is_named_if_file_numbers_close_the_gap() {
         let file = explained(&[], 0.0, [8.0, 1.05]);
         let drag = explained(&["rotor_drag"], 12.0, [7.0, 1.04]);
         let decision = decide(&evidence(8.0, vec![file, drag]));
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn an_effect_is_named_that_closes_what_the_file_leaves_whatever_remains() {
+    fn effect_that_closes_most_of_the_gap_is_named() {
         let file = explained(&[], 0.0, [8.0, 6.0]);
         let whole = explained(&["rotor_drag"], 300.0, [1.1, 1.05]);
         let decision = decide(&evidence(8.0, vec![file.clone(), whole]));
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn what_changes_no_prediction_is_no_part_of_the_answer() {
+    fn effect_without_influence_on_predictions_is_not_named() {
         let file = explained(&[], 0.0, [8.0, 6.0]);
         let drag = explained(&["rotor_drag"], 300.0, [1.1, 1.05]);
         let beside = explained(&["rotor_drag", "motor_lag"], 330.0, [1.1, 1.05]);
@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_files_numbers_leave_at_twice_the_noise_is_open() {
+    fn gap_above_twice_the_noise_stays_open() {
         let leaves = |gap: f64| {
             let file = explained(&[], 0.0, [24.0, gap]);
             let wind = explained(&["wind"], -2.0, [24.0, gap]);
@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_within_the_files_tolerances_is_not_named() {
+    fn effect_within_file_tolerance_is_not_named() {
         let file = explained(&[], 0.0, [8.0, 6.0]);
         let mut both = explained(&["command_delay", "wind"], 400.0, [1.1, 1.05]);
         both.numbers[0].unremarkable = 0.5;
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_further_off_than_its_own_error_is_not_named() {
+    fn effect_smaller_than_its_own_error_is_not_named() {
         let file = explained(&[], 0.0, [8.0, 6.0]);
         let mut both = explained(&["command_delay", "wind"], 400.0, [1.1, 1.05]);
         both.numbers[0].deviation = 3.0;
@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn of_the_parts_of_an_explanation_the_one_that_predicts_best_is_named() {
+    fn best_predicting_part_of_an_explanation_is_named() {
         let file = explained(&[], 0.0, [40.0, 30.0]);
         let both = explained(&["battery_sag", "thrust_scale"], 400.0, [4.0, 4.0]);
         let sag = explained(&["battery_sag"], 320.0, [6.0, 6.0]);
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_vehicle_has_is_no_explanation() {
+    fn implausible_value_is_no_explanation() {
         let file = explained(&[], 0.0, [8.0, 6.0]);
         let mut far = explained(&["inertia"], 900.0, [1.1, 1.05]);
         far.numbers[0].is_at_bound = true;
@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_that_nothing_closes_is_unknown_or_noise_that_no_learner_predicts() {
+    fn unclosed_gap_is_unknown_or_unpredictable_noise() {
         let file = explained(&[], 0.0, [8.0, 7.9]);
         let drag = explained(&["rotor_drag"], 3.0, [7.9, 7.9]);
         let mut open = evidence(8.0, vec![file, drag]);
@@ -424,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn flights_of_the_exam_are_decided_as_they_were() {
+    fn stored_exam_flights_keep_their_verdicts() {
         let mass = of_flights(include_str!("snapshots/mass.json"));
         assert_eq!((mass.verdict, named(&mass)), (Verdict::Effect, vec!["mass"]));
         let null = of_flights(include_str!("snapshots/null.json"));
@@ -439,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn a_force_that_two_sensors_agree_on_is_unknown_or_gusts() {
+    fn force_confirmed_by_two_sensors_is_unknown_or_gusts() {
         let mut forced = evidence(8.0, vec![explained(&[], 0.0, [8.0, 7.9])]);
         forced.force = Some(ForceLeft { rms: 1.0, significance: 9.0, size: 3.0 });
         assert_eq!(decide(&forced).because, Some(Unexplained::Force));
@@ -448,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn where_nothing_is_predicted_the_equations_alone_tell() {
+    fn evidence_alone_decides_without_predictions() {
         let unseen = |nats: f64| {
             let mut all =
                 [explained(&[], 0.0, [1.0; 2]), explained(&["motor_lag"], nats, [1.0; 2])];
@@ -463,7 +463,7 @@ mod tests {
     }
 
     #[test]
-    fn a_moment_is_ambiguous_without_motor_outputs() {
+    fn moment_effect_is_ambiguous_without_motor_outputs() {
         let file = explained(&[], 0.0, [8.0, 6.0]);
         let inertia = explained(&["inertia"], 300.0, [1.1, 1.1]);
         let mut moment = evidence(8.0, vec![file, inertia]);
@@ -475,7 +475,7 @@ mod tests {
     }
 
     #[test]
-    fn a_level_of_the_thrust_is_ambiguous_without_a_voltage_that_falls() {
+    fn thrust_level_is_ambiguous_without_a_voltage_change() {
         let file = explained(&[], 0.0, [8.0, 6.0]);
         let mass = explained(&["mass"], 300.0, [1.1, 1.05]);
         let mut level = evidence(8.0, vec![file, mass]);
@@ -487,7 +487,7 @@ mod tests {
     }
 
     #[test]
-    fn two_that_explain_alike_are_ambiguous() {
+    fn equally_good_explanations_are_ambiguous() {
         let file = explained(&[], 0.0, [8.0, 6.0]);
         let wind = explained(&["wind"], 100.0, [1.1, 1.05]);
         let trim = explained(&["attitude_trim"], 99.5, [1.1, 1.05]);

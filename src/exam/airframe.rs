@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_vehicle_is_possible() {
+    fn every_drawn_vehicle_is_valid_and_round_trips() {
         for number in 0..300 {
             let drawn = vehicle(&mut Draw::new(11, number), "quad");
             let checked = drawn.clone().checked();

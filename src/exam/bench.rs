@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn what_flies_is_what_the_key_says() {
+    fn flown_vehicle_matches_the_key() {
         let (count, mut lost) = (24, 0);
         for number in 0..count {
             let bench = bench(number);
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn nulls_have_no_effect_and_their_files_say_what_they_are_to() {
+    fn null_cases_have_no_effect_and_matching_files() {
         let mut met = std::collections::BTreeSet::new();
         for number in 0..16 {
             let case = Case::fly(&SETTINGS, 4, number, "quad", &Kind::Null.into()).expect("a case");
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn size_is_what_the_file_cannot_explain() {
+    fn effect_size_excludes_what_file_tolerances_explain() {
         // A thrust error of 4 % is within the tolerances of a load cell and a scale; 20 % is not.
         let exact = |number: &u64| {
             let bench = bench(*number);

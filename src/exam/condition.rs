@@ -93,7 +93,7 @@ mod tests {
     use wire::dialect::{LOCAL_POSITION_NED_DATA, MavMessage};
 
     #[test]
-    fn logs_lose_what_they_are_to_lose() {
+    fn conditions_remove_the_intended_messages() {
         let mut encoder = Encoder::new(1, 1);
         let mut log = Writer::new(Vec::new());
         for number in 0..1000_u64 {

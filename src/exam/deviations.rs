@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_off_by_what_the_file_claims() {
+    fn deviations_match_the_claimed_tolerances() {
         let all: Vec<_> = drawn().collect();
         let bodies: Vec<_> = all.iter().map(|(file, off)| (file, off, off.body(file))).collect();
         // With 400 draws the standard error of a spread is 3.5 %.
@@ -434,7 +434,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drag_acts_that_the_file_lacks_and_the_pose_is_late() {
+    fn unmodelled_drag_and_pose_latency_are_drawn() {
         let mut other_laws = 0;
         for (file, off) in drawn() {
             let effects = off.effects();
@@ -457,7 +457,7 @@ mod tests {
     }
 
     #[test]
-    fn claims_are_those_that_were_drawn_by_and_are_read_back() {
+    fn claimed_tolerances_match_the_draw_and_round_trip() {
         let (file, off) = drawn().next().expect("one");
         let file = VehicleParams { provenance: off.tolerances.provenance(), ..file };
         let json = serde_json::to_string(&file).expect("JSON");
@@ -472,7 +472,7 @@ mod tests {
     }
 
     #[test]
-    fn an_effect_takes_the_place_of_the_deviation_of_its_number() {
+    fn effect_replaces_the_deviation_of_its_number() {
         let (file, off) = drawn().next().expect("one");
         let mut effects = EffectSet::new();
         effects.insert_argument("inertia:scale=[1.4,1.4,1.4]").expect("an effect");

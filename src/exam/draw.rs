@@ -97,14 +97,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn streams_repeat_themselves_and_differ_from_one_another() {
+    fn random_streams_are_reproducible_and_distinct() {
         let first = |number| Draw::new(7, number).seed();
         assert_eq!(first(3), first(3));
         assert_ne!(first(3), first(4));
     }
 
     #[test]
-    fn five_digits_are_kept() {
+    fn rounding_keeps_five_digits() {
         assert_eq!(rounded(0.0123456789), 0.012346);
         assert_eq!(rounded(-9.80661), -9.8066);
         assert_eq!(rounded(0.0), 0.0);

@@ -132,7 +132,7 @@ mod tests {
     use crate::exam::world::World;
 
     #[test]
-    fn a_fleet_is_as_it_was_asked_for_and_repeats_itself() {
+    fn fleet_matches_its_request_and_is_reproducible() {
         let settings =
             Settings { flights: 1, seconds: 12.0, world: World::Builders, ..Settings::default() };
         let shape = Shape { vehicles: 3, damaged: 0.34, shares: true };

@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn interval_is_the_published_one() {
+    fn wilson_interval_matches_published_values() {
         // Newcombe, Stat. Med. 17 (1998), table I: 81 of 263 gives 0.2553 to 0.3662.
         let [low, high] = wilson(81, 263);
         assert!((low - 0.2553).abs() < 1e-4 && (high - 0.3662).abs() < 1e-4);
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_and_medians_count() {
+    fn rates_and_medians_are_computed() {
         let rate = Rate::of([true, false, true, true]);
         assert_eq!((rate.count, rate.of, rate.rate), (3, 4, Some(0.75)));
         assert_eq!(median(vec![3.0, 1.0, 2.0]), Some(2.0));

@@ -209,7 +209,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_kind_of_law_is_a_law_and_depends_on_what_it_says() {
+    fn every_law_kind_parses_and_depends_on_its_variables() {
         let vehicle = VehicleParams::load("quad1200").unwrap();
         let mut draw = Draw::new(1, 1);
         let mut seen = std::collections::BTreeSet::new();

@@ -56,7 +56,7 @@ mod tests {
     use crate::diagnose::catalogue::hypothesis::Catalogue;
 
     #[test]
-    fn what_is_drawn_lies_within_what_the_diagnosis_allows() {
+    fn drawn_effects_lie_within_the_diagnosis_bounds() {
         let mut draw = Draw::new(5, 0);
         for kind in ["nano", "quad"] {
             let vehicle = super::super::airframe::vehicle(&mut draw, kind);
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn every_effect_grows_from_nothing() {
+    fn every_effect_grows_from_zero() {
         let mut draw = Draw::new(3, 0);
         let vehicle = super::super::airframe::vehicle(&mut draw, "quad");
         for effect in EffectId::ALL {

@@ -183,7 +183,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn derivatives_are_those_of_the_values() {
+    fn motion_derivatives_match_finite_differences() {
         let mut motion = Motion::at([0.0, 1.0, -2.0, 0.3]);
         motion.hold(1.0);
         motion.go_to([1.0, -1.0, -3.0, 2.0], 2.0);

@@ -304,7 +304,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_draw_is_one_that_the_simulator_takes_and_draws_repeat_themselves() {
+    fn every_onset_draw_is_simulable_and_reproducible() {
         for number in 0..200 {
             let case = OnsetCase::draw(3, number, true);
             let schedule = case.schedule().expect("a schedule");

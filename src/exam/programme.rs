@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn flights_last_and_stay_off_the_floor() {
+    fn flights_are_long_enough_and_stay_off_the_floor() {
         for motion in flights(Restriction::None) {
             assert!(motion.duration() > 18.0, "{}", motion.duration());
             for step in 0..450 {
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn restrictions_keep_out_what_they_say() {
+    fn restrictions_exclude_low_flight_and_yaw() {
         for motion in flights(Restriction::High) {
             assert!((0..450).all(|k| motion.sample(0.05 * f64::from(k)).position.down() < -15.0));
         }

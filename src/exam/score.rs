@@ -376,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn who_does_not_name_what_flights_hide_is_sure_of_nothing_wrong() {
+    fn undetectable_effect_may_go_unnamed_without_penalty() {
         let key = key(Kind::Trap, &[("vortex_ring", r#"{"loss_max":0.2}"#, r#"{"loss_max":0}"#)]);
         let none = row(&key, r#"{"verdict":"none","effects":[]}"#);
         assert!(none.trap_right && none.brier == 0.0);
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn equivalent_name_is_right_and_its_number_is_converted() {
+    fn equivalent_effect_is_right_and_its_number_converted() {
         let key = key(Kind::Single, &[("mass", r#"{"mass_kg":1.5}"#, r#"{"mass_kg":1.2}"#)]);
         let row = row(
             &key,
@@ -398,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_name_with_confidence_is_told_from_ambiguity() {
+    fn confident_wrong_name_is_distinguished_from_ambiguity() {
         let key = key(Kind::Single, &[("wind", "{}", "{}")]);
         let wrong = row(
             &key,
@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn effect_that_the_catalogue_lacks_is_right_to_name_by_nobody() {
+    fn naming_an_effect_missing_from_the_catalogue_is_wrong() {
         let mut key = key(Kind::LeftOut, &[("wind", "{}", "{}")]);
         key.without = vec!["wind".to_owned()];
         key.verdict = "unknown".to_owned();
@@ -429,7 +429,7 @@ mod tests {
     }
 
     #[test]
-    fn trap_wants_the_truth_beside_what_looks_like_it() {
+    fn trap_requires_the_truth_among_the_candidates() {
         let mut key = key(Kind::Trap, &[("wind", "{}", "{}")]);
         key.candidates = ["wind", "attitude_trim"].map(str::to_owned).to_vec();
         let is_right = |answer: &str| row(&key, answer).trap_right;
@@ -464,7 +464,7 @@ mod tests {
     }
 
     #[test]
-    fn a_deviation_is_acceptable_with_its_value_and_wrong_without() {
+    fn deviation_is_acceptable_only_with_its_right_value() {
         let null = off_file(Kind::Null);
         let graded = |scale: &str, intervals: &str| {
             let effect = format!(
@@ -487,7 +487,7 @@ mod tests {
     }
 
     #[test]
-    fn truth_beside_a_deviation_is_right_and_beside_something_else_mixed() {
+    fn truth_with_a_deviation_is_right_otherwise_mixed() {
         let case = off_file(Kind::Single);
         let mass = r#"{"id":"mass","probability":0.95,"parameters":{"mass_kg":1.3}}"#;
         let inertia = r#"{"id":"inertia","probability":0.97,"parameters":{"scale":[1.08,1,0.95]}}"#;
@@ -507,7 +507,7 @@ mod tests {
     }
 
     #[test]
-    fn below_the_practical_size_naming_and_none_are_both_right() {
+    fn naming_or_none_is_right_below_the_practical_size() {
         let case = KeyEntry { is_practical: false, ..off_file(Kind::Single) };
         let mass = r#"{"verdict":"effect","effects":[{"id":"mass","probability":0.8}]}"#;
         assert_eq!(row(&case, r#"{"verdict":"none"}"#).grade, Grade::Right);

@@ -488,7 +488,7 @@ mod tests {
     use crate::exam::programme::{Restriction, Vigour, programme};
 
     #[test]
-    fn nominal_vehicle_is_predicted_and_an_effect_is_not() {
+    fn nominal_flight_is_predicted_and_an_effect_stands_out() {
         let mut draw = Draw::new(2, 0);
         let mut nominal = airframe::vehicle(&mut draw, "quad");
         // Without a delay there is no jitter, so the test is deterministic.

@@ -509,7 +509,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_brier_score_beyond_its_bound_is_a_miss() {
+    fn brier_score_beyond_its_bound_fails() {
         let mut summary = Summary { count: 60, ..Summary::new(&[]) };
         assert!(summary.holds());
         summary.brier = Some(2.0 * BRIER_MAX);
@@ -521,7 +521,7 @@ mod tests {
     }
 
     #[test]
-    fn few_cases_miss_a_bound_only_beyond_chance() {
+    fn few_cases_fail_a_bound_only_beyond_chance() {
         let standing = |count, of, wanted| {
             Measure { name: "rate", rate: Rate::new(count, of), wanted: Some(wanted) }.standing()
         };

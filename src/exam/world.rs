@@ -244,7 +244,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_are_those_that_are_stated() {
+    fn drawn_shares_match_the_stated_ones() {
         let drawn: Vec<Setting> =
             (0..2000).map(|number| Setting::draw(&mut Draw::new(2, number), 150.0)).collect();
         let share = |is: &dyn Fn(&Setting) -> bool| {

@@ -38,7 +38,7 @@ impl Guard {
 }
 
 #[test]
-fn what_is_not_permitted_stays() {
+fn setpoint_without_permission_is_withheld() {
     let pass = |order| guard().pass(at(10), &level(10), order).is_ok();
     let passes =
         |stance| [Obeys::Unknown, Obeys::No, Obeys::Yes].map(|obeys| pass(Order { stance, obeys }));
@@ -48,7 +48,7 @@ fn what_is_not_permitted_stays() {
 }
 
 #[test]
-fn what_was_heard_after_the_proposal_counts() {
+fn permission_revoked_after_the_proposal_withholds_it() {
     let mut guard = guard();
     guard.propose(at(10), &level(10), OBEYED).expect("permitted");
     assert_eq!(guard.clear(at(10), Order::default()), Err(Withheld::NotPermitted));
@@ -56,7 +56,7 @@ fn what_was_heard_after_the_proposal_counts() {
 }
 
 #[test]
-fn each_sample_is_answered_once_and_none_after_a_newer_one() {
+fn each_sample_is_answered_once_and_in_order() {
     let mut guard = guard();
     guard.pass(at(10), &level(10), OBEYED).expect("a first answer");
     assert_eq!(guard.clear(at(10), OBEYED), Err(Withheld::Nothing));
@@ -71,7 +71,7 @@ fn each_sample_is_answered_once_and_none_after_a_newer_one() {
 }
 
 #[test]
-fn an_old_sample_is_not_answered() {
+fn stale_sample_is_not_answered() {
     let mut guard = guard();
     for ms in [20, 40, 60] {
         guard.turn(at(ms));
@@ -81,7 +81,7 @@ fn an_old_sample_is_not_answered() {
 }
 
 #[test]
-fn after_a_stall_the_first_answer_is_to_a_sample_that_left_after_it() {
+fn first_answer_after_a_stall_is_to_a_later_sample() {
     let mut guard = guard();
     guard.pass(at(10), &level(10), OBEYED).expect("before");
     guard.propose(at(20), &level(20), OBEYED).expect("before");
@@ -108,7 +108,7 @@ fn after_a_stall_the_first_answer_is_to_a_sample_that_left_after_it() {
 }
 
 #[test]
-fn fifty_milliseconds_are_no_stall() {
+fn turns_up_to_fifty_milliseconds_apart_are_no_stall() {
     let mut guard = guard();
     guard.turn(at(50));
     guard.turn(at(100));
@@ -118,7 +118,7 @@ fn fifty_milliseconds_are_no_stall() {
 }
 
 #[test]
-fn a_setpoint_changes_no_quicker_than_its_limits_say() {
+fn setpoint_change_rates_are_limited() {
     let slow = Limits {
         thrust_change_max_per_s: 20.0,
         attitude_change_max_rad_s: 20.0,
@@ -159,7 +159,7 @@ fn talk() -> impl Strategy<Value = (u64, Proposal, Order)> {
 
 proptest! {
     #[test]
-    fn whatever_is_said_what_leaves_is_within_limits_fresh_and_permitted(
+    fn every_passed_setpoint_is_permitted_fresh_and_bounded(
         talk in prop::collection::vec(talk(), 1..200),
     ) {
         let limits = Limits::default();
@@ -235,7 +235,7 @@ unsafe impl GlobalAlloc for Counting {
 static COUNTING: Counting = Counting;
 
 #[test]
-fn nothing_is_allocated_after_the_start() {
+fn guard_allocates_nothing_after_the_start() {
     let mut guard = guard();
     let before = TAKEN.get();
     for k in 1..1000 {

@@ -95,13 +95,13 @@ mod tests {
     }
 
     #[test]
-    fn stamps_in_bursts_are_no_gaps() {
+    fn bursty_timestamps_are_not_gaps() {
         let bursts = (0..300).flat_map(|k| [0.0, 0.001, 0.002].map(|at| f64::from(k) * 0.03 + at));
         assert_eq!(unbroken(&stream(bursts)).len(), 1);
     }
 
     #[test]
-    fn what_goes_on_without_a_gap_can_be_told_throughout() {
+    fn unbroken_spans_can_be_interpolated_throughout() {
         // From 100 Hz down to the longest admissible period, with one pause.
         for period in [0.01, 0.05, 0.2] {
             let times = (0..100).map(|k| f64::from(k) * period);

@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_whose_errors_are_no_numbers_is_never_the_best() {
+    fn model_with_non_finite_errors_is_never_best() {
         let seen = |net, physics, hybrid| {
             let models = [("net", net), ("physics", physics), ("hybrid", hybrid), (HOLD, 1.0)];
             preferred(&models.map(|(name, error)| summary(name, error)))
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn one_model_without_numbers_does_not_keep_a_window_with_none_that_has_them() {
+    fn window_with_any_finite_model_beats_one_with_none() {
         let seen = |net, physics, hybrid| {
             let models = [("net", net), ("physics", physics), ("hybrid", hybrid), (HOLD, 1.0)];
             standing_of(&models.map(|(name, error)| summary(name, error)))
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_that_are_no_numbers_can_be_read_again() {
+    fn non_finite_errors_round_trip_through_json() {
         for written in [summary("net", f64::NAN), summary("net", f64::INFINITY)] {
             let text = serde_json::to_string(&written).expect("JSON");
             let read: MultiStepSummary = serde_json::from_str(&text).expect("a summary");

@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rosenbrocks_valley_is_followed_to_its_end() {
+    fn rosenbrock_valley_converges_to_its_minimum() {
         let found = least_squares([-1.2, 1.0], &[1.0, 1.0], |&[x, y]| {
             ([x, y], Some(DVector::from_vec(vec![10.0 * (y - x * x), 1.0 - x])))
         });
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bound_holds_and_the_rest_goes_on() {
+    fn bounded_parameter_does_not_stop_the_others() {
         let found = least_squares([0.0, 0.0], &[1.0, 1.0], |&[x, y]| {
             let x = x.min(0.5);
             ([x, y], Some(DVector::from_vec(vec![x - 1.0, y - 2.0])))
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn one_wild_residual_hardly_moves_the_others() {
+    fn huber_weight_limits_outlier_residuals() {
         assert_eq!(huber(2.0), 2.0);
         assert!(huber(-100.0) > -26.0 && huber(-100.0) < -24.0);
     }

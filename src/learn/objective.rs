@@ -204,7 +204,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
-        fn every_instruction_set_agrees_with_the_plain_sums(
+        fn every_instruction_set_agrees_with_plain_sums(
             shape in shapes(),
             rows in prop::sample::select(vec![1_usize, 15, 16, 17, 100, BLOCK + 5, CHUNK + 31]),
             seed in any::<u64>(),
@@ -229,7 +229,7 @@ mod tests {
         }
 
         #[test]
-        fn the_gradient_is_that_of_finite_differences(shape in shapes(), seed in any::<u64>()) {
+        fn gradient_matches_finite_differences(shape in shapes(), seed in any::<u64>()) {
             let (samples, parameters) = random_problem(shape, 20, seed);
             let wide: Vec<f64> = parameters.iter().copied().map(f64::from).collect();
             let step = 1e-5;
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn batches_make_up_the_whole() {
+    fn batches_add_up_to_the_whole() {
         let shape = Shape { inputs: 3, hidden: 5, outputs: 2 };
         let (samples, parameters) = random_problem(shape, 2 * BLOCK + 7, 1);
         let mut objective = Objective::new(Cow::Borrowed(&samples), shape);

@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_step_grows_then_shrinks_then_pauses() {
+    fn rprop_step_grows_shrinks_and_pauses() {
         let mut rprop = Rprop::new(1);
         let mut parameter = [0.0];
         rprop.step(&mut parameter, &[-1.0]);
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn it_finds_the_bottom_of_a_badly_scaled_bowl() {
+    fn rprop_minimises_a_badly_scaled_quadratic() {
         let mut rprop = Rprop::new(2);
         let mut at = [3.0_f32, -2.0];
         for _ in 0..200 {

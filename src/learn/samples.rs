@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_come_out_as_they_went_in_and_padding_weighs_nothing() {
+    fn rows_round_trip_and_padding_has_zero_weight() {
         let mut samples = Samples::with_capacity(2, 1, 0);
         for row in 0..19_u8 {
             let value = f32::from(row);
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn shuffled_rows_are_the_same_rows() {
+    fn shuffling_keeps_the_set_of_rows() {
         let mut samples = Samples::with_capacity(1, 1, 0);
         for row in 0..100_u8 {
             samples.push(&[row.into()], &[f32::from(row) + 1.0]).expect("a row");
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_that_is_no_number_is_refused_and_leaves_no_trace() {
+    fn non_finite_row_is_refused_without_side_effects() {
         let mut samples = Samples::with_capacity(2, 1, 0);
         samples.push(&[1.0, 2.0], &[3.0]).expect("a row");
         let before = samples.clone();

@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_in_the_input_is_cut_out_though_the_other_commands_go_on() {
+    fn gap_in_the_input_is_excluded_despite_other_commands() {
         for source in [CommandSource::OnboardLaw, CommandSource::MotorOutputs] {
             let mut flight = flight(every_10_ms(20), 1.0);
             match source {
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn a_setpoint_rules_until_it_is_too_old() {
+    fn setpoint_holds_until_it_is_too_old() {
         let mut flight = flight(every_10_ms(10), 1.0);
         flight.setpoint = without(&flight.setpoint, 5.005..5.075);
         let law = |flight: &Flight| driven(flight, CommandSource::OnboardLaw).expect("enough");
@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_of_the_clock_parts_a_flight_and_a_wrong_unit_is_named() {
+    fn clock_jump_splits_a_flight_and_wrong_unit_is_named() {
         let jump = every_10_ms(20).map(|t| if t < 10.0 { t } else { t + 1e9 });
         let segments = driven(&flight(jump, 1.0), CommandSource::MotorOutputs).expect("enough");
         assert_eq!(segments.spans.len(), 2);
@@ -382,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn the_floor_need_not_be_the_worlds_origin() {
+    fn floor_height_need_not_be_zero() {
         let mut flight = flight(every_10_ms(10), 0.0);
         let heights = flight.position.times().to_vec();
         flight.position = Stream::default();
@@ -395,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn a_strong_vehicle_flies_on_little() {
+    fn strong_vehicle_counts_as_flying_at_low_outputs() {
         let mut flight = flight(every_10_ms(10), 1.0);
         flight.outputs = flight.outputs.map(|_| [0.12; 4]);
         let seconds = |hover| {
@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn times_that_must_not_be_used_are_cut_where_their_stream_counts() {
+    fn cuts_apply_only_to_streams_in_use() {
         let flight = flight(every_10_ms(20), 1.0);
         let cut = |stream| Cut { stream, reason: "frozen", times: 5.0..8.0 };
         let seconds = |stream| {
@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn the_audit_names_the_streams_of_commands_as_cuts_do() {
+    fn audit_and_cuts_use_the_same_stream_names() {
         let mut flight = flight(every_10_ms(20), 1.0);
         for time in every_10_ms(20) {
             flight.rotor_speed.push(time, [500.0; 4]);

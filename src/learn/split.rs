@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn many_flights_are_shared_as_the_paper_does() {
+    fn many_flights_split_in_the_papers_proportions() {
         let [training, validation, test] = shares(&Split::of(&[flight(6000); 40]));
         assert!((training - 0.60).abs() < 0.03);
         assert!((validation - 0.25).abs() < 0.03);
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_of_flight_comes_into_every_part() {
+    fn every_part_contains_every_kind_of_flight() {
         let split = Split::of(&[flight(6000); 40]);
         for kind in split.flights.chunks(8) {
             for part in Part::ALL {
@@ -316,7 +316,7 @@ mod tests {
 
     /// Packs that are swapped in a cycle keep step with the parts' turns.
     #[test]
-    fn what_goes_round_is_shared_alike() {
+    fn cyclic_battery_packs_are_spread_over_all_parts() {
         let packs = [12.6, 11.4, 12.0, 10.8];
         let flights: Vec<Traits> =
             (0..40).map(|i| Traits { voltage_v: packs[i % 4], ..flight(6000) }).collect();
@@ -334,7 +334,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_split_is_far_from_its_shares(
+        fn every_split_is_close_to_its_shares(
             flown in prop::collection::vec((3000usize..9000, 0.0..3.0_f64, 0.0..2.0_f64), 20..60),
         ) {
             let flights: Vec<Traits> = flown
@@ -352,7 +352,7 @@ mod tests {
         }
 
         #[test]
-        fn blocks_of_one_flight_do_not_touch(count in 0usize..20_000) {
+        fn blocks_of_one_flight_are_separated(count in 0usize..20_000) {
             let split = Split::of(&[flight(count)]);
             let ranges = &split.flights[0];
             for pair in ranges.windows(2) {

@@ -114,14 +114,14 @@ mod tests {
     }
 
     #[test]
-    fn a_line_has_its_own_value_and_slope() {
+    fn linear_signal_keeps_its_value_and_slope() {
         let stream = sampled(|t| 3.0 + 2.0 * t);
         let ([value], [slope]) = Sliding::new(&stream, 0.02).line(0.5).expect("a window");
         assert!((value - 4.0).abs() < 1e-12 && (slope - 2.0).abs() < 1e-9);
     }
 
     #[test]
-    fn the_slope_is_the_parabola_s_average_of_the_derivative() {
+    fn fitted_slope_is_the_parabola_weighted_mean_derivative() {
         let omega = 2.0 * std::f64::consts::PI * 7.0;
         let stream = sampled(|t| (omega * t).sin());
         let derivative = sampled(|t| omega * (omega * t).cos());
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn the_stated_bandwidth_is_where_half_the_power_is_left() {
+    fn half_power_falls_at_the_stated_bandwidth() {
         let half = 0.04;
         let omega = 2.0 * std::f64::consts::PI * BANDWIDTH / half;
         let stream = sampled(|t| (omega * (t - 0.5)).cos());
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_window_over_a_gap_or_an_end_gives_nothing() {
+    fn window_across_a_gap_or_end_gives_nothing() {
         let stream = sampled(|t| t);
         assert!(Sliding::new(&stream, 0.02).line(-0.015).is_none());
         assert!(Sliding::new(&stream, 0.02).line(0.0).is_none());

@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn bundled_gets_attitude_rates_and_thrust() {
+    fn bundled_vehicle_gets_attitude_rates_and_thrust() {
         let data = encode(&setpoint(), None, &Profile::BUNDLED, &map()).unwrap();
         assert_eq!(data.type_mask.bits(), 0);
         assert_eq!(
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_sent_is_read_back_as_its_mask_keeps_it() {
+    fn sent_setpoint_round_trips_within_its_mask() {
         let sent = |profile: &Profile| {
             let data = encode(&setpoint(), None, profile, &map()).unwrap();
             let mut bytes = Vec::new();
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_close_the_attitude_loop() {
+    fn rate_setpoints_close_the_attitude_loop() {
         let gain = [6.0, 6.0, 3.0];
         let profile = Profile::identify(12, 2, None, false, FormChoice::RatesThrust { gain });
         let at_rest = Setpoint { body_rate: Frd::zero(), ..setpoint() };
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn arducopter_turns_the_sent_rates_into_body_rates() {
+    fn sent_rates_become_body_rates_on_arducopter() {
         let profile = Profile::identify(3, 2, None, false, FormChoice::ArduCopterRates);
         let data = encode(&setpoint(), None, &profile, &map()).unwrap();
         let command = Attitude::from_wire(data.q).unwrap();
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_is_never_sent() {
+    fn non_finite_setpoint_is_never_sent() {
         for broken in [
             Setpoint { thrust_n: f64::NAN, ..setpoint() },
             Setpoint { attitude: Euler::new(f64::INFINITY, 0.0, 0.0), ..setpoint() },
@@ -250,7 +250,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn thrust_maps_back(full in 1f64..100.0, share in 0f64..=1.0, part in 0f64..=1.0) {
+        fn thrust_map_round_trips(full in 1f64..100.0, share in 0f64..=1.0, part in 0f64..=1.0) {
             let map = ThrustMap::curve(full, share).unwrap();
             let fraction = map.fraction(part * full);
             prop_assert!((0.0..=1.0).contains(&fraction));
@@ -258,7 +258,7 @@ mod tests {
         }
 
         #[test]
-        fn quaternions_are_always_unit(
+        fn sent_quaternion_is_always_unit(
             roll in -1e3f64..1e3, pitch in -1e3f64..1e3, yaw in -1e3f64..1e3, thrust in -1e9f64..1e9,
         ) {
             let wild = Setpoint {

@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn px4_by_the_speed_of_the_line() {
+    fn px4_rates_follow_the_line_speed() {
         let cases = [
             (3_000_000, [250.0, 100.0, 100.0, 250.0, 100.0]),
             (921_600, [250.0, 100.0, 100.0, 100.0, 50.0]),
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn every_profile_fits_the_usual_lines_and_keeps_attitude_and_position() {
+    fn every_profile_fits_usual_lines_and_keeps_attitude_and_position() {
         for profile in [Profile::PX4, Profile::BUNDLED, Profile::ARDUCOPTER, Profile::UNKNOWN] {
             let mut share_before = 0.0;
             for baud in [921_600, 460_800, 230_400, 115_200, 57_600] {
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_fit_says_so_and_what_was_asked_for_explicitly_stays() {
+    fn hopeless_line_is_reported_and_explicit_rates_are_kept() {
         let hopeless = px4(9600);
         assert!(!hopeless.fits());
         assert!(hopeless.to_string().ends_with("raise the baud rate"), "{hopeless}");
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn message_names_what_was_lowered() {
+    fn budget_message_names_lowered_rates() {
         let text = px4(921_600).to_string();
         assert!(text.contains("at 921600 baud"), "{text}");
         assert!(text.contains("HIGHRES_IMU at 100 instead of 250 Hz"), "{text}");

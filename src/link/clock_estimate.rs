@@ -73,7 +73,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_two_ways_are_each_others_inverse(
+        fn clock_conversions_are_inverse(
             offset_s in -1.6e9..-1.0e9f64, skew in -0.05..0.05f64, since_ms in 0..600_000u64,
         ) {
             let at = HostTime::from_ns(1_700_000_000_000_000_000);

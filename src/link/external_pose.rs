@@ -115,7 +115,7 @@ mod tests {
     };
 
     #[test]
-    fn both_messages_say_the_same_pose() {
+    fn both_pose_messages_carry_the_same_pose() {
         let MavMessage::VISION_POSITION_ESTIMATE(vision) = POSE.message(PoseForm::Vision) else {
             panic!()
         };

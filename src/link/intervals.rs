@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn one_request_at_a_time() {
+    fn only_one_interval_request_is_pending() {
         let mut intervals = Intervals::default();
         let position = MessageRate { id: 32, hz: 50.0 };
         intervals.start(START, &[ATTITUDE, position]);
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rate_that_another_station_lowers_is_asked_for_again() {
+    fn rate_lowered_by_another_station_is_requested_again() {
         let mut intervals = Intervals::default();
         intervals.start(START, &[ATTITUDE]);
         intervals.next_request(START);
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn what_never_comes_is_asked_for_more_slowly() {
+    fn missing_message_is_requested_less_and_less_often() {
         let mut intervals = Intervals::default();
         intervals.start(START, &[ATTITUDE]);
         let mut requests = 0;
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn refused_rates_are_halved_and_given_up() {
+    fn refused_rate_is_halved_and_then_abandoned() {
         let mut intervals = Intervals::default();
         intervals.start(START, &[MessageRate { id: 331, hz: 2.0 }]);
         intervals.next_request(START);

@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_nobody_asked_for_is_named_with_its_bytes() {
+    fn unrequested_messages_are_named_with_their_load() {
         let count = |id, rate_hz| MessageCount { id, total: 1, rate_hz };
         // Payloads: ATTITUDE_QUATERNION 32 bytes, HIGHRES_IMU 62, VFR_HUD 20, HEARTBEAT 9.
         let messages = [count(31, 10.0), count(105, 10.0), count(74, 20.0), count(0, 1.0)];

@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn arducopter_acts_only_for_the_station_that_its_failsafe_listens_to() {
+    fn arducopter_loss_reaction_applies_only_to_its_gcs() {
         let reaction = |enable: f64, gcs: (&str, f64), high: f64| {
             let known = [("FS_GCS_ENABLE", enable), gcs, ("MAV_GCS_SYSID_HI", high)];
             LossLaw::ArduCopter.reaction(&read(&known), 254)

@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_gives_back_no_permission_that_was_taken() {
+    fn repeated_report_restores_no_revoked_permission() {
         let mut words = ModeWords::default();
         words.heard(at(0));
         assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_word_without_a_place_takes_and_does_not_give() {
+    fn report_in_unsettled_order_revokes_but_never_grants() {
         let mut words = ModeWords::default();
         let unsettled = |frame, mode| ModeWord { is_settled: false, ..word(frame, mode) };
         words.heard(at(0));
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_word_that_takes_and_seems_old_is_dropped_only_where_the_order_is_settled() {
+    fn old_revoking_report_is_dropped_only_in_settled_order() {
         let mut words = ModeWords::default();
         let older =
             |is_settled, mode| ModeWord { is_newer: false, is_settled, ..word(b"overtaken", mode) };
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_out_of_its_place_does_not_confirm_the_mode() {
+    fn out_of_sequence_copy_does_not_confirm_the_mode() {
         let mut words = ModeWords::default();
         let copy = |frame, mode| ModeWord { is_next: false, ..word(frame, mode) };
         words.heard(at(0));
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_silence_a_copy_says_nothing_and_while_all_is_known_it_may_come() {
+    fn copy_is_doubtful_only_after_a_silence_or_change() {
         let mut words = ModeWords::default();
         words.heard(at(0));
         assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);

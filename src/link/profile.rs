@@ -404,7 +404,7 @@ mod tests {
     const PLANE: u8 = 1;
 
     #[test]
-    fn masks_by_vehicle_and_choice() {
+    fn type_mask_follows_vehicle_and_form_choice() {
         use FormChoice as C;
         let rates = C::RatesThrust { gain: [6.0; 3] };
         let cases = [
@@ -436,7 +436,7 @@ mod tests {
     }
 
     #[test]
-    fn px4_modes_read_as_documented() {
+    fn px4_modes_match_the_documentation() {
         let modes = Profile::PX4.modes;
         assert_eq!(modes.offboard.map(|mode| mode.custom_mode), Some(0x0006_0000));
         assert_eq!(modes.hold.map(|mode| mode.custom_mode), Some(0x0304_0000));
@@ -444,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn parameter_rules() {
+    fn required_parameter_rules_hold() {
         let bits = Profile::ARDUCOPTER.required[0];
         assert!(bits.holds(8.0) && bits.holds(9.0) && !bits.holds(1.0) && !bits.holds(-8.0));
         let timeout = Profile::PX4.loss_timeout.unwrap();

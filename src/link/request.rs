@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mode_is_believed_when_read_back() {
+    fn mode_request_is_done_when_the_mode_is_reported() {
         let mut requests = Requests::default();
         submit(&mut requests, Request::SetMode(FlightMode::Offboard));
         assert_eq!(sent(&mut requests, START).len(), 1);
@@ -400,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn an_accept_that_is_followed_by_a_reject_is_a_reject() {
+    fn accept_followed_by_reject_is_a_reject() {
         let mut requests = Requests::default();
         submit(&mut requests, Request::SetMode(FlightMode::Offboard));
         sent(&mut requests, START);
@@ -410,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn an_accepted_mode_that_never_shows_is_not_in_force() {
+    fn accepted_mode_that_is_never_reported_is_not_in_force() {
         let mut requests = Requests::default();
         submit(&mut requests, Request::SetMode(FlightMode::Land));
         sent(&mut requests, START);
@@ -421,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn silence_is_asked_again_and_then_told() {
+    fn unanswered_request_is_repeated_and_then_reported() {
         let mut requests = Requests::default();
         submit(&mut requests, Request::Arm);
         let mut count = 0;
@@ -434,7 +434,7 @@ mod tests {
     }
 
     #[test]
-    fn a_newer_request_of_the_same_kind_wins() {
+    fn newer_request_supersedes_one_of_the_same_kind() {
         let mut requests = Requests::default();
         submit(&mut requests, Request::SetMode(FlightMode::Offboard));
         sent(&mut requests, START);
@@ -445,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_withdrawn_is_not_asked_again() {
+    fn withdrawn_request_is_not_repeated() {
         let mut requests = Requests::default();
         submit(&mut requests, Request::SetMode(FlightMode::Land));
         assert_eq!(sent(&mut requests, START).len(), 1);
@@ -455,7 +455,7 @@ mod tests {
     }
 
     #[test]
-    fn a_parameter_is_read_for_its_type_then_set_then_read_back() {
+    fn parameter_is_read_then_set_then_read_back() {
         let mut requests = Requests::default();
         let request = Request::SetParameter { name: "COM_OF_LOSS_T".into(), value: 0.2 };
         submit(&mut requests, request);
@@ -468,7 +468,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_profile_lacks_is_unsupported() {
+    fn request_missing_from_the_profile_is_unsupported() {
         let mut requests = Requests::default();
         let nothing = Request::SetParameter { name: "MIS_TAKEOFF_ALT".into(), value: f64::NAN };
         submit(&mut requests, nothing);

@@ -266,21 +266,21 @@ mod tests {
     }
 
     #[test]
-    fn gaps_are_counted_over_the_wrap_and_restarts_are_not() {
+    fn gaps_count_as_losses_across_the_wrap_but_not_restarts() {
         let sent = (0..300_u32).filter(|k| ![100, 101, 255].contains(k));
         assert_eq!(lost_after(sent.map(|k| k as u8)), 3);
         assert_eq!(lost_after([150, 151, 0, 1]), 0, "a restart begins at zero");
     }
 
     #[test]
-    fn what_comes_late_is_not_lost() {
+    fn late_frames_are_not_counted_as_lost() {
         assert_eq!(lost_after([7, 8, 10, 9, 11]), 0);
         assert_eq!(lost_after([254, 1, 255, 0, 2]), 0);
         assert_eq!(lost_after([7, 8, 8, 9, 9]), 0);
     }
 
     #[test]
-    fn another_way_has_other_numbers() {
+    fn new_path_starts_its_own_sequence() {
         let mut sequence = Sequence::default();
         sequence.take(START, 10, b"a", true);
         sequence.restart();
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_is_followed_wherever_the_count_was() {
+    fn sender_restart_is_followed_from_any_sequence_number() {
         for last in 0..=255u8 {
             let mut sequence = Sequence::default();
             let mut frame = 0u32;
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn the_order_is_unsettled_after_a_silence_in_which_the_numbers_wrap() {
+    fn order_is_unsettled_after_a_silence_long_enough_to_wrap() {
         // Frames at a rate, a silence, and a step of the number: whether the order is unsettled.
         let after = |per_s: u32, silent_ms: u64, step: u8| {
             let mut sequence = Sequence::default();
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sender_that_does_not_count_is_heard() {
+    fn frames_with_constant_sequence_number_are_accepted() {
         let mut sequence = Sequence::default();
         for k in 0..2000u32 {
             let at = START + Duration::from_millis(10) * k;
@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_radio_tells_nothing_again_however_late_it_is() {
+    fn copies_from_a_second_radio_are_dropped_at_any_lag() {
         // At 500 frames a second.
         for lag in [0, 1, 5, 90, 130, 255, 256, 257, 400, 700] {
             let mut sequence = Sequence::default();
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_radios_that_lose_frames_each_is_told_once_and_in_order() {
+    fn frames_of_two_lossy_radios_pass_once_and_in_order() {
         let lost = |k: u32, of: u32| k.wrapping_mul(2_654_435_761) >> 24 < of;
         for lag in [3, 60, 300] {
             let mut sequence = Sequence::default();

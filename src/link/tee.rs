@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_closed_peer_left_unfinished_does_not_swallow_the_next_ones_frame() {
+    fn partial_frame_of_a_closed_peer_is_discarded() {
         let mut encoder = Encoder::new(1, 1);
         let mut frame = Vec::new();
         encoder.encode(&MavMessage::HEARTBEAT(Default::default()), &mut frame);

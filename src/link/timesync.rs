@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn lopsided_jitter_does_not_move_the_offset() {
+    fn asymmetric_jitter_does_not_bias_the_offset() {
         let mut sync = VehicleClock::default();
         let us = Duration::from_micros;
         for k in 0..200u32 {
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn only_own_open_requests_count() {
+    fn only_own_pending_requests_are_accepted() {
         let mut sync = VehicleClock::default();
         let ts1 = sync.request(START);
         let later = START + Duration::from_millis(1);
@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reboot_is_a_jump_and_one_wild_sample_is_not() {
+    fn reboot_is_a_jump_but_a_single_outlier_is_not() {
         let mut sync = VehicleClock::default();
         let ms = Duration::from_millis(1);
         exchange(&mut sync, START, ms, ms);
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_serve_where_nobody_answers() {
+    fn arrival_stamps_are_used_without_timesync_answers() {
         let mut sync = VehicleClock::default();
         for k in 0..100u32 {
             let sampled = START + Duration::from_millis(10) * k;

@@ -245,7 +245,7 @@ mod tests {
     const NO_QUEUE: (f64, f64) = (f64::INFINITY, f64::INFINITY);
 
     #[test]
-    fn a_simulator_at_0_989_of_real_time_is_never_late() {
+    fn simulator_at_0_989_of_real_time_is_never_late() {
         for is_answering in [true, false] {
             let run = run(steady(-0.011, is_answering), 60.0, NO_QUEUE, |_| 0.001);
             assert!(run.wronged.is_empty(), "{is_answering}: {:?}", run.wronged);
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stall_of_the_vehicle_is_followed_at_once_where_it_answers() {
+    fn vehicle_clock_stall_is_tracked_sooner_with_timesync() {
         let model = Model { stall_at_s: 5.0, stall_s: 0.43, ..steady(0.0, true) };
         let late = run(model, 12.0, NO_QUEUE, |_| 0.001);
         let until = late.wronged.iter().fold(0.0, |a: f64, b| a.max(*b));
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn a_queue_is_no_slip_however_long_it_stays() {
+    fn queueing_delay_is_not_mistaken_for_clock_slip() {
         // A link that is cut for 1.5 s, and one that is 0.6 s behind for 30 s, starting at 10 s.
         for is_answering in [true, false] {
             let cut = run(steady(0.0, is_answering), 15.0, (8.0, 9.5), |_| 0.001);
@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn the_clock_of_timesync_need_not_be_that_of_the_stamps() {
+    fn timesync_clock_may_differ_from_the_timestamp_clock() {
         let mut clock = VehicleClock::default();
         for k in 0..500u32 {
             let now = START + Duration::from_millis(10) * k;
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_is_not_late_for_long() {
+    fn vehicle_restart_does_not_count_as_late() {
         let mut clock = VehicleClock::default();
         let mut stamps = |from_s: f64, at_s: f64| {
             (0..300u32)
@@ -311,7 +311,7 @@ mod tests {
     proptest! {
         /// Whatever a vehicle sends, nothing overflows.
         #[test]
-        fn no_stamp_and_no_answer_panics(heard in prop::collection::vec(any::<(u64, i64)>(), 1..60)) {
+        fn arbitrary_stamps_and_answers_never_panic(heard in prop::collection::vec(any::<(u64, i64)>(), 1..60)) {
             let mut clock = VehicleClock::default();
             for (k, (us, tc1)) in heard.into_iter().enumerate() {
                 let now = START + Duration::from_millis(300) * k as u32;
@@ -331,7 +331,7 @@ mod tests {
         /// Over skews, jitter and round trips: no undelayed message counts as late, and every
         /// queued one does.
         #[test]
-        fn late_is_what_waited(
+        fn only_queued_messages_count_as_late(
             skew in -0.05f64..0.05,
             is_answering: bool,
             base in 0.0005f64..0.03,
@@ -348,7 +348,7 @@ mod tests {
 
         /// A stall of any length below a second, at any skew and with jitter, is soon followed.
         #[test]
-        fn stalls_are_followed(
+        fn clock_stalls_are_tracked(
             skew in -0.03f64..0.03,
             stall_at_s in 3.0f64..6.0,
             stall_s in 0.05f64..0.95,

@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn bodies_and_stamps_are_found_between_all_the_rest() {
+    fn bodies_and_timestamps_are_found_among_other_data() {
         for version in [V31, Version { major: 4, minor: 0 }, V41] {
             let sent = [(1, [1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8], 1), (7, [0.0; 7], 0)];
             let Ok(Packet::Frame(found)) = Decoder::new(version).datagram(&frame(version, &sent))
@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn the_server_says_version_and_rate_and_one_stream_keeps_its_clock() {
+    fn server_info_sets_version_and_rate_without_changing_the_clock() {
         let mut decoder = Decoder::new(V31);
         let said = decoder.datagram(&server(V41, 1_000_000));
         assert_eq!(said, Ok(Packet::Server { version: V41 }));
@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn older_versions_and_wrong_ones_are_refused() {
+    fn unsupported_natnet_versions_are_refused() {
         let old = Decoder::new(V31).datagram(&server(Version { major: 2, minor: 10 }, 1));
         assert!(old.expect_err("too old").to_string().contains("update Motive"));
         let one = [(1, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], 1)];
@@ -370,7 +370,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_break_it(
+        fn arbitrary_bytes_never_panic_the_parser(
             message in prop::sample::select(vec![id::SERVER_INFO, id::FRAME, 5, 100]),
             bytes in prop::collection::vec(any::<u8>(), 0..600),
             sized in any::<bool>(),
@@ -381,7 +381,7 @@ mod tests {
         }
 
         #[test]
-        fn no_damage_breaks_a_frame(
+        fn damaged_frame_never_panics_the_decoder(
             at in any::<prop::sample::Index>(), byte in any::<u8>(), cut in any::<prop::sample::Index>(),
             sized in any::<bool>(),
         ) {

@@ -58,7 +58,7 @@ mod tests {
     proptest! {
         /// Whatever the jitter, stamps are placed between the truth and the shortest delay.
         #[test]
-        fn the_quickest_frames_are_the_clock(
+        fn fastest_frames_define_the_clock(
             apart in -1e6..1e6f64, skew in -5e-5..5e-5f64,
             ways in prop::collection::vec(0.001..0.03f64, 300..600),
         ) {
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_was_set_ahead_is_seen_and_changes_nothing() {
+    fn clock_set_ahead_is_detected_and_ignored() {
         let mut clock = RoomClock::default();
         assert_eq!(clock.observe(10.0, 3.0), Ok(()));
         assert_eq!(clock.observe(10.1, 4.0), Err(Ahead));

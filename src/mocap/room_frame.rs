@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_room_with_z_up_is_half_a_turn_about_x() {
+    fn z_up_room_is_half_a_turn_about_x() {
         let room = RoomFrame::new(Up::Z, 0.0, 0.0);
         assert!(is_near(room.position([1.0, 2.0, 3.0]), [1.0, -2.0, -3.0]));
         assert!(room.attitude(NONE).angle_to(Attitude::default()) < 1e-9);
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn a_room_with_y_up_has_east_along_z() {
+    fn y_up_room_has_east_along_z() {
         let room = RoomFrame::new(Up::Y, 0.0, 0.0);
         assert!(is_near(room.position([1.0, 2.0, 3.0]), [1.0, 3.0, -2.0]));
         assert!(room.attitude(NONE).angle_to(Attitude::default()) < 1e-9);
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn heading_turns_the_room_and_nose_the_vehicle() {
+    fn heading_rotates_the_room_and_nose_the_vehicle() {
         for up in [Up::Z, Up::Y] {
             let room = RoomFrame::new(up, FRAC_PI_2, 0.0);
             assert!(is_near(room.position([1.0, 0.0, 0.0]), [0.0, 1.0, 0.0]), "x points east");
@@ -139,7 +139,7 @@ mod tests {
         /// A point fixed to the body has one place, whether it is computed through the room, with
         /// vectors and matrices as the module's docs define them, or through the attitude.
         #[test]
-        fn a_point_of_the_body_is_in_one_place(
+        fn body_point_maps_consistently_through_frame_and_attitude(
             q in unit(), p in prop::array::uniform3(-5.0..5.0f64),
             point in prop::array::uniform3(-1.0..1.0f64), psi in -PI..PI, nose in -PI..PI,
             is_y in any::<bool>(),

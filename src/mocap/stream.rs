@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_of_a_datagram_are_read_in_order() {
+    fn datagram_lines_are_read_in_order() {
         let text = "{\"body\":\"a\",\"t\":1.5,\"p\":[1,2,3],\"q\":[1,0,0,0]}\r\n\n{\"body\":\"b\",\"t\":2,\
                     \"p\":[0,0,0],\"q\":[0,1,0,0],\"sent\":2.1,\"tracked\":false,\"note\":\"x\"}";
         let lines = read(text.as_bytes());
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_line_is_refused_with_why() {
+    fn malformed_line_is_refused_with_the_reason() {
         for (wrong, word) in [
             ("{\"body\":\"a\",\"t\":1,\"p\":[1,2],\"q\":[1,0,0,0]}", "length"),
             ("{\"body\":\"a\",\"t\":1,\"p\":[1,2,NaN],\"q\":[1,0,0,0]}", "expected"),
@@ -94,7 +94,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_line_comes_back_as_it_was_sent(
+        fn line_round_trips(
             t in -1e9..1e9f64, p in prop::array::uniform3(-50.0..50.0f64),
             q in prop::array::uniform4(-1.0..1.0f64),
         ) {
@@ -105,7 +105,7 @@ mod tests {
         }
 
         #[test]
-        fn no_bytes_break_it(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+        fn arbitrary_bytes_never_panic_the_parser(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
             decode(&bytes, |_| {});
         }
     }

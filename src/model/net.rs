@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_network_by_hand() {
+    fn network_matches_a_hand_calculation() {
         let net = Mlp {
             inputs: 2,
             hidden: 2,
@@ -252,7 +252,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn derivatives_are_those_of_finite_differences(
+        fn network_jacobian_matches_finite_differences(
             values in prop::collection::vec(-1.0_f32..1.0, 211),
             at in prop::array::uniform13(-2.0_f64..2.0),
             hidden in 1_usize..40,

@@ -175,7 +175,7 @@ fn holds_at_every_heading(
 
 proptest! {
     #[test]
-    fn a_networks_derivatives_are_those_of_finite_differences(
+    fn network_derivatives_match_finite_differences(
         at in points(), values in weights(), features in features(), hidden in 1_usize..30,
     ) {
         let model = networks(features, hidden, &values);
@@ -183,14 +183,14 @@ proptest! {
     }
 
     #[test]
-    fn the_physics_derivatives_are_those_of_finite_differences(at in points()) {
+    fn physics_derivatives_match_finite_differences(at in points()) {
         holds_to_differences(&physics(), None, &at)?;
         let plain = PhysicsModel::new(&vehicle(), &PhysicsParameters::default()).expect("physics");
         holds_to_differences(&plain, None, &at)?;
     }
 
     #[test]
-    fn a_hybrids_derivatives_are_those_of_finite_differences(
+    fn hybrid_derivatives_match_finite_differences(
         at in points(), values in weights(), features in features(), share in 0.0_f64..1.0,
     ) {
         let residual = networks(features, 12, &values).scaled([share, 0.5 * share]);
@@ -199,7 +199,7 @@ proptest! {
     }
 
     #[test]
-    fn a_hybrid_is_the_sum_of_its_parts(at in points(), values in weights()) {
+    fn hybrid_is_the_sum_of_its_parts(at in points(), values in weights()) {
         let residual = networks(Features::World, 12, &values);
         let at = Point::from_array(&at);
         let sum = Hybrid::new(physics(), residual.clone()).accelerations(&at);
@@ -210,7 +210,7 @@ proptest! {
     }
 
     #[test]
-    fn a_scaled_network_gives_its_share(
+    fn scaled_network_output_scales_by_its_share(
         at in points(), values in weights(), features in features(), share in 0.0_f64..2.0,
     ) {
         let model = networks(features, 9, &values);
@@ -226,7 +226,7 @@ proptest! {
     }
 
     #[test]
-    fn a_corrected_network_is_the_old_one_and_a_linear_one(
+    fn corrected_network_adds_a_linear_term(
         at in points(), values in weights(), features in features(), slope in -1.0_f64..1.0,
     ) {
         let model = networks(features, 9, &values);
@@ -247,7 +247,7 @@ proptest! {
     }
 
     #[test]
-    fn heading_and_body_features_and_physics_do_not_know_north(
+    fn heading_features_body_features_and_physics_are_rotation_invariant(
         at in points(), values in weights(), angle in -PI..PI,
     ) {
         holds_at_every_heading(&networks(Features::Heading, 15, &values), &at, angle)?;
@@ -258,13 +258,13 @@ proptest! {
     }
 
     #[test]
-    fn a_point_survives_its_array(at in points()) {
+    fn point_round_trips_through_an_array(at in points()) {
         prop_assert_eq!(Point::from_array(&at).to_array(), at);
     }
 }
 
 #[test]
-fn world_features_know_north() {
+fn world_features_depend_on_heading() {
     let values: Vec<f32> = (0..223).map(|i| (i as f32 * 0.37).sin()).collect();
     let mut at = [0.3; VARIABLES];
     at[10..].fill(1e-4);
@@ -273,7 +273,7 @@ fn world_features_know_north() {
 }
 
 #[test]
-fn at_hover_the_physics_stands_still() {
+fn physics_has_no_acceleration_at_hover() {
     let vehicle = vehicle();
     let model = PhysicsModel::new(&vehicle, &PhysicsParameters::default()).expect("physics");
     let at = Point { input: [vehicle.mass * vehicle.gravity, 0.0, 0.0, 0.0], ..Point::default() };
@@ -283,7 +283,7 @@ fn at_hover_the_physics_stands_still() {
 }
 
 #[test]
-fn the_physics_takes_the_reported_attitude_for_what_it_is() {
+fn physics_removes_the_trim_of_the_reported_attitude() {
     // A hovering vehicle reports its trim.
     let vehicle = vehicle();
     let mut effects = EffectSet::new();

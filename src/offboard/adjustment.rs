@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_out_of_bounds_is_refused_with_the_bound() {
+    fn out_of_bounds_adjustment_is_refused_with_the_bound() {
         let settings = AdjustmentSettings::default();
         let now = Extent { radius_m: 1.0, highest_m: 1.0, lowest_m: 1.0 };
         let judge = |asked: Adjustment, reach: Extent| {
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beyond_a_bound_already_may_come_nearer() {
+    fn adjustment_beyond_a_bound_may_move_back_towards_it() {
         let settings = AdjustmentSettings::default();
         let wanted = Adjusted { goal: Ned::new(1.0, 0.0, 0.0), feedback_scale: 1.0 };
         let now = Extent { radius_m: 9.5, highest_m: 1.0, lowest_m: 0.0 };

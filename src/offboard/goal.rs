@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_way_is_slow_smooth_and_ends_there() {
+    fn goal_offset_moves_slowly_and_smoothly_to_its_target() {
         let mut offset = GoalOffset::default();
         offset.lead_to(Ned::new(2.0, -1.0, 0.5));
         let (mut speed, mut before, mut acceleration) = (0.0_f64, Ned::zero(), 0.0_f64);
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_is_not_made_up_for() {
+    fn goal_offset_does_not_catch_up_after_a_gap() {
         let mut offset = GoalOffset::default();
         offset.lead_to(Ned::new(3.0, 0.0, 0.0));
         offset.step(VehicleTime::from_us(0));

@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn thrust_that_drops_is_told_with_its_time_and_size() {
+    fn thrust_drop_is_reported_with_time_and_size() {
         let changes = told(40.0, 1, |time| if time < 25.0 { 0.0 } else { -0.03 });
         assert_eq!(changes.len(), 1, "{changes:?}");
         let change = &changes[0];
@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn neither_noise_nor_a_level_that_is_off_nor_a_slow_sag_is_a_change() {
+    fn noise_offset_and_slow_sag_are_not_changes() {
         for seed in 0..3 {
             assert!(told(60.0, seed, |_| 0.0).is_empty());
             assert!(told(60.0, seed, |_| 0.05).is_empty());
@@ -422,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_that_cannot_be_and_pauses_do_no_harm() {
+    fn impossible_samples_and_pauses_are_tolerated() {
         let vehicle = VehicleParams::load("quad1200").expect("a vehicle");
         let mut detector = Detector::new(&vehicle, Settings::LIVE).expect("a detector");
         for k in 0..4000 {

@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_is_told_where_it_is_and_chance_tells_as_seldom_as_it_says() {
+    fn step_is_located_with_the_stated_false_alarm_rate() {
         let mut rng = Pcg64Mcg::seed_from_u64(11);
         let found = steps(&flights(&mut rng, 9, -0.1));
         assert_eq!((found[0].from, found[0].rotor), (4, Some(1)), "{found:?}");
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn students_tail_is_that_of_tables() {
+    fn student_t_tail_matches_tables() {
         for (t, freedom, expected) in [(2.776, 4.0, 0.05), (4.604, 4.0, 0.01), (12.706, 1.0, 0.05)]
         {
             assert!((two_sided(t, freedom) / expected - 1.0).abs() < 2e-3, "{t} {freedom}");

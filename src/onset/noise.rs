@@ -207,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_autoregression_of_known_numbers_is_found_and_outliers_do_not_matter() {
+    fn known_autoregression_is_recovered_despite_outliers() {
         let mut rng = Pcg64Mcg::seed_from_u64(5);
         let mut spectrum = Spectrum::new(0.05);
         let (mut a, mut b) = (0.0, 0.0);

@@ -137,7 +137,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn velocity_and_acceleration_are_the_derivatives(t in 0.01..11.9f64, amplitude in -2.0..2.0f64, phase in 0.0..6.0f64, rate in -1.0..1.0f64) {
+        fn velocity_and_acceleration_match_finite_differences(t in 0.01..11.9f64, amplitude in -2.0..2.0f64, phase in 0.0..6.0f64, rate in -1.0..1.0f64) {
             let axis = Harmonic { offset: 0.3, amplitude, period_s: 3.0, phase, rate };
             let curve = HarmonicCurve::of_one([axis; 3], axis);
             let envelope = Envelope::new(10.0, 2.0);

@@ -190,13 +190,13 @@ mod tests {
     }
 
     #[test]
-    fn a_free_path_stays_as_it_is() {
+    fn clear_path_is_unchanged() {
         let beside = block([0.5, 0.1, -2.0], [1.0, 1.0, 0.0]);
         assert_eq!(bent(&[beside], &StateLimits::default()), path());
     }
 
     #[test]
-    fn boxes_and_balls_are_passed_on_the_nearer_side() {
+    fn boxes_and_spheres_are_passed_on_the_nearer_side() {
         let regions = [block([0.9, -0.4, -2.0], [1.1, 0.2, 0.5])];
         let states = bent(&regions, &StateLimits::default());
         assert!(is_clear(&states, &regions));
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_thinner_than_a_step_is_gone_round() {
+    fn wall_thinner_than_a_step_is_avoided() {
         let wall = [block([1.01, -0.4, -2.0], [1.02, 0.2, 0.5])];
         let states = bent(&wall, &StateLimits::default());
         assert!(is_clear_of(&states, &wall[0]));
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_and_other_regions_choose_the_side() {
+    fn limits_and_other_regions_determine_the_side() {
         let wall = block([0.9, -0.4, -2.0], [1.1, 0.2, 0.5]);
         let limits = StateLimits {
             position: Some((Ned::new(-1.0, -1.0, -1.5), Ned::new(3.0, 0.1, 0.0))),
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn what_begins_or_ends_inside_is_left_to_the_search() {
+    fn path_that_starts_or_ends_inside_is_unchanged() {
         for region in [
             block([1.5, -1.0, -2.0], [3.0, 1.0, 0.0]),
             block([-1.0, -1.0, -2.0], [0.5, 1.0, 0.0]),

@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn tilt_of_a_circle_is_the_centripetal_one() {
+    fn circle_tilt_matches_centripetal_acceleration() {
         let demands = check(
             "family='sinusoid-yaw'\naltitude_m=1\nduration_s=10\namplitude_m=1\nperiod_s=5\nyaw_period_s=10",
         );
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn fifty_g_turns_and_flights_through_the_floor_are_refused_with_the_quantity() {
+    fn infeasible_turns_and_floor_crossings_are_refused_by_quantity() {
         let fast = "family='sinusoid-yaw'\naltitude_m=1\nduration_s=10\namplitude_m=5\nperiod_s=0.6\nyaw_period_s=10";
         let message = check(fast).expect_err("refused").to_string();
         assert!(message.contains("specific thrust") || message.contains("speed"), "{message}");

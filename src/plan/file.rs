@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn sinusoid_yaw_is_the_papers_curve() {
+    fn sinusoid_yaw_matches_the_papers_curve() {
         let text = "family = 'sinusoid-yaw'\naltitude_m = 1\nduration_s = 20\namplitude_m = 1\nperiod_s = 5\nyaw_period_s = 10\nramp_s = 2";
         let trajectory = parse_text(text).expect("a trajectory");
         assert_eq!(trajectory.duration(), 22.0);
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_in_another_unit_of_time_is_refused() -> std::io::Result<()> {
+    fn table_in_the_wrong_time_unit_is_refused() -> std::io::Result<()> {
         let name = format!("downwash-table-{}.csv", std::process::id());
         let path = std::env::temp_dir().join(name);
         std::fs::write(&path, "t_s,n_m,e_m,d_m\n0,0,0,-1\n20000000,1,0,-1\n")?;

@@ -110,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_input_makes_the_trajectorys_acceleration_against_the_drag() {
+    fn flat_input_yields_the_acceleration_against_drag() {
         let text = "family = 'figure-8'\naltitude_m = 1.0\nduration_s = 10.0\nlength_m = 4.0\n\
                     width_m = 2.0\nclimb_m = 0.5\nperiod_s = 5.0";
         let trajectory = Trajectory::parse(text, Path::new("test.toml")).expect("a trajectory");

@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn in_flight_a_region_counts_once_the_plan_is_out_of_it() {
+    fn region_binds_once_the_plan_has_left_it() {
         let regions = [
             KeepOut::Sphere { centre: Ned::new(1.0, 0.0, 0.0), radius: 0.1 },
             // Thinner than the length of a step.
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn in_flight_the_box_is_a_bound_as_any_other() {
+    fn box_is_an_ordinary_bound_in_flight() {
         let check = |overrun| {
             let violation = Violation { overrun, trespass_m: overrun, ..Violation::default() };
             check_in_flight(&outcome(&[0.0, 1.0], violation), std::iter::empty())

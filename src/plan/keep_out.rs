@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn depths_by_hand() {
+    fn depths_match_hand_calculations() {
         let [ball, block] = [regions()[0], regions()[1]];
         assert_eq!(ball.depth([0.3, -0.2, 1.8]), (0.7 - 1.7, [0.0, 0.0, -1.0]));
         // Inside, the nearest face counts; outside, the nearest corner, edge or face.
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_between_two_positions_is_looked_at() {
+    fn segment_between_positions_is_checked() {
         let [ball, block] = [regions()[0], regions()[1]];
         // Along a face, or at rest on it.
         assert_eq!(block.depth_between([-0.5, 0.0, 0.0], [-0.5, 0.3, 0.0]), 0.0);
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn positions_that_are_no_numbers_panic_nowhere() {
+    fn non_finite_positions_never_panic() {
         for region in regions() {
             for at in [f64::NAN, f64::INFINITY, -f64::INFINITY] {
                 for axis in 0..3 {
@@ -245,7 +245,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_position_between_is_deeper(
+        fn no_point_on_the_segment_is_deeper(
             from in prop::array::uniform3(-1.0_f64..1.0),
             to in prop::array::uniform3(-1.0_f64..1.0),
             share in 0.0_f64..1.0,
@@ -261,7 +261,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn gradients_are_those_of_finite_differences(
+        fn gradients_match_finite_differences(
             state in prop::array::uniform12(-1.0_f64..1.0),
         ) {
             for region in regions() {

@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_line_is_at_the_radius_from_the_path() {
+    fn outline_is_at_the_radius_from_the_path() {
         let path: Vec<Ned> = (0..50).map(|k| Ned::new(0.1 * f64::from(k), 0.0, -1.0)).collect();
         let radius: Vec<f64> = (0..50).map(|k| 0.1 + 0.01 * f64::from(k)).collect();
         let line = outline(&path, &radius);
@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn rest_and_vertical_ways_have_one_too_and_no_path_has_none() {
+    fn stationary_and_vertical_paths_have_finite_outlines() {
         let up: Vec<Ned> = (0..3).map(|k| Ned::new(0.0, 0.0, -f64::from(k))).collect();
         for path in [up, vec![Ned::zero(); 3]] {
             assert!(outline(&path, &[0.2; 3]).iter().all(|point| point.is_finite()));

@@ -138,7 +138,7 @@ mod tests {
     const PACE: Pace = Pace { speed: 1.0, acceleration: 2.0, yaw_rate: 1.0 };
 
     #[test]
-    fn path_keeps_to_speed_and_acceleration_and_reaches_every_waypoint() {
+    fn path_respects_pace_and_reaches_every_waypoint() {
         let path =
             MinimumJerkPath::random(7, 6, Ned::new(0.0, 0.0, -1.0), [2.0, 2.0, 0.5], 0.3, PACE)
                 .expect("a path");
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn same_seed_same_path() {
+    fn same_seed_gives_the_same_path() {
         let draw = |seed| {
             MinimumJerkPath::random(seed, 3, Ned::zero(), [1.0; 3], 0.0, PACE)
                 .map(|path| path.sample(2.0))
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn yaw_takes_the_shorter_way() {
+    fn yaw_wraps_the_shorter_way() {
         let waypoint = |yaw| Waypoint { position: Ned::zero(), yaw, hold_s: 0.0 };
         let path = MinimumJerkPath::through(&[waypoint(3.0), waypoint(-3.0)], PACE).expect("path");
         assert!((path.sample(path.duration()).yaw - (2.0 * PI - 3.0)).abs() < 1e-12);

@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn the_way_on_from_a_state_is_looked_at() {
+    fn step_following_a_state_is_checked() {
         // A wall a few millimetres thick, far thinner than the length of a step.
         let wall =
             KeepOut::Box { lower: Ned::new(0.0, -1.0, -1.0), upper: Ned::new(0.004, 1.0, 1.0) };
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn excess_is_what_each_bound_is_broken_by() {
+    fn excess_is_the_violation_of_each_bound() {
         let limits = StateLimits {
             tilt_max_rad: Some(0.5),
             body_rate_max_rad_s: Some([1.0, 2.0, 3.0]),
@@ -311,7 +311,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn gradients_are_those_of_finite_differences(
+        fn gradients_match_finite_differences(
             state in prop::array::uniform12(-1.0_f64..1.0),
         ) {
             let limits = StateLimits {

@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_are_the_papers() {
+    fn flight_shares_match_the_paper() {
         let flights = made(2400.0, 300.0, 1);
         let length = |kinds: &[FlightKind]| -> f64 {
             let of = flights.iter().filter(|flight| kinds.contains(&flight.kind));
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn flights_to_test_on_leave_the_others_as_they_are() {
+    fn combined_flights_leave_the_others_unchanged() {
         let texts = |flights: Vec<ProgrammeFlight>| -> Vec<String> {
             flights.into_iter().map(|flight| flight.text).collect()
         };
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_no_room_is_refused_with_the_quantity() {
+    fn infeasible_programme_is_refused_by_quantity() {
         let error = |settings: ProgrammeSettings, seconds: f64| {
             programme(&settings, &FlightEnvelope::default(), &nano(), seconds, 0.0, 1)
                 .expect_err("refused")

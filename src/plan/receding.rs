@@ -483,7 +483,7 @@ mod tests {
 
     /// Later plans complete what one subproblem leaves open, while the vehicle is disturbed.
     #[test]
-    fn one_subproblem_a_plan_stays_near_the_plan_that_is_searched_to_its_end() {
+    fn one_subproblem_per_plan_stays_near_the_converged_plan() {
         let mut replanner = quick();
         let mut random = Pcg64Mcg::seed_from_u64(1);
         let mut state = [0.0; STATES];
@@ -515,7 +515,7 @@ mod tests {
     }
 
     #[test]
-    fn plans_begin_on_one_grid_however_the_vehicle_is_seen() {
+    fn plans_start_on_a_fixed_time_grid() {
         let replanner = quick();
         for t in [0.0, 0.0021, 0.005, 1.2349, 3.0 - 1e-9] {
             let from_s = replanner.beginning(&replanner.through, t);

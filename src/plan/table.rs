@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_are_met_and_joined_smoothly() {
+    fn curve_passes_rows_and_joins_them_smoothly() {
         let text = "t_s,n_m,e_m,d_m,yaw_rad\n1,0,0,-1,0\n2,1,0,-1,1\n4,1,2,-1,1\n";
         let table = Table::parse(text).expect("a table");
         assert_eq!(table.duration(), 3.0);
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn near_rows_are_left_out_and_their_rounding_makes_no_acceleration() {
+    fn dense_rows_are_thinned_without_rounding_accelerations() {
         let path = |t: f64| (0.5 * t).sin();
         let rows = (0..=100_000).map(|n| f64::from(n) * 2e-4);
         let rows = rows.map(|t| format!("{t:.6},{:.6},0,-1\n", path(t)));
@@ -215,13 +215,13 @@ mod tests {
     }
 
     #[test]
-    fn of_two_near_rows_both_stay() {
+    fn two_close_rows_are_both_kept() {
         let table = Table::parse("t_s,n_m,e_m,d_m\n0,0,0,-1\n0.001,0,0,-1\n").expect("a table");
         assert_eq!(table.duration(), 0.001);
     }
 
     #[test]
-    fn yaw_goes_on_through_half_a_turn() {
+    fn yaw_continues_through_half_a_turn() {
         let yaw_rates = |yaws: [f64; 3]| {
             let rows = yaws.iter().zip(0..).map(|(yaw, t)| format!("{t},0,0,-1,{yaw}\n"));
             let text = format!("t_s,n_m,e_m,d_m,yaw_rad\n{}", rows.collect::<String>());
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_twice_and_parts_of_a_velocity_are_refused_by_name() {
+    fn duplicate_columns_and_partial_velocities_are_refused_by_name() {
         let error = |text| Table::parse(text).expect_err("refused");
         assert!(error("t_s,n_m,e_m,d_m,n_m\n").contains("n_m appears twice"));
         let missing = error("t_s,n_m,e_m,d_m,v_n_mps,v_d_mps\n");
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_rows_are_refused_by_line() {
+    fn invalid_rows_are_refused_by_line() {
         let error = |text| Table::parse(text).expect_err("refused");
         assert!(error("").contains("header"));
         assert!(error("t_s,n_m,e_m\n").contains("d_m is missing"));

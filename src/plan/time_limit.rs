@@ -33,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_subproblem_begins_that_would_end_late() {
+    fn no_subproblem_starts_that_would_end_late() {
         let limit = TimeLimit::new(8.0);
         let asked = [0.0, 3.0, 5.0, 5.1].map(|s| limit.is_over(Duration::from_secs_f64(s)));
         assert_eq!(asked, [false, false, false, true]);

@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn laps_follow_one_another_without_a_jump() {
+    fn laps_join_without_a_jump() {
         let circle = "family = 'sinusoid-yaw'\naltitude_m = 1\nduration_s = 10\namplitude_m = 1\n\
                       period_s = 5\nyaw_period_s = 10\nramp_s = 1";
         let one = parsed(circle);
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_course_that_ends_elsewhere_has_no_laps() {
+    fn open_course_has_no_laps() {
         let open = "family = 'waypoints'\npoints = [{ north_m = 0, east_m = 0, altitude_m = 1 },\n\
                     { north_m = 1, east_m = 0, altitude_m = 1 }]";
         let found = parsed(open).laps(2).expect_err("open");

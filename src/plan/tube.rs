@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn eighteen_flights_are_too_few_and_one_that_ended_early_is_the_worst() {
+    fn confidence_needs_nineteen_flights_and_aborted_flight_is_worst() {
         let score = |k: i32| Some(f64::from(k));
         let few = tube(&(1..=18).map(score).collect::<Vec<_>>());
         let said = few.radius(0.95).expect_err("too few").to_string();
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn a_faster_plan_has_a_wider_tube() {
+    fn faster_plan_has_a_wider_tube() {
         let tube = tube(&[Some(2.0); 19]);
         let radius = tube.radius(0.95).expect("a radius");
         let states = |speed: f64| {
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_read_as_written_and_a_damaged_one_is_refused() {
+    fn tube_file_round_trips_and_damaged_one_is_refused() {
         let tube = tube(&[Some(1.0), Some(3.0), None]);
         let path = std::env::temp_dir().join(format!("downwash-tube-{}.json", std::process::id()));
         let read = |tube: &Tube| {

@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn constants_stand_in_the_middle_with_readable_ticks() {
+    fn constant_values_are_centred_with_readable_ticks() {
         for value in [4.0, 0.0, -0.004] {
             let axis = Axis::padded(Some((value, value)));
             assert!((axis.at(value) - 0.5).abs() < 1e-9);

@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bars_share_a_scale_and_say_their_numbers() {
+    fn bars_share_a_scale_and_show_their_numbers() {
         let back = Bar { from: 1.0, to: -1.0, ..Bar::new("b", 0.0, "-2") };
         let html = to_html(&[Bar::new("a", 3.0, "3 m"), back]);
         assert!(html.contains("left:25.00%;width:75.00%") && html.contains("3 m"), "{html}");

@@ -310,7 +310,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_controller_has_its_colour_whoever_is_beside_it() {
+    fn controller_colour_does_not_depend_on_its_neighbours() {
         assert_eq!(Style::of("net", 0), Style::of("net", 3));
         assert_ne!(Style::of("physics", 0), Style::of("hybrid", 0));
         assert_eq!(Style::of("as shipped", 0), Style::Colour(1));
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_and_constants_draw_without_nan() {
+    fn empty_and_constant_curves_draw_without_nan() {
         for y in [vec![], vec![f64::NAN; 3], vec![5.0; 3], vec![f64::INFINITY; 3]] {
             let curve = Curve { name: "a".into(), style: Style::Reference, y };
             let panel = Panel { name: "p".into(), curves: vec![curve] };
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chart_says_its_numbers_in_words() {
+    fn chart_description_states_its_numbers() {
         let curve = Curve { name: "flown".into(), style: Style::Colour(1), y: vec![1.0, 3.0] };
         let panel = Panel { name: "north (m)".into(), curves: vec![curve] };
         let chart = Chart::new("time (s)", &[0.0, 2.0], 100.0, vec![panel]);

@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn intervals_of_two_lengths_make_the_rate_that_they_make_together() {
+    fn alternating_intervals_give_the_mean_rate() {
         // 26 s at 100 Hz after 5 s of take-off; every tick is now 2 ms early, now 2 ms late.
         let times: Vec<f64> = (-500..2600)
             .map(|k| 0.01 * f64::from(k) + if k % 2 == 0 { 2e-3 } else { -2e-3 })
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pause_is_no_part_of_the_rate_and_hardly_of_the_tracked_time() {
+    fn pause_is_excluded_from_rate_and_tracked_time() {
         let times: Vec<f64> =
             (0..1000).map(|k| 0.01 * f64::from(k) + if k < 500 { 0.0 } else { 60.0 }).collect();
         let summary = control_summary(&ticks(&times));
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn ticks_that_a_busy_machine_reads_in_bursts_are_late_and_not_missing() {
+    fn bursty_ticks_count_as_late_not_missing() {
         // Of every four ticks at 100 Hz one is in time and three are read with it, a while later.
         let times: Vec<f64> =
             (0..2000).map(|k| 0.04 * f64::from(k / 4) + 1e-5 * f64::from(k % 4)).collect();
@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn no_ticks_make_no_rate() {
+    fn no_ticks_give_no_rate() {
         let summary = control_summary(&[]);
         assert_eq!((summary.rate_hz, summary.tracked_s), (None, 0.0));
         // All at one time, as in a damaged log.

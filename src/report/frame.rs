@@ -201,7 +201,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_curve_can_be_read_back_from_what_is_drawn() {
+    fn drawn_path_encodes_the_curve() {
         let axis = |high| Axis { low: 0.0, high };
         let frame = Frame {
             x: axis(2.0),

@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn equal_values_are_told_in_words_and_others_drawn() {
+    fn equal_values_are_stated_and_others_drawn() {
         let html = |values: &[f64]| {
             Histogram { name: "h", x_label: "age (ms)", values, bars: 10 }.to_html()
         };
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_are_by_nearest_rank() {
+    fn quantiles_use_the_nearest_rank() {
         assert_eq!(quantile(&[1.0, 2.0, 3.0], 0.5), Some(2.0));
         assert_eq!(quantile(&[], 0.5), None);
     }

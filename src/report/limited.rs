@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_limit_that_is_met_in_every_fourth_tick_is_named_and_others_are_not() {
+    fn only_frequently_hit_limits_are_named() {
         let tilt = Saturation { tilt: true, ..Saturation::default() }.bits();
         let thrust = Saturation { thrust: true, ..Saturation::default() }.bits();
         let ticks = (0..100).map(|k| if k % 4 == 0 { tilt } else { 0 });

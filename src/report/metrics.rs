@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_are_those_along_the_trajectory() {
+    fn errors_cover_only_the_tracked_trajectory() {
         let mut gatherer = MetricsGatherer::default();
         // On the way to the start, far away: no part of the error.
         gatherer.add(&tick(0, 9.0, 1.0, None));
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flight_that_never_began_has_no_errors() {
+    fn flight_that_never_started_has_no_errors() {
         let metrics = MetricsGatherer::default().metrics(100.0);
         assert_eq!((metrics.position_rmse_m, metrics.tracked_s), (None, 0.0));
     }

@@ -140,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_from_outside_cannot_become_markup() {
+    fn untrusted_text_is_escaped() {
         let mut page = Page::new("<script>", "a & b");
         page.verdict(Mood::Bad, "\"x\"", &["<b>".into()]);
         let html = page.into_html();
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn contents_lead_to_the_sections() {
+    fn contents_link_to_the_sections() {
         let mut page = Page::new("t", "s");
         page.section("Desired & flown", "", "");
         let html = page.into_html();

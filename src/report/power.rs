@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_tone_stands_where_it_is_and_holds_its_power() {
+    fn tone_appears_at_its_frequency_with_its_power() {
         let mut stream = Stream::default();
         for k in 0..4096 {
             let time = 0.002 * f64::from(k);

@@ -465,7 +465,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_of_the_estimate_is_found_and_fast_flight_is_none() {
+    fn estimate_jump_is_found_but_fast_flight_is_not() {
         let mut flight = empty();
         for k in 0..1000 {
             let time = 0.02 * f64::from(k);
@@ -483,7 +483,7 @@ mod tests {
     }
 
     #[test]
-    fn vibration_is_what_motion_is_not() {
+    fn vibration_excludes_slow_motion() {
         let mut flight = empty();
         for k in 0..2000 {
             let time = 0.002 * f64::from(k);
@@ -500,7 +500,7 @@ mod tests {
     }
 
     #[test]
-    fn headroom_is_that_of_the_strongest_motor() {
+    fn headroom_is_that_of_the_most_loaded_motor() {
         let mut flight = empty();
         for k in 0..100 {
             let most = if k == 50 { 0.99 } else { 0.6 };

@@ -252,7 +252,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn up_is_up_and_everything_is_in_the_picture() {
+    fn scene_points_up_and_fits_the_picture() {
         let path: Vec<Ned> =
             (0..100).map(|i| f64::from(i) * 0.1).map(|t| Ned::new(t.sin(), t.cos(), -t)).collect();
         let view = View::fit(path.iter().copied());
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn single_point_and_none_draw_without_nan() {
+    fn single_point_and_empty_paths_draw_without_nan() {
         for flown in [vec![], vec![Ned::zero()], vec![Ned::new(f64::NAN, 0.0, 0.0)]] {
             let html = Scene { paths: &[("flown", &flown)], desired: &[] }.to_html();
             assert!(!html.contains("NaN") && !html.contains("inf"));

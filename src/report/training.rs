@@ -376,7 +376,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_model_that_predicts_better_than_holding_is_praised() {
+    fn only_a_model_better_than_holding_is_praised() {
         let errors = OneStep { each: [0.1; 6], linear: 0.1, angular: 0.2, rows: 100 };
         let said = |best| sentence(best, ModelKind::Net, Some((&errors, false)));
         let leaves = "; on the test flights it leaves 10.00 % of the variance";

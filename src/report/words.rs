@@ -77,14 +77,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_are_named_from_the_page_on() {
+    fn file_paths_are_relative_to_the_page() {
         let folder = Path::new("/flights/demo");
         assert_eq!(beside(Path::new("/flights/demo/logs/a.mcap"), folder), "logs/a.mcap");
         assert_eq!(beside(Path::new("/data/b.mcap"), folder), "b.mcap");
     }
 
     #[test]
-    fn effects_are_named_with_their_numbers() {
+    fn effects_are_listed_with_their_numbers() {
         let mut set = EffectSet::new();
         assert_eq!(effects(&set), "no effects");
         set.insert_argument("rotor_drag:d_xy=0.012,d_z=0.008").expect("an effect");

@@ -145,7 +145,7 @@ mod tests {
     use crate::link::counters::LinkState;
 
     #[test]
-    fn loss_is_the_share_of_the_vehicles_frames_since_the_last_reading() {
+    fn loss_is_the_share_of_vehicle_frames_since_last_reading() {
         let stats = |heard, lost, unknown| counters::LinkStats {
             state: LinkState::Connected,
             vehicle: None,

@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wait_is_told_within_three_seconds_and_again_when_it_changes() {
+    fn wait_is_reported_within_three_seconds_and_on_change() {
         let start = HostTime::from_ns(0);
         let mut waiting = Waiting::new(start);
         let mut told = Vec::new();
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reason_that_comes_and_goes_is_told_once_in_a_while() {
+    fn flapping_reason_is_reported_only_occasionally() {
         let start = HostTime::from_ns(0);
         let mut waiting = Waiting::new(start);
         let told = (0..100u32).filter(|k| {
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_that_was_waited_for_leaves_less_patience_with_its_telemetry() {
+    fn telemetry_wait_is_reported_sooner_after_waiting_for_vehicle() {
         let start = HostTime::from_ns(0);
         let mut waiting = Waiting::new(start);
         let told = (0..100u32).find(|k| {

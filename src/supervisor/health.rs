@@ -29,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_have_names_and_others_are_passed_over() {
+    fn known_sensors_are_named_and_others_ignored() {
         assert_eq!(names(watched(0x21 | 0x1000_0000)), "gyroscope, GPS");
     }
 }

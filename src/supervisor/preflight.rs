@@ -211,7 +211,7 @@ mod tests {
     use crate::telemetry::TelemetrySettings;
 
     #[test]
-    fn what_was_never_heard_is_said_in_words() {
+    fn missing_telemetry_is_reported_as_none_yet() {
         let telemetry = Telemetry::new(TelemetrySettings::default());
         let standing =
             Standing { rate_hz: 100.0, start_distance_m: f64::NAN, ..Standing::default() };
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_loses_too_much_is_refused() {
+    fn lossy_link_fails_preflight() {
         let telemetry = Telemetry::new(TelemetrySettings::default());
         let link = |loss| {
             let settings = PreflightSettings::default();

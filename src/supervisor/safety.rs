@@ -308,7 +308,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn feedback_that_lost_a_vehicle_which_heard_it_does_not_brake_it() {
+    fn feedback_that_lost_tracking_does_not_brake() {
         let settings = SafetySettings::default();
         let share = |was_unheard, tracking_error_m| {
             let condition =
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn the_further_from_the_reference_the_less_is_waited() {
+    fn dwell_time_shrinks_with_tracking_error() {
         let settings = SafetySettings::default();
         let waits = |tracking_error_m| {
             let condition = FlightCondition { tracking_error_m, ..FlightCondition::default() };

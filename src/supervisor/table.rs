@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn no_row_is_hidden_by_another() {
+    fn no_row_shadows_another() {
         for state in STATES {
             for trigger in TRIGGERS {
                 let rows =
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_leads_back_to_the_stream_without_an_explicit_engage() {
+    fn streaming_resumes_only_after_an_explicit_engage() {
         for state in STATES.into_iter().filter(|state| state.is_over()) {
             let after = reachable(state, &[On::EngageAsked]);
             assert_eq!(after, BTreeSet::from([state]), "{state:?} is final");
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn every_way_to_the_stream_passes_the_release() {
+    fn every_path_to_streaming_passes_the_release() {
         let after = reachable(Connect, &[On::Released]);
         assert!(after.iter().all(|state| !state.may_stream()), "{after:?}");
         for state in STATES.into_iter().filter(|state| state.is_over()) {
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn the_pilot_and_a_stop_end_control_from_every_state_of_control() {
+    fn pilot_and_stop_end_control_from_every_control_state() {
         for state in STATES.into_iter().filter(|state| state.is_in_control()) {
             assert_eq!(state.next(On::ModeChanged), Some(PilotControl), "{state:?}");
             for trigger in [On::StopNow, On::LinkLost] {
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn control_is_entered_by_reading_offboard_while_streaming_only() {
+    fn control_starts_only_on_offboard_while_streaming() {
         for state in STATES.into_iter().filter(|state| !state.is_in_control()) {
             for trigger in TRIGGERS {
                 if state.next(trigger).is_some_and(FlightState::is_in_control) {

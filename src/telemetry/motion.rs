@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn an_estimate_that_slides_is_found_at_every_rate() {
+    fn sliding_estimate_is_detected_at_every_rate() {
         for rate_hz in [20.0, 50.0, 100.0, 250.0] {
             let slides = |t: f64| if (2.0..2.5).contains(&t) { 10.0 } else { 0.0 };
             let times = found(rate_hz, 5.0, slides);
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_velocity_that_is_off_as_an_estimators_is_none() {
+    fn normal_velocity_error_is_not_a_slide() {
         // As large as in PX4's simulation over half a second.
         for rate_hz in [20.0, 100.0, 250.0] {
             let wander = |t: f64| 1.2 * (2.0 * std::f64::consts::PI * 0.2 * t).sin();
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pause_between_messages_is_none() {
+    fn message_pause_is_not_a_slide() {
         let limits = TelemetrySettings::default();
         let at = |us, east| Pose {
             stamp: VehicleTime::from_us(us),

@@ -285,7 +285,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_origin_is_what_the_path_is_moved_by() {
+    fn origin_is_the_offset_of_the_path() {
         let points = [0.0, 1.0, 3.0].map(|north| Ned::new(north, 0.0, -1.0)).to_vec();
         let course = CoursePath { period_s: 0.5, points, ..CoursePath::default() };
         let origin = course.origin(0.75, Ned::new(12.0, 5.0, -3.0));

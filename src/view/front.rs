@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pages_of_others_are_not_let_to_a_view_that_can_be_written() {
+    fn writable_view_refuses_foreign_origins() {
         let request = |host: &str, origin: &str| {
             let head = format!("GET / HTTP/1.1\r\nHost: {host}\r\nORIGIN: {origin}\r\n\r\n");
             Request::parse(head.into_bytes()).expect("HTTP")

@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn time_passes_at_its_speed_while_it_plays_and_ends_with_the_log() {
+    fn playback_runs_at_its_speed_and_ends_with_the_log() {
         let (mut stand, wall) = stand();
         let at = |stand: &Stand, s: u64| {
             stand.now(wall + Duration::from_secs(s)).as_ns() / 1_000_000_000
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beyond_the_log_or_no_speed_is_not_taken() {
+    fn out_of_range_seek_is_clamped_and_invalid_speed_ignored() {
         let (mut stand, wall) = stand();
         for (seek, expected) in [(0.0, 10), (1e9, 20)] {
             for speed in [f32::NAN, -1.0, 0.0, f32::INFINITY, 1e9] {

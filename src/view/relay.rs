@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_come_out_whole_however_they_come_in() {
+    fn frames_are_reassembled_from_any_chunking() {
         let data = [vec![1; 5], vec![1; 125], vec![1; 126], vec![1; 70_000]];
         let mut all = b"HTTP/1.1 101 Switching Protocols\r\nA: b\r\n\r\n".to_vec();
         let head = all.len();
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_data_are_lost_and_nothing_else() {
+    fn backlog_drops_only_the_oldest_data() {
         let mut backlog = Backlog::default();
         for number in 0..2000_u32 {
             let mut payload = vec![1; 300];
@@ -261,14 +261,14 @@ mod tests {
     }
 
     #[test]
-    fn a_viewer_that_takes_not_even_schemas_goes() {
+    fn viewer_that_stops_reading_is_disconnected() {
         let mut backlog = Backlog::default();
         let pushed = (0..).map(|_| backlog.push(vec![0; 100_000], false)).find_map(Result::err);
         assert!(pushed.is_some());
     }
 
     #[test]
-    fn what_is_no_frame_ends_the_connection() {
+    fn invalid_frame_ends_the_connection() {
         let mut splitter = Splitter { has_answered: true, ..Splitter::default() };
         let huge = [0x82, 127, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF];
         assert!(splitter.push(&huge, &mut Backlog::default()).is_err());

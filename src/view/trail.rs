@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_trail_is_thinned_and_forgets() {
+    fn trail_is_thinned_and_drops_old_points() {
         let mut trail = Trail::default();
         let begin = HostTime::from_ns(1_000_000_000);
         for tick in 0..30_000_u32 {

@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn while_somebody_avoids_the_front_nothing_is_taken() {
+    fn changes_are_ignored_while_a_viewer_bypasses_the_front() {
         let (writer, changes) = Writer::new();
         let asked = [Parameter::float64(WRITABLE[0], 0.5)];
         writer.led().fetch_add(1, Ordering::AcqRel);

@@ -82,7 +82,7 @@ fn in_flight(on_its_way_s: f64) -> Court {
 }
 
 #[test]
-fn in_lockstep_an_answer_leaves_in_the_instant_of_its_state() {
+fn lockstep_answer_must_leave_at_the_instant_of_its_state() {
     let mut court = in_flight(0.0);
     court.state(1010);
     court.setpoint(1011);
@@ -90,7 +90,7 @@ fn in_lockstep_an_answer_leaves_in_the_instant_of_its_state() {
 }
 
 #[test]
-fn on_sockets_an_answer_may_be_on_its_way_and_each_state_has_one() {
+fn socket_answer_may_be_in_transit_but_only_once_per_state() {
     let mut court = in_flight(ON_ITS_WAY_S);
     court.state(1010);
     court.state(1020);
@@ -106,7 +106,7 @@ fn on_sockets_an_answer_may_be_on_its_way_and_each_state_has_one() {
 }
 
 #[test]
-fn a_copy_that_comes_last_on_a_socket_is_not_what_is_answered() {
+fn late_duplicate_state_is_not_the_one_answered() {
     let mut court = in_flight(ON_ITS_WAY_S);
     court.state(1010);
     let copy = Passing {
@@ -124,7 +124,7 @@ fn a_copy_that_comes_last_on_a_socket_is_not_what_is_answered() {
 }
 
 #[test]
-fn what_crosses_the_pilots_word_is_no_answer_over_it_and_what_follows_is() {
+fn setpoint_crossing_the_pilots_mode_change_is_no_violation() {
     let mut court = in_flight(ON_ITS_WAY_S);
     court.mode(1005, POSITION);
     court.state(1010);
@@ -141,7 +141,7 @@ fn what_crosses_the_pilots_word_is_no_answer_over_it_and_what_follows_is() {
 }
 
 #[test]
-fn nothing_is_answered_while_what_lay_unread_is_read() {
+fn no_answer_is_allowed_while_the_backlog_is_read() {
     for (ms, rules) in [(1205, &[Rule::Stalled][..]), (1215, &[])] {
         let mut court = in_flight(ON_ITS_WAY_S);
         court.judge.woke(1_200_000);

@@ -29,7 +29,7 @@ fn drawn_flights_break_no_rule() {
 }
 
 #[test]
-fn the_same_script_gives_the_same_bytes() {
+fn same_script_gives_the_same_bytes() {
     for number in [2, 3, 5] {
         let script = draw::script(7, number);
         let text = script_text(&script).expect("a text");
@@ -57,30 +57,30 @@ fn is_found(bug: Planted, rules: &[Rule]) {
 }
 
 #[test]
-fn a_guard_that_is_removed_is_found() {
+fn campaign_detects_a_removed_guard() {
     is_found(Planted::GuardRemoved, &[Rule::AgainstThePilot, Rule::AfterLanding, Rule::OldMode]);
     is_found(Planted::LimitsRemoved, &[Rule::Limits]);
 }
 
 #[test]
-fn a_setpoint_that_is_sent_again_is_found() {
+fn campaign_detects_a_resent_setpoint() {
     is_found(Planted::SentAgain, &[Rule::Fresh]);
 }
 
 #[test]
-fn a_deadline_that_is_doubled_is_found() {
+fn campaign_detects_a_doubled_deadline() {
     is_found(Planted::DeadlineDoubled, &[Rule::AfterLanding]);
     is_found(Planted::StallDoubled, &[Rule::Stalled]);
 }
 
 #[test]
-fn an_older_heartbeat_that_is_believed_is_found() {
+fn campaign_detects_an_accepted_older_heartbeat() {
     is_found(Planted::OlderHeartbeat, &[Rule::OldMode, Rule::AgainstThePilot]);
 }
 
 /// Scripts that a campaign found faults of the program with, since mended; each is named for its fault.
 #[test]
-fn what_campaigns_found_stays_mended() {
+fn failures_found_by_campaigns_stay_fixed() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/campaign_found");
     let files =
         std::fs::read_dir(&folder).expect("the folder").map(|file| file.expect("it").path());

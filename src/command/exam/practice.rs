@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn highest_flight_is_held_out_unless_the_key_says_another() {
+    fn highest_flight_is_held_out_unless_the_key_names_another() {
         let set = set("holdout", &[("case_01", &[10, 2, 1]), ("case_00", &[1, 2, 3])]);
         fs::create_dir_all(set.join("licences")).expect("a folder");
         let key = r#"{"cases":{"case_00":{"holdout":["flight_2.tlog"],"right":[]}}}"#;
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_without_cases_and_a_case_without_flights_are_refused() {
+    fn set_without_cases_or_flights_is_refused() {
         let empty = set("empty", &[]);
         fs::create_dir_all(&empty).expect("a folder");
         let refused = cases(&empty, &PracticeKey::default()).expect_err("nothing there");
@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn truth_is_told_in_the_words_of_its_set() {
+    fn truth_uses_the_wording_of_its_practice_set() {
         let of = |text: &str| serde_json::from_str::<PracticeEntry>(text).expect("one").truth();
         assert_eq!(of(r#"{"truth":"mass 5 g more","right":[]}"#), "mass 5 g more");
         assert_eq!(of(r#"{"verdict":"none","effects":[]}"#), "none");

@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn folders_and_a_file_name_the_same_vehicles() -> anyhow::Result<()> {
+    fn folders_and_manifest_list_the_same_vehicles() -> anyhow::Result<()> {
         let folder = std::env::temp_dir().join(format!("downwash-fleet-{}", std::process::id()));
         for name in ["b", "a"] {
             fs::create_dir_all(folder.join(name))?;

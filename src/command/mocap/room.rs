@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rooms_are_read_and_what_is_none_is_refused() {
+    fn room_addresses_are_parsed_and_invalid_ones_refused() {
         for (text, room) in [
             ("stream:0.0.0.0:5005", Room::Stream("0.0.0.0:5005".into())),
             ("natnet:motive.lab", Room::NatNet("motive.lab:1510".into())),

@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn points_are_every_combination_once() -> anyhow::Result<()> {
+    fn points_cover_every_combination_once() -> anyhow::Result<()> {
         let manifest = parse(
             "seeds = [5, 9]\n[grid]\ntrajectory = ['hover', 'figure-8']\n\
              'effects.mass.mass_kg' = { from = 0.03, to = 0.05, count = 3 }\n\
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn a_draw_is_the_same_for_each_seed_and_another_for_each_sample() -> anyhow::Result<()> {
+    fn draws_depend_on_the_sample_but_not_the_seed() -> anyhow::Result<()> {
         let manifest = parse(
             "seeds = 3\nsamples = 50\n[draw]\n'effects.wind.north_m_s' = { normal = [1.0, 0.5] }\n\
              'set.control.thrust' = { log_uniform = [0.1, 0.4] }\n\
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_swept_is_refused_by_name() {
+    fn unsweepable_settings_are_refused_by_name() {
         let refused = |text: &str| format!("{:#}", parse(text).expect_err("refused"));
         assert!(refused("[grid]\nspeed = [1]\n").contains("\"speed\": expected vehicle"));
         assert!(refused("[grid]\nvehicle = ['a']\n[list]\nvehicle = ['b']").contains("two ways"));
@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn the_hash_is_of_the_files_too() -> anyhow::Result<()> {
+    fn manifest_hash_covers_the_referenced_files() -> anyhow::Result<()> {
         let folder = std::env::temp_dir().join(format!("downwash-manifest-{}", std::process::id()));
         std::fs::create_dir_all(&folder)?;
         let hash = |mass: &str| {

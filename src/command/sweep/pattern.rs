@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_star_stands_for_anything() {
+    fn star_matches_any_text() {
         for (pattern, name) in [("*", ""), ("*.ulg", "a.ulg"), ("a*b*c", "aXbbYc"), ("a", "a")] {
             assert!(fits(pattern, name), "{pattern} {name}");
         }
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn files_are_in_the_order_of_their_names() -> anyhow::Result<()> {
+    fn matching_files_are_sorted_by_name() -> anyhow::Result<()> {
         let folder = std::env::temp_dir().join(format!("downwash-pattern-{}", std::process::id()));
         for name in ["b/2.ulg", "b/1.ulg", "a/3.ulg", "a/3.txt", "c.ulg", ".d/4.ulg"] {
             let path = folder.join(name);

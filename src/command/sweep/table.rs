@@ -77,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_failure_is_a_line_like_the_others() -> anyhow::Result<()> {
+    fn failed_point_gets_a_csv_line() -> anyhow::Result<()> {
         let line = |index: usize, failure: Option<&str>, row: Option<Value>| Line {
             index,
             inputs: BTreeMap::from([("vehicle".to_owned(), json!("a,b"))]),

@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_that_are_excited_are_found() {
+    fn excited_parameters_are_identified() {
         let truth = [-0.2, 0.1, 0.4, 1.0, -0.5, 0.3, -0.2];
         let mut recursion = recursion();
         taught(&mut recursion, 0..3000, excited, |_| truth);
@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn change_is_seen_within_a_moment_and_nothing_else_is_one() {
+    fn change_is_detected_quickly_without_false_alarms() {
         let mut recursion = recursion();
         let settled = taught(&mut recursion, 0..2000, excited, |_| [0.0; PARAMETERS]);
         assert!(settled.is_empty(), "{settled:?}");
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn without_excitation_the_covariance_stays_within_the_prior_one() {
+    fn covariance_never_exceeds_the_prior_without_excitation() {
         let mut recursion = recursion();
         taught(&mut recursion, 0..60_000, |_| Regressor::zeros(), |_| [0.0; PARAMETERS]);
         for (parameter, prior) in PRIOR.into_iter().enumerate() {
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn step_is_within_the_trust_region_and_parameters_within_their_bounds() {
+    fn steps_stay_in_trust_region_and_parameters_in_bounds() {
         let mut recursion = recursion();
         let mut before = recursion.theta();
         for tick in 0..400 {

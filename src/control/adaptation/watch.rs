@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn state_that_moves_is_trusted_and_one_that_stays_is_not() {
+    fn frozen_state_is_distrusted_and_moving_state_trusted() {
         let mut watch = Watch::default();
         assert!((0..1000).all(|tick| watch.sees(&moving(tick), false, DT).is_none()));
         let first = (0..100).find_map(|tick| watch.sees(&moving(7), false, DT).map(|d| (tick, d)));
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn limit_may_be_met_for_a_moment_and_not_for_long() {
+    fn only_prolonged_saturation_is_distrusted() {
         let mut watch = Watch::default();
         assert!((0..80).all(|tick| watch.sees(&moving(tick), true, DT).is_none()));
         assert!((80..400).all(|tick| watch.sees(&moving(tick), false, DT).is_none()));
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn jumps_changes_and_bounds_are_borne_a_few_times() {
+    fn repeated_jumps_changes_and_bound_hits_are_distrusted() {
         let mut watch = Watch::default();
         assert_eq!([(); 4].map(|()| watch.jumped())[2..], [None, Some(Distrust::Jumping)]);
         let mut watch = Watch::default();

@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn heavier_vehicle_is_told_in_words_and_carried() {
+    fn heavier_vehicle_is_reported_and_compensated() {
         let mut observer = observer(false);
         let notices = watch(&mut observer, 0..500, &hover(1.2), resting);
         let [AdaptationNotice::Changed(change)] = notices[..] else { panic!("{notices:?}") };
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn frozen_jumping_and_nonsense_estimates_switch_it_off_and_nothing_is_left() {
+    fn frozen_jumping_or_nan_estimates_switch_adaptation_off_completely() {
         let nan = |tick| State { velocity: Ned::new(f64::NAN, 0.0, 0.0), ..resting(tick) };
         let jumping = |tick: u32| {
             let side = if tick % 4 < 2 { 2.0 } else { -2.0 };
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_met_for_long_switch_it_off() {
+    fn prolonged_saturation_switches_adaptation_off() {
         let mut observer = taught(false);
         observer.limited(true);
         let notices = watch(&mut observer, 500..800, &hover(1.2), resting);
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_parameter_explains_switches_it_off() {
+    fn unexplained_motion_switches_adaptation_off() {
         // The vehicle falls as if it had no rotors, whatever is sent.
         let falling = |tick: u32| {
             let t = f64::from(tick) * DT;
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn where_constant_disturbances_are_observed_they_go_on() {
+    fn disturbance_observer_continues_after_adaptation_switches_off() {
         let mut observer = taught(true);
         watch(&mut observer, 500..600, &hover(1.2), |_| resting(7));
         assert!(observer.parameters().is_none() && !observer.is_idle());
@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn moment_of_a_weak_rotor_is_named() {
+    fn weak_rotor_is_named_from_its_moment() {
         let mut observer = observer(false);
         // Held level against: the attitude sent is the negative of what the moment turns by.
         let sent = Setpoint { attitude: Euler::new(-0.1, 0.1, -0.02), ..hover(1.066) };

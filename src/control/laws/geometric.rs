@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn hover_takes_the_weight_and_a_level_attitude_at_any_heading() {
+    fn hover_commands_weight_and_level_attitude_at_any_heading() {
         for yaw in [0.0, 1.0, -3.0] {
             let reference = carrying(Ned::zero(), yaw);
             let sent = setpoint(&on(&reference), &reference);
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn pure_yaw_is_a_heading_and_its_rate_and_no_tilt() {
+    fn pure_yaw_commands_heading_and_rate_without_tilt() {
         let mut reference = carrying(Ned::zero(), 0.5);
         reference.feedforward.body_rate = Frd::new(0.0, 0.0, 1.5);
         reference.body_rate = reference.feedforward.body_rate;
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn steady_acceleration_is_the_vector_sum_with_the_weight() {
+    fn steady_acceleration_adds_vectorially_to_the_weight() {
         // 3 m/s^2 to the north, heading east: the left side goes down.
         let reference = carrying(Ned::new(3.0, 0.0, 0.0), std::f64::consts::FRAC_PI_2);
         let sent = setpoint(&on(&reference), &reference);
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_ask_for_the_acceleration_that_the_gains_say() {
+    fn errors_command_the_acceleration_given_by_the_gains() {
         let reference = carrying(Ned::zero(), 0.0);
         let state = State {
             position: Ned::new(-0.4, 0.2, 0.1),
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn upside_down_it_does_not_push() {
+    fn inverted_vehicle_gets_no_thrust() {
         let reference = carrying(Ned::zero(), 0.0);
         let over = State { attitude: Euler::new(2.97, 0.0, 0.0).attitude(), ..on(&reference) };
         let sent = setpoint(&over, &reference);
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn force_beyond_the_tilt_limit_gives_way_sideways_and_keeps_the_height() {
+    fn tilt_limit_cuts_horizontal_force_and_keeps_vertical_thrust() {
         let reference = carrying(Ned::zero(), 0.0);
         let state = State { velocity: Ned::new(-30.0, 0.0, 0.0), ..on(&reference) };
         let sent = setpoint(&state, &reference);
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn gains_are_the_lqrs_near_hover_unless_they_are_set() {
+    fn default_gains_match_the_lqr_near_hover() {
         for actuation in [Actuation::IMMEDIATE, LATE] {
             let settings = ControlSettings::default();
             let geometric = designed(&actuation, &settings);
@@ -348,7 +348,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_it_is_asked_is_finite_and_within_the_tilt_limit(
+        fn command_is_always_finite_and_within_the_tilt_limit(
             state in any_state(), reference in any_reference(),
         ) {
             let sent = setpoint(&state, &reference);
@@ -363,7 +363,7 @@ mod tests {
         }
 
         #[test]
-        fn a_turned_world_turns_the_heading_and_nothing_else(
+        fn rotating_the_world_changes_only_the_heading(
             state in any_state(), reference in any_reference(), turn in -3.0..3.0f64,
         ) {
             let about = Euler::new(0.0, 0.0, turn).attitude();

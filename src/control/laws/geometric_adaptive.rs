@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn heavier_vehicle_is_held_without_error() {
+    fn heavier_vehicle_is_held_without_steady_state_error() {
         // A point mass whose thrust acts at once and is a fifth too weak.
         let (mut law, mut state, dt) = (law(), State::default(), 0.01);
         for _ in 0..3000 {
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn learned_force_is_bounded_and_a_reset_forgets_it() {
+    fn learned_force_is_bounded_and_cleared_by_reset() {
         let mut law = law();
         let far = State { position: Ned::new(5.0, -5.0, 5.0), ..State::default() };
         for _ in 0..100_000 {

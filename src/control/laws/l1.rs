@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn uncertainty_of_a_point_mass_is_found_and_cancelled() {
+    fn point_mass_disturbance_is_estimated_and_cancelled() {
         let feedforward = Setpoint { thrust_n: QUAD.hover_thrust_n(), ..Setpoint::default() };
         let reference = Reference { feedforward, ..Reference::default() };
         let (mut law, mut state, dt) = (law(), State::default(), 0.01);

@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn target_ahead_lowers_the_nose_and_target_to_the_right_rolls_right() {
+    fn target_ahead_pitches_down_and_target_right_rolls_right() {
         let (ahead, _) = lqr().feedback(&at_origin(0.0), &reference(0.5, 0.0, 0.0, 0.0));
         assert!(ahead.attitude.pitch < -0.1 && ahead.attitude.roll.abs() < 1e-12);
         let (right, _) = lqr().feedback(&at_origin(0.0), &reference(0.0, 0.5, 0.0, 0.0));
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn facing_east_a_target_in_the_north_is_to_the_left() {
+    fn target_in_the_north_is_on_the_left_when_facing_east() {
         let state = at_origin(FRAC_PI_2);
         let (north, _) = lqr().feedback(&state, &reference(0.5, 0.0, 0.0, FRAC_PI_2));
         assert!(north.attitude.roll < -0.1 && north.attitude.pitch.abs() < 1e-12);
@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn target_above_asks_for_thrust_and_upward_speed_for_less() {
+    fn target_above_adds_thrust_and_climb_rate_reduces_it() {
         let (above, _) = lqr().feedback(&at_origin(0.0), &reference(0.0, 0.0, -0.2, 0.0));
         assert!(above.thrust_n > 0.5);
         let climbing = State { velocity: Ned::new(0.0, 0.0, -1.0), ..at_origin(0.0) };
@@ -354,14 +354,14 @@ mod tests {
     }
 
     #[test]
-    fn yaw_error_is_taken_by_the_shorter_way() {
+    fn yaw_error_wraps_the_shorter_way() {
         let (correction, _) =
             lqr().feedback(&at_origin(PI - 0.1), &reference(0.0, 0.0, 0.0, 0.1 - PI));
         assert!(correction.attitude.yaw > 0.0 && correction.attitude.yaw < 0.3);
     }
 
     #[test]
-    fn far_reference_asks_no_more_than_one_at_the_bound_and_says_so() {
+    fn far_reference_is_clipped_to_the_bound_and_flagged() {
         let (far, is_cut) = lqr().feedback(&at_origin(0.0), &reference(100.0, 0.0, 0.0, 0.0));
         let (bound, _) = lqr().feedback(&at_origin(0.0), &reference(1.0, 0.0, 0.0, 0.0));
         assert!(is_cut);
@@ -369,13 +369,13 @@ mod tests {
     }
 
     #[test]
-    fn feedback_of_no_error_is_zero() {
+    fn zero_error_gives_zero_feedback() {
         let (none, is_cut) = lqr().feedback(&at_origin(1.0), &reference(0.0, 0.0, 0.0, 1.0));
         assert!(none.thrust_n == 0.0 && none.attitude.yaw.abs() < 1e-12 && !is_cut);
     }
 
     #[test]
-    fn every_attitude_loop_gets_a_stable_closed_loop() {
+    fn every_attitude_loop_yields_a_stable_closed_loop() {
         let rates = AttitudeLoop::Rates { gain: [6.0, 6.0, 3.0], time_constant_s: [0.05; 3] };
         for attitude_loop in [PD, AttitudeLoop::PX4, AttitudeLoop::ARDUCOPTER, rates] {
             for rate_hz in [50.0, 100.0, 500.0] {
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn vehicle_that_answers_late_is_asked_for_less_and_one_that_does_not_for_the_same() {
+    fn actuation_lag_lowers_the_gain_and_none_keeps_it() {
         let (kp, kd) = (NANO_KP, NANO_KD);
         let settings = ControlSettings::default();
         for attitude_loop in [
@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn quickened_loop_follows_sooner_and_keeps_its_margin() {
+    fn quickened_loop_tracks_faster_within_its_margin() {
         const SIH: HoverVehicle =
             HoverVehicle { mass_kg: 1.0, inertia: [0.025, 0.025, 0.03], gravity: 9.81 };
         let attitude_loop =
@@ -446,7 +446,7 @@ mod tests {
     }
 
     #[test]
-    fn loop_that_swings_up_by_itself_is_refused() {
+    fn unstable_attitude_loop_is_refused() {
         // By Routh, kd < lag kp.
         let attitude_loop = AttitudeLoop::Pd { kp: NANO_KP, kd: NANO_KD };
         let refused =
@@ -456,7 +456,7 @@ mod tests {
     }
 
     #[test]
-    fn gain_for_a_late_vehicle_keeps_the_signs_and_decouples_the_axes() {
+    fn gain_for_a_lagging_vehicle_keeps_signs_and_decoupled_axes() {
         let attitude_loop = AttitudeLoop::AttitudePd { kp: NANO_KP, kd: NANO_KD };
         let settings = ControlSettings::default();
         let lqr = Lqr::design_for(&slow(0.005, 0.04), &NANO, &attitude_loop, &settings);
@@ -471,7 +471,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_numbers_are_named() {
+    fn impossible_vehicle_numbers_are_named() {
         let vehicle = HoverVehicle { mass_kg: -1.0, ..QUAD };
         let refused = Lqr::design(&vehicle, &PD, &ControlSettings::default());
         assert!(refused.expect_err("refused").to_string().contains("mass is -1"));

@@ -427,7 +427,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     #[test]
-    fn every_law_is_listed_once_and_says_what_it_is() {
+    fn every_law_is_listed_once_with_a_summary() {
         let ids: BTreeSet<&str> = LAWS.iter().map(|spec| spec.id).collect();
         assert_eq!(ids.len(), LAWS.len());
         for spec in LAWS {
@@ -441,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn gains_in_the_table_are_settings() {
+    fn listed_gains_exist_in_the_settings() {
         let settings = serde_json::to_value(ControlSettings::default()).expect("settings");
         for gain in LAWS.iter().flat_map(|spec| spec.gains) {
             if let Some(name) = gain.key.strip_prefix("gains.") {
@@ -454,7 +454,7 @@ mod tests {
     }
 
     #[test]
-    fn gains_of_no_law_are_refused() {
+    fn unknown_or_invalid_gains_are_refused() {
         let check = |name: &str, values: &[f64]| {
             let mut gains = Gains::default();
             gains.set(name, values);
@@ -473,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn absolute_and_correcting_commands_agree() {
+    fn absolute_and_corrective_commands_agree() {
         let feedforward = Setpoint {
             thrust_n: 3.0,
             attitude: vehicle::frame::Euler::new(0.1, -0.2, 3.0),

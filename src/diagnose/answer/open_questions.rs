@@ -88,7 +88,7 @@ mod tests {
     use crate::diagnose::likelihood::fit::Fit;
 
     #[test]
-    fn what_is_first_in_an_ambiguous_answer_is_open_though_less_likely_than_not() {
+    fn leading_ambiguous_explanation_is_open_even_below_half_probability() {
         let text = include_str!("../../../config/vehicles/quad1200.toml");
         let catalogue = Catalogue::new(&VehicleParams::from_toml_str(text).unwrap(), true);
         let explanation = |effect: EffectId| {

@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_have_their_units() {
+    fn quantities_are_printed_with_their_units() {
         let drag = bounded("rotor_drag", "d_xy", [0.019, 0.021]);
         assert_eq!(drag, "d_xy 0.01900 .. 0.02100 kg/s");
         assert_eq!(bounded("inertia", "scale[2]", [1.0, 2.0]), "scale[2] 1.000 .. 2.000");

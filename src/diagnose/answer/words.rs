@@ -392,7 +392,7 @@ mod tests {
     use crate::diagnose::simulate::gap::Errors;
 
     #[test]
-    fn a_gap_that_the_files_numbers_close_is_said_with_those_furthest_off() {
+    fn gap_closed_by_file_numbers_names_the_furthest_off() {
         let mut answer = Answer::data_fault(Vec::new());
         answer.verdict = Verdict::None;
         let gap = Gap {
@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_that_grows_is_not_said_to_shrink() {
+    fn growing_gap_is_not_reported_as_shrinking() {
         assert!(shrinks([1.29, 1.23], Some(0.3)).contains("shrinks from 1.29 to 1.23"));
         for gaps in [[1.23, 1.29], [1.231, 1.229]] {
             let text = shrinks(gaps, Some(0.3));
@@ -434,7 +434,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mass_stands_beside_the_thrust_scale_that_acts_alike() {
+    fn equivalent_mass_is_listed_beside_thrust_scale() {
         let explained = |id: &str, name: &str, value: f64, mass: f64| ExplanationAnswer {
             effects: vec![id.to_owned()],
             evidence: 50.0,

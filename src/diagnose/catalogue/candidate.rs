@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_off_its_reference_is_its_effect_and_only_if_asked_for() {
+    fn number_off_its_reference_becomes_its_requested_effect() {
         let catalogue = Catalogue::new(&vehicle(), true);
         let mut values = catalogue.references();
         let target = Target::Effect(EffectId::YawTorque, 0);
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn without_setpoints_command_delay_is_from_output_to_thrust() {
+    fn command_delay_spans_output_to_thrust_without_setpoints() {
         let catalogue = Catalogue::new(&vehicle(), false);
         let mut values = catalogue.references();
         let number =

@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn every_effect_but_gusts_is_a_hypothesis() {
+    fn every_effect_except_gusts_is_a_hypothesis() {
         let catalogue = Catalogue::new(&vehicle(), true);
         for effect in EffectId::ALL {
             let found = catalogue.hypotheses.iter().filter(|h| h.effect == effect).count();
@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn an_effect_left_out_takes_its_class_along() {
+    fn excluding_an_effect_excludes_its_equivalence_class() {
         let whole = Catalogue::new(&vehicle(), true);
         let rest = whole.clone().without(&[EffectId::Mass, EffectId::Wind]);
         assert_eq!(rest.hypotheses.len(), whole.hypotheses.len() - 3);
@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wind_is_looked_for_in_all_directions_of_a_hover() {
+    fn wind_search_starts_cover_all_horizontal_directions() {
         let catalogue = Catalogue::new(&vehicle(), true);
         let wind = catalogue.hypotheses.iter().find(|h| h.effect == EffectId::Wind).unwrap();
         for slot in 0..2 {
@@ -402,7 +402,7 @@ mod tests {
     }
 
     #[test]
-    fn imbalances_leave_the_mean_thrust_as_it_is() {
+    fn imbalances_keep_the_mean_thrust() {
         let vehicle = vehicle();
         let catalogue = Catalogue::new(&vehicle, true);
         let thrust = |vehicle: &VehicleParams| -> f64 {
@@ -423,7 +423,7 @@ mod tests {
     }
 
     #[test]
-    fn references_stand_for_the_vehicle_file() {
+    fn reference_values_mean_no_effects() {
         let catalogue = Catalogue::new(&vehicle(), true);
         let references = catalogue.references();
         assert!(catalogue.effects(&references, None).is_empty());
@@ -434,7 +434,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delay_that_was_read_off_is_expected_where_the_file_allows_it() {
+    fn measured_delay_becomes_the_prior_within_file_tolerance() {
         let catalogue = Catalogue::new(&vehicle(), true);
         let index = catalogue.number_of(EffectId::CommandDelay, 0).unwrap();
         let Number { reference, tolerance, .. } = catalogue.numbers[index];
@@ -452,7 +452,7 @@ mod tests {
     }
 
     #[test]
-    fn a_nuisance_keeps_to_its_tolerance_and_an_active_number_to_its_bounds() {
+    fn nuisances_stay_in_tolerance_and_active_numbers_in_bounds() {
         let catalogue = Catalogue::new(&vehicle(), true);
         let target = Target::Effect(EffectId::Inertia, 0);
         let number = catalogue.numbers.iter().position(|n| n.target == target).unwrap();

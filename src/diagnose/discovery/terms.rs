@@ -147,7 +147,7 @@ mod tests {
     use crate::diagnose::catalogue::term::law_of;
 
     #[test]
-    fn every_term_is_a_law_with_its_units_and_none_is_there_twice() {
+    fn every_term_is_a_valid_and_unique_law() {
         let vehicle = VehicleParams::load("crazyflie").unwrap();
         let channels = Channels {
             velocity: true,

@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn the_closed_form_is_the_integral() {
+    fn closed_form_evidence_matches_the_integral() {
         let survey = vehicle(0.4, 0.1);
         let set = Quadratic::of(&survey.beside[0]).expect("a likelihood");
         let prior = Normal { mean: vec![0.3], deviation: vec![0.2] };
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn what_all_share_is_told_from_what_one_has() {
+    fn shared_deviation_is_distinguished_from_an_individual_one() {
         let mut values: Vec<f64> = (0..12).map(|k| 0.5 + 0.01 * f64::from(k % 3)).collect();
         values.push(-0.8);
         let (fleet, gain) = fitted(&values);
@@ -352,14 +352,14 @@ mod tests {
     }
 
     #[test]
-    fn one_that_is_damaged_makes_no_type() {
+    fn one_damaged_vehicle_is_not_a_type_deviation() {
         let mut values = vec![0.0; 12];
         values.push(0.8);
         assert!(fitted(&values).1 < PRICE);
     }
 
     #[test]
-    fn a_part_of_the_vehicles_is_a_group() {
+    fn deviation_of_half_the_fleet_is_a_group() {
         let values: Vec<f64> = (0..20).map(|k| if k % 2 == 0 { 0.5 } else { 0.0 }).collect();
         let (fleet, gain) = fitted(&values);
         assert!(gain > PRICE && fleet.whole < 0.1, "{fleet:?}");
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn two_equal_ones_do_not_tell_a_type() {
+    fn two_equal_vehicles_do_not_establish_a_type_deviation() {
         let (two, _) = fitted(&[0.5, 0.5]);
         assert!((0.5..0.8).contains(&two.whole), "{}", two.whole);
         let (ten, _) = fitted(&[0.5; 10]);

@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn the_late_ones_tell_the_delay() {
+    fn delay_is_estimated_from_jittered_answers() {
         for constant in [0.003, 0.0121, 0.0305] {
             let delay = Delay::between(&flown(constant)).unwrap();
             assert!((delay.mean - constant - 0.001).abs() < 5e-4, "{constant}: {delay:?}");
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn few_answers_tell_nothing() {
+    fn few_answers_give_no_delay() {
         assert_eq!(Delay::between(&flown(0.003)[..100]), None);
     }
 }

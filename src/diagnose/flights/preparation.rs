@@ -394,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn times_that_are_cut_out_are_in_no_span() {
+    fn excluded_times_are_in_no_span() {
         let flight = PreparedFlight::of_spans(vec![0.0..10.0, 12.0..20.0]);
         let cut = flight.clone().excluding(&[4.0..5.0, 9.0..13.0, 15.0..15.0]).unwrap();
         assert_eq!(cut.spans, [0.0..4.0, 5.0..9.0, 13.0..15.0, 15.0..20.0]);

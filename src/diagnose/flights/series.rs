@@ -181,7 +181,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_mean_about_a_time_is_of_all_that_lies_between() {
+    fn windowed_mean_integrates_the_interpolated_series() {
         let series = Series { times: vec![0.0, 1.0, 2.0], values: vec![[0.0], [3.0], [6.0]] };
         for (time, half, expected) in [(0.9, 0.4, 2.7), (0.5, 0.1, 1.5), (2.0, 1.0, 5.25)] {
             let [mean] = series.mean_about(time, half);
@@ -197,14 +197,14 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_averaged_between_samples() {
+    fn interpolation_averages_noise_between_samples() {
         let series = Series { times: vec![0.0, 1.0], values: vec![[0.0], [0.0]] };
         let shares = [-0.5, 0.0, 0.5, 1.0].map(|time| series.noise_share(time));
         assert_eq!(shares, [1.0, 1.0, 0.5_f64.sqrt(), 1.0]);
     }
 
     #[test]
-    fn a_cursor_reads_what_a_search_reads() {
+    fn cursor_reads_the_same_values_as_search() {
         let series = Series { times: vec![0.0, 1.0, 3.0], values: vec![[0.0], [2.0], [0.0]] };
         let mut cursor = series.cursor();
         for time in [-1.0, 0.5, 1.0, 2.0, 2.9, 5.0, 0.25] {

@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_lies_between_its_neighbours() {
+    fn missing_setpoints_are_interpolated_between_neighbours() {
         let (mut logged, mut missing) = (Stream::default(), Stream::default());
         for (time, roll) in [(0.0, 0.0), (0.01, 0.1), (0.04, 0.4), (1.0, 0.0)] {
             logged.push(time, setpoint(roll, 0.5 + roll));
@@ -362,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_scatters_as_the_rest() {
+    fn inferred_setpoints_scatter_like_the_logged_ones() {
         let mut rng = Pcg64Mcg::seed_from_u64(1);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
         let mut all = Stream::default();
@@ -390,7 +390,7 @@ mod tests {
     }
 
     #[test]
-    fn what_jumps_is_on_one_side_of_the_jump_or_the_other() {
+    fn inferred_setpoints_fall_on_either_side_of_a_step() {
         let mut all = Stream::default();
         for k in 0..4001 {
             let step = if (k + 1) / 200 % 2 == 0 { 0.0 } else { 0.2 };
@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_was_sent_a_little_late_as_the_rest() {
+    fn inferred_setpoints_share_the_send_jitter() {
         let (mut logged, mut missing) = (Stream::default(), Stream::default());
         let mut sent = Vec::new();
         let mut rng = Pcg64Mcg::seed_from_u64(1);
@@ -443,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_is_very_late_does_not_move_the_others() {
+    fn one_very_late_setpoint_does_not_shift_the_others() {
         let (mut logged, mut missing) = (Stream::default(), Stream::default());
         for k in 0..400 {
             let late = if k == 200 { 7e-3 } else { 1e-4 * f64::from(k % 7) };
@@ -462,7 +462,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_is_missing_than_there_was_time_for() {
+    fn inferred_setpoints_are_limited_by_the_elapsed_time() {
         let (mut logged, mut missing) = (Stream::default(), Stream::default());
         for k in 0..100 {
             let time = f64::from(k) * 0.01 + if k < 50 { 0.0 } else { 0.02 };

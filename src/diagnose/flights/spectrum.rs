@@ -117,7 +117,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_transform_is_the_sum_over_cosines() {
+    fn transform_matches_the_cosine_sum() {
         let n = 16;
         let series: Vec<f64> = (0..n).map(|i| ((i * i) as f64 * 0.37).sin()).collect();
         let mut fast = series.clone();
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn the_transform_keeps_the_energy_of_the_longest_block() {
+    fn transform_preserves_the_energy_of_the_longest_block() {
         let mut block: Vec<f64> = (0..BLOCK_MAX).map(|i| (i as f64 * 1.7).sin() + 0.3).collect();
         let energy: f64 = block.iter().map(|x| x * x).sum();
         CosineTransform::default().apply(&mut block, &mut Vec::new());
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn bands_cover_what_lies_below_the_last() {
+    fn bands_cover_all_lower_frequencies() {
         assert_eq!(band(0.0), Some(0));
         assert_eq!(band(0.1), Some(1));
         assert_eq!(band(19.9), Some(BANDS.len() - 1));

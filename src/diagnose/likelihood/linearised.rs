@@ -499,7 +499,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_number_within_its_limits_lowers_the_minimum(
+        fn no_single_number_improves_the_bounded_minimum(
             entries in prop::collection::vec(-1.0_f64..1.0, 36),
             slopes in prop::collection::vec(-5.0_f64..5.0, 6),
             lows in prop::collection::vec(-1.0_f64..0.0, 6),

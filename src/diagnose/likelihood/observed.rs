@@ -347,7 +347,7 @@ mod tests {
     use crate::diagnose::likelihood::channels::ATTITUDE;
 
     #[test]
-    fn what_is_left_at_least_is_something_and_far_below_any_sensor() {
+    fn residual_floor_is_positive_and_far_below_sensor_noise() {
         for text in [
             include_str!("../../../config/vehicles/crazyflie.toml"),
             include_str!("../../../config/vehicles/quad1200.toml"),

@@ -192,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_network_says_twice_as_large_is_halved() {
+    fn network_output_twice_too_large_is_halved() {
         let fit = Fit::between([(2.0, 1.0), (-4.0, -2.0)].into_iter());
         assert_eq!(fit, Fit { share: 0.5, left: 0.0 });
         // An output opposed to the labels is scaled to 0, and an output of 0 leaves everything.

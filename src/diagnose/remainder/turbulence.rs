@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn gusts_push_through_either_drag() {
+    fn gust_speed_follows_from_either_drag() {
         let linear = Drag { linear: 0.2, quadratic: 0.0 };
         assert!((linear.gusts(0.3).unwrap() - 1.5).abs() < 1e-9);
         let quadratic = Drag { linear: 0.0, quadratic: 0.05 };
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_told_from_a_slope() {
+    fn spectral_line_is_distinguished_from_a_slope() {
         let slope = [[0.1, 0.2, 0.05], [0.2, 0.35, 0.06], [0.35, 0.6, 0.05], [0.6, 1.0, 0.03]];
         assert!(!has_line(&slope));
         let line = [[0.1, 0.2, 0.01], [0.2, 0.35, 0.01], [0.35, 0.6, 0.4], [0.6, 1.0, 0.03]];

@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_regressor_that_is_half_error_doubles_an_inertia() {
+    fn regressor_with_half_error_doubles_the_inertia() {
         let half = Turning { measured: 1.1, left: 0.6, noise: 0.1, is_usable: true };
         assert!((half.unexplained() - 0.5).abs() < 1e-12 && (half.inflation() - 1.0).abs() < 1e-12);
         let exact = Turning { left: 0.1, ..half };

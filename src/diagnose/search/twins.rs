@@ -463,7 +463,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_hundredth_of_an_exponential_distribution_exceeds_is_found() {
+    fn one_percent_tail_of_an_exponential_is_found() {
         let n = 2000;
         // Quantiles of an exponential distribution with mean 3.
         let drawn: Vec<f64> =

@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn it_hovers_at_the_vehicles_rates_and_sinks_as_feedback_lets_a_heavy_one() {
+    fn hover_has_vehicle_rates_and_heavy_vehicle_sinks() {
         let vehicle = nano();
         let flight = hover(&vehicle, "", 6.0, 1);
         let height = |flight: &Flight| -flight.position.values().last().expect("a position").down();
@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_seed_gives_the_same_flight() {
+    fn same_seed_gives_the_same_flight() {
         let vehicle = nano();
         let of = |seed| hover(&vehicle, "", 1.0, seed).outputs;
         assert_eq!(of(3), of(3));
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn without_the_on_board_loop_nothing_is_flown_and_that_is_said() {
+    fn vehicle_without_onboard_loop_is_refused() {
         let vehicle = VehicleParams { attitude_pd: None, ..nano() };
         let refused = GroundControl::new(&vehicle).expect_err("no loop").to_string();
         assert!(refused.contains("attitude_pd"), "{refused}");

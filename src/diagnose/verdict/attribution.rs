@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_one_run_of_windows_shows_alone_has_a_wide_share() {
+    fn share_shown_by_one_window_run_has_a_wide_interval() {
         // One effect closes 3 of 4 in every window; the other closes 3 of 4 in the first run only.
         let squares = |steady: bool| {
             move |weights: &[f64]| {
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_add_up_and_what_does_nothing_has_none() {
+    fn shares_add_up_and_an_idle_player_gets_none() {
         // Two players that overlap, and one that does nothing.
         let square = |set: usize| match set & 3 {
             0 => 9.0,

@@ -54,12 +54,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_file_is_read() {
+    fn shipped_calibration_loads() {
         assert!(Calibration::shipped().law > 0.0);
     }
 
     #[test]
-    fn signs_add_up_to_log_odds() {
+    fn signs_add_up_to_the_log_odds() {
         let calibration =
             Calibration { discrepancy: [-1.0, 2.0], ..Calibration::shipped().clone() };
         assert!((calibration.discrepancy(&[1.0, 0.5]) - 0.5).abs() < 1e-12);
@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_is_off_by_its_fit_and_by_its_law() {
+    fn deviation_combines_fit_error_and_law_error() {
         let calibration = Calibration { law: 0.1, ..Calibration::shipped().clone() };
         assert!((calibration.deviation(3.0, 40.0) - 5.0).abs() < 1e-12);
     }

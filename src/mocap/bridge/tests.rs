@@ -72,7 +72,7 @@ fn at(t: f64) -> HostTime {
 }
 
 #[test]
-fn a_body_is_forwarded_at_the_rate_with_its_time_and_in_the_vehicles_axes() {
+fn body_is_forwarded_at_its_rate_in_vehicle_axes() {
     let mut room = Room::new();
     assert!(room.run(0.0, 0.9).is_empty(), "it has to be seen for a second");
     assert_eq!(room.news(), []);
@@ -95,7 +95,7 @@ fn a_body_is_forwarded_at_the_rate_with_its_time_and_in_the_vehicles_axes() {
 }
 
 #[test]
-fn the_rate_is_the_most_that_is_forwarded_whatever_the_room_has() {
+fn forwarding_rate_is_capped_at_any_room_rate() {
     for (room_hz, expected) in [(30.0, 300..=300), (120.0, 490..=500), (333.0, 490..=500)] {
         let mut room = Room::new();
         let mut forwarded = 0;
@@ -112,7 +112,7 @@ fn the_rate_is_the_most_that_is_forwarded_whatever_the_room_has() {
 /// Each fault of a single sample: it is not forwarded, is counted, and is reported once. The next
 /// sample is forwarded again.
 #[test]
-fn nothing_wrong_is_forwarded_and_each_is_said_once() {
+fn faulty_samples_are_dropped_and_reported_once() {
     let wrong = |change: fn(&mut Sample)| {
         let mut room = Room::new();
         room.run(0.0, 2.0);
@@ -148,7 +148,7 @@ fn nothing_wrong_is_forwarded_and_each_is_said_once() {
 }
 
 #[test]
-fn old_frames_are_followed_and_not_forwarded() {
+fn old_frames_are_tracked_but_not_forwarded() {
     let mut room = Room::new();
     room.run(0.0, 2.0);
     room.news();
@@ -164,7 +164,7 @@ fn old_frames_are_followed_and_not_forwarded() {
 }
 
 #[test]
-fn a_frozen_room_is_told_after_a_while_and_a_silent_one_too() {
+fn frozen_and_silent_rooms_are_reported() {
     let mut room = Room::new();
     room.run(0.0, 2.0);
     let frozen = room.sample(2.0);
@@ -193,7 +193,7 @@ fn a_frozen_room_is_told_after_a_while_and_a_silent_one_too() {
 /// A restarted room has a different clock. It is accepted after a second, with the body where it
 /// was.
 #[test]
-fn a_room_that_starts_anew_is_taken_anew() {
+fn restarted_room_is_accepted_again() {
     let mut room = Room::new();
     room.run(0.0, 2.0);
     room.news();
@@ -209,7 +209,7 @@ fn a_room_that_starts_anew_is_taken_anew() {
 }
 
 #[test]
-fn what_is_waited_for_is_said() {
+fn reason_for_waiting_is_reported() {
     let mut room = Room::new();
     let said = |room: &Room, t| room.bridge.waits_for(at(t)).unwrap_or_default();
     assert!(said(&room, 1.0).contains("nothing arrives"));

@@ -74,7 +74,7 @@ const ELSEWHERE: Ned = Ned::new(2.5, 0.5, -1.0);
 /// An honest room's poses are never rejected after the start: 200 flights of 20 s at 60 to 240 Hz
 /// and up to 3 m/s, with a second and a half at rest in each, are 600,000 poses.
 #[test]
-fn an_honest_room_is_believed() {
+fn poses_of_a_healthy_room_are_accepted() {
     let mut poses = 0;
     for seed in 0..200 {
         let rate = [60.0, 100.0, 120.0, 240.0][seed as usize % 4];
@@ -94,7 +94,7 @@ fn an_honest_room_is_believed() {
 /// are accepted again once they return in time. Both fly. Where they are within the watch's reach
 /// of each other, poses cannot show the swap, and that seed is skipped.
 #[test]
-fn a_swap_is_seen_at_its_first_pose_and_forgiven_at_its_end() {
+fn swap_is_detected_at_once_and_ends_with_the_swap() {
     let (mut swaps, mut named) = (0, 0);
     for seed in 0..300u64 {
         let (mut own, mut other) =
@@ -138,7 +138,7 @@ fn a_swap_is_seen_at_its_first_pose_and_forgiven_at_its_end() {
 
 /// A lasting swap is never accepted, neither while the vehicle is armed nor on the ground.
 #[test]
-fn a_swap_that_lasts_is_never_believed() {
+fn lasting_swap_is_never_accepted() {
     for (is_armed, is_last) in [(true, true), (false, true), (true, false), (false, false)] {
         let (mut own, mut other) = (Flight::new(1, HERE, 0.5), Flight::new(2, ELSEWHERE, 0.5));
         let mut watch = watch();
@@ -161,7 +161,7 @@ fn a_swap_that_lasts_is_never_believed() {
 }
 
 #[test]
-fn a_room_that_freezes_is_not_believed_from_the_first_repetition_on() {
+fn frozen_room_is_rejected_from_the_first_repetition() {
     for seed in 0..100 {
         let mut flight = Flight::new(seed, HERE, 1.0);
         let mut watch = watch();
@@ -182,7 +182,7 @@ fn a_room_that_freezes_is_not_believed_from_the_first_repetition_on() {
 
 /// A hidden body returns to its expected position within half a second, or stays away for good.
 #[test]
-fn a_body_that_was_hidden_is_taken_back_where_it_was_to_be() {
+fn hidden_body_is_accepted_again_at_its_expected_position() {
     let (mut back, mut wrong) = (0, 0);
     for seed in 0..200 {
         let mut flight = Flight::new(seed, HERE, 0.5);
@@ -205,7 +205,7 @@ fn a_body_that_was_hidden_is_taken_back_where_it_was_to_be() {
 /// A body that was carried elsewhere by hand while disarmed is accepted at its new place, and the
 /// vehicle is notified of a restart.
 #[test]
-fn a_body_that_was_carried_is_taken_anew_while_disarmed() {
+fn carried_body_is_accepted_anew_while_disarmed() {
     let mut flight = Flight::new(1, HERE, 0.2);
     let mut watch = watch();
     show(&mut watch, &mut flight, 100.0, (0.0, 3.0));
@@ -220,7 +220,7 @@ fn a_body_that_was_carried_is_taken_anew_while_disarmed() {
 }
 
 #[test]
-fn a_body_that_turns_over_at_once_jumped() {
+fn sudden_attitude_flip_is_a_jump() {
     let mut flight = Flight::new(3, HERE, 0.5);
     let mut watch = watch();
     show(&mut watch, &mut flight, 100.0, (0.0, 3.0));
@@ -233,7 +233,7 @@ fn a_body_that_turns_over_at_once_jumped() {
 proptest! {
     /// A jump beyond the reach is detected at the first pose, in any direction.
     #[test]
-    fn a_jump_is_seen_at_once(
+    fn jump_is_detected_at_once(
         seed in 0..1000u64, north in -1.0..1.0f64, east in -1.0..1.0f64, down in -1.0..1.0f64,
         by in 0.1..5.0f64,
     ) {

@@ -62,7 +62,7 @@ fn with_metadata(bytes: &[u8], change: impl FnOnce(&mut Value)) -> Vec<u8> {
 }
 
 #[test]
-fn a_model_survives_its_file() {
+fn model_round_trips_through_its_file() {
     for features in [Features::World, Features::Heading] {
         let back = ModelFile::from_bytes(&bytes(features), name()).expect("a model");
         assert_eq!(back, model(features));
@@ -71,14 +71,14 @@ fn a_model_survives_its_file() {
 }
 
 #[test]
-fn the_same_model_gives_the_same_bytes() {
+fn same_model_gives_the_same_bytes() {
     // Each run creates a new hash map, whose order differs.
     let first = bytes(Features::World);
     assert!((0..20).all(|_| bytes(Features::World) == first));
 }
 
 #[test]
-fn a_flipped_byte_in_the_weights_is_found() {
+fn flipped_byte_in_the_weights_is_detected() {
     let sound = bytes(Features::World);
     for at in body(&sound)..sound.len() {
         let mut spoiled = sound.clone();
@@ -88,7 +88,7 @@ fn a_flipped_byte_in_the_weights_is_found() {
 }
 
 #[test]
-fn a_changed_number_in_the_metadata_is_found() {
+fn changed_metadata_is_detected() {
     let sound = bytes(Features::World);
     assert!(ModelFile::from_bytes(&with_metadata(&sound, |_| ()), name()).is_ok());
     for (pointer, value) in [
@@ -109,7 +109,7 @@ fn a_changed_number_in_the_metadata_is_found() {
 }
 
 #[test]
-fn a_file_cut_anywhere_is_refused() {
+fn truncated_file_is_refused() {
     let sound = bytes(Features::Heading);
     for length in 0..sound.len() {
         assert!(is_damaged(&sound[..length]), "{length} bytes");
@@ -119,7 +119,7 @@ fn a_file_cut_anywhere_is_refused() {
 }
 
 #[test]
-fn another_form_or_version_is_named() {
+fn foreign_format_or_version_is_named_in_the_error() {
     let sound = bytes(Features::World);
     let newer = with_metadata(&sound, |content| {
         *content = json!({ "format": FORMAT, "version": 2, "surprise": true });
@@ -138,7 +138,7 @@ fn another_form_or_version_is_named() {
 }
 
 #[test]
-fn weights_that_are_no_numbers_are_refused() {
+fn non_finite_weights_are_refused() {
     for spoil in [
         (|file| file.net.linear.mlp.hidden_weights[3] = f32::NAN) as fn(&mut ModelFile),
         |file| file.residual.angular.mlp.output_biases[1] = f32::INFINITY,
@@ -153,7 +153,7 @@ fn weights_that_are_no_numbers_are_refused() {
 }
 
 #[test]
-fn networks_of_another_shape_are_refused() {
+fn networks_of_the_wrong_shape_are_refused() {
     let mut file = model(Features::World);
     file.net.linear = file.residual.angular.clone();
     assert!(is_damaged(&file.to_bytes().expect("bytes")));
@@ -163,7 +163,7 @@ fn networks_of_another_shape_are_refused() {
 }
 
 #[test]
-fn a_model_is_for_its_vehicle_alone() {
+fn model_is_refused_for_another_vehicle() {
     let file = model(Features::World);
     file.check_vehicle(&vehicle(), name()).expect("its own");
     let mut renamed = vehicle();
@@ -186,7 +186,7 @@ fn a_model_is_for_its_vehicle_alone() {
 }
 
 #[test]
-fn every_kind_of_model_can_be_evaluated() {
+fn every_model_kind_can_be_evaluated() {
     let file = model(Features::Heading);
     for kind in ModelKind::ALL {
         let model = file.model(kind).expect("a model");
@@ -197,7 +197,7 @@ fn every_kind_of_model_can_be_evaluated() {
 
 proptest! {
     #[test]
-    fn no_bytes_make_the_reader_panic(noise in prop::collection::vec(any::<u8>(), 0..400)) {
+    fn arbitrary_bytes_never_panic_the_reader(noise in prop::collection::vec(any::<u8>(), 0..400)) {
         prop_assert!(ModelFile::from_bytes(&noise, name()).is_err());
         // With a plausible length prefix.
         let length = (noise.len() as u64 / 2).to_le_bytes();
@@ -205,7 +205,7 @@ proptest! {
     }
 
     #[test]
-    fn no_damage_makes_the_reader_panic_or_gives_another_model(
+    fn damaged_file_is_refused_or_gives_the_same_model(
         places in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
     ) {
         let mut spoiled = bytes(Features::World);

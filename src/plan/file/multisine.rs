@@ -125,7 +125,7 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn the_file_says_what_was_written_and_starts_at_its_offset() {
+    fn multisine_file_round_trips_and_starts_at_its_offset() {
         let wave = Wave { amplitude_m: 0.3, period_s: 3.0, phase_deg: 40.0 };
         let written = Multisine {
             altitude_m: 1.5,
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_no_curve_are_refused_by_field() {
+    fn invalid_multisine_numbers_are_refused_by_field() {
         let error = |wave: &str| {
             let text =
                 format!("family='multisine'\naltitude_m=1\nduration_s=5\nnorth=[{{{wave}}}]");

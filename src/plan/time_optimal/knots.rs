@@ -90,7 +90,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_difference_leads_there(by in prop::array::uniform12(-1.0_f64..1.0)) {
+        fn moving_by_the_difference_recovers_it(by in prop::array::uniform12(-1.0_f64..1.0)) {
             let state = State {
                 attitude: Euler::new(0.4, -1.2, 2.0).attitude(),
                 velocity: Ned::new(1.0, 2.0, 3.0),

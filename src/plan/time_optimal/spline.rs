@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn places_are_met_and_accelerations_meet() {
+    fn spline_passes_places_with_continuous_acceleration() {
         let places =
             vec![Ned::zero(), Ned::new(1.0, 2.0, -1.0), Ned::new(3.0, 0.0, 0.5), Ned::zero()];
         let ends = [Ned::new(0.5, 0.0, 0.0), Ned::zero()];

@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_least_numbers_of_flights_are_the_textbooks() {
+    fn minimum_flight_counts_match_the_textbook() {
         let needed = [0.5, 0.9, 0.95, 0.99, 0.999].map(flights_needed);
         assert_eq!(needed, [1, 9, 19, 99, 999]);
         let scores: Vec<f64> = (1..=19).map(f64::from).collect();
@@ -51,7 +51,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_least_number_supports_the_confidence_and_one_less_does_not(
+        fn minimum_flight_count_is_sufficient_and_necessary(
             confidence in 0.5_f64..0.999,
         ) {
             let needed = flights_needed(confidence);
@@ -64,7 +64,7 @@ mod tests {
     /// The coverage of exchangeable scores that are neither independent nor identically distributed
     /// given what they share: a common factor multiplies all of a draw's.
     #[test]
-    fn exchangeable_scores_are_covered_as_often_as_promised() {
+    fn coverage_holds_for_exchangeable_scores() {
         let mut random = Pcg64Mcg::seed_from_u64(5);
         for (flights, confidence) in [(19, 0.95), (40, 0.9), (57, 0.8)] {
             let draws = 20_000;

@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_drawn_process_is_found_under_white_noise() {
+    fn drawn_process_is_recovered_under_white_noise() {
         let truth = AxisError { at_rest_m_s2: 0.3, per_speed_s: 0.4, correlation_s: 0.8 };
         let mut random = Pcg64Mcg::seed_from_u64(3);
         let mut normal = || random.sample::<f64, _>(StandardNormal);
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lasts_a_flight_is_steady_and_noise_alone_is_nothing() {
+    fn constant_error_is_steady_and_pure_noise_is_zero() {
         let steady = |push: f64| {
             let at = |k: i32| Residual {
                 time_s: 0.01 * f64::from(k),

@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_steady_push_is_its_size_over_the_stiffness() {
+    fn steady_push_scale_is_push_over_stiffness() {
         let mut error = error();
         for axis in [&mut error.horizontal, &mut error.vertical] {
             *axis = AxisError { at_rest_m_s2: 0.4, per_speed_s: 0.0, correlation_s: 60.0 };
@@ -165,7 +165,7 @@ mod tests {
 
     /// Many runs of the linear loop, each step integrated in ten finer ones with noise.
     #[test]
-    fn the_scale_is_the_deviation_of_many_simulated_runs() {
+    fn scale_matches_the_deviation_of_simulated_runs() {
         let speeds: Vec<f64> = (0..400).map(|k| (2.0 - 0.01 * f64::from(k)).max(0.0)).collect();
         let error = error();
         for rejection_s in [None, Some(0.5)] {

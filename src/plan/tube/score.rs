@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_grid_holds_the_last_row() {
+    fn grid_holds_the_last_row() {
         let rows = [[0.0, 1.0], [0.01, 2.0], [0.025, 3.0], [0.06, 4.0], [f64::NAN, 9.0]];
         assert_eq!(on_grid(rows.into_iter()), [1.0, 2.0, 3.0, 3.0, 3.0, 3.0, 4.0]);
         assert!(on_grid(std::iter::empty()).is_empty());
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_instant_counts_in_its_own_scale() {
+    fn score_is_the_worst_scaled_instant() {
         let axis = AxisError { at_rest_m_s2: 0.4, per_speed_s: 0.0, correlation_s: 60.0 };
         let feedback =
             TrackingLoop { stiffness_s2: [8.0; 2], damping_s: [4.0; 2], rejection_s: None };

@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bars_follow_one_another_and_go_back_where_a_share_is_negative() {
+    fn waterfall_bars_are_cumulative_with_negative_shares() {
         let share = |of: &str, share: f64| Share { of: of.to_owned(), share, interval: [share; 2] };
         let shares =
             [share("mass", 0.9), share("file", -0.1), share("remainder", 0.1), share("noise", 0.1)];

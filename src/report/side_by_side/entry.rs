@@ -344,7 +344,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_stand_at_the_same_place_by_time_way_and_phase() {
+    fn errors_align_by_time_position_and_phase() {
         let mut entry = Entry::constant("a", 0.1, BTreeMap::new());
         for (time, error) in entry.signals[0].time.clone().iter().zip(&mut entry.signals[0].error) {
             *error = *time;

@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn flights_of_one_seed_are_pairs_and_a_small_difference_shows_between_them() {
+    fn flights_of_one_seed_are_paired_and_small_differences_show() {
         let errors = [0.10, 0.25, 0.40, 0.18];
         let a: Vec<Entry> = (0..4).map(|i| entry(errors[i as usize], "circle", i, "lqr")).collect();
         let b: Vec<Entry> = (0..4)
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn single_flights_are_not_decided() {
+    fn single_flights_are_undecided() {
         let comparison = compared(&[entry(0.1, "circle", 1, "x")], &[entry(9.0, "circle", 1, "y")]);
         assert_eq!(comparison.outcome, Outcome::Undecided);
         assert!(

@@ -195,7 +195,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_are_those_of_the_tables() {
+    fn t_quantiles_match_tables() {
         for (freedom, expected) in [(1.0, 12.7062), (4.0, 2.7764), (10.0, 2.2281), (100.0, 1.9840)]
         {
             assert!((quantile(freedom) - expected).abs() < 1e-4, "{freedom}");
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_numbers_do_not_differ_and_constants_apart_do() {
+    fn equal_samples_do_not_differ_and_constant_offsets_do() {
         let same = Tested::paired(&[1.0, 2.0, 3.0], &[1.0, 2.0, 3.0]).expect("pairs");
         assert!(!same.is_more_than_chance() && same.p == 1.0);
         let apart = Tested::paired(&[1.0, 2.0], &[2.0, 3.0]).expect("pairs");
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn smaller_p_values_stay_smaller() {
+    fn holm_adjustment_keeps_the_order() {
         let adjusted = holm(&[0.01, 0.5, 0.02, 0.03]);
         assert_eq!(
             adjusted.iter().map(|p| (p * 1e6).round() / 1e6).collect::<Vec<_>>(),
@@ -225,7 +225,7 @@ mod tests {
     /// Of flights without any difference, no more than about one in twenty comparisons finds one;
     /// a known difference lies within as many intervals as they say.
     #[test]
-    fn chance_is_taken_for_a_difference_one_time_in_twenty() {
+    fn false_alarm_rate_and_coverage_match_five_percent() {
         const TRIALS: usize = 4000;
         let mut random = Pcg64::seed_from_u64(1);
         let (own, shared) =

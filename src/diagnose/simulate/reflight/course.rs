@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pause_of_the_reference_parts_it() {
+    fn reference_pause_splits_the_course() {
         let times = [0.0, 0.01, 0.02, 0.5, 0.51];
         let found = parts(
             ReferenceOrigin::Logged,
