@@ -123,7 +123,7 @@ fn delays_rotations_and_biases_are_recovered() {
 }
 
 #[test]
-fn a_tenth_of_the_samples_lost_shifts_nothing() {
+fn losing_a_tenth_of_the_samples_biases_nothing() {
     let mut flight = spoiled(&FLIGHT);
     flight.attitude = thinned(&flight.attitude, 1);
     flight.position = thinned(&flight.position, 2);
@@ -136,7 +136,7 @@ fn a_tenth_of_the_samples_lost_shifts_nothing() {
 }
 
 #[test]
-fn a_heading_that_is_wrong_is_found() {
+fn wrong_heading_is_found() {
     let mut flight = FLIGHT.clone();
     let turn = Euler::new(0.0, 0.0, 0.15).attitude();
     flight.attitude = flight.attitude.map(|q| turn.compose(*q));
@@ -145,7 +145,7 @@ fn a_heading_that_is_wrong_is_found() {
 }
 
 #[test]
-fn the_scale_of_each_axis_is_recovered() {
+fn scale_of_each_axis_is_recovered() {
     let mut flight = FLIGHT.clone();
     flight.velocity = flight.velocity.map(|v| {
         let [n, e, d] = v.to_array();
@@ -164,7 +164,7 @@ fn the_scale_of_each_axis_is_recovered() {
 
 /// Noise in the velocity flattens the slope of the position on it; the interval holds the truth.
 #[test]
-fn noise_in_either_stream_is_in_the_interval_of_a_scale() {
+fn scale_interval_covers_noise_in_either_stream() {
     let mut random = Pcg64Mcg::seed_from_u64(3);
     let mut noisy = |v: &Ned| {
         let mut noise = || random.random_range(-1.5..1.5);
@@ -182,7 +182,7 @@ fn noise_in_either_stream_is_in_the_interval_of_a_scale() {
 }
 
 #[test]
-fn clocks_of_different_rates_are_found() {
+fn clock_drift_is_found() {
     let mut flight = FLIGHT.clone();
     let mut drifting = Stream::default();
     let start = flight.attitude.times()[0];
@@ -257,7 +257,7 @@ fn wrong_units_are_found() {
 }
 
 #[test]
-fn wrong_orders_and_axes_are_found() {
+fn wrong_quaternion_order_and_axes_are_found() {
     let mut flight = FLIGHT.clone();
     flight.attitude = flight.attitude.map(|q| q.inverse());
     assert_fault(&flight, "quaternion", "world to body");
@@ -283,7 +283,7 @@ fn wrong_orders_and_axes_are_found() {
 }
 
 #[test]
-fn motors_that_cannot_be_are_found() {
+fn impossible_motor_outputs_are_found() {
     let mut flight = FLIGHT.clone();
     flight.outputs = flight.outputs.map(|u| [u[0], u[1], u[2] * 2.2, u[3]]);
     assert_fault(&flight, "illegal_output", "outside");
@@ -300,7 +300,7 @@ fn motors_that_cannot_be_are_found() {
 }
 
 #[test]
-fn what_is_no_multirotor_is_a_fault() {
+fn non_multirotor_is_a_fault() {
     use downwash::log::import::{StatedKind, VehicleKind};
     let stated = |kind| StatedKind { kind, by: "MAV_TYPE is 1".to_owned() };
     let mut flight = FLIGHT.clone();
@@ -311,7 +311,7 @@ fn what_is_no_multirotor_is_a_fault() {
 }
 
 #[test]
-fn outputs_that_never_move_in_flight_are_found() {
+fn constant_outputs_in_flight_are_found() {
     for held in [0.0, 0.5] {
         let mut flight = FLIGHT.clone();
         flight.outputs = flight.outputs.map(|_| [held; 4]);
@@ -336,7 +336,7 @@ fn outputs_that_never_move_in_flight_are_found() {
 }
 
 #[test]
-fn outputs_in_another_order_are_found() {
+fn wrong_output_order_is_found() {
     use downwash::log::import::RotorFact;
     let params = lockstep::params(lockstep::NANO);
     let fact = |i: usize| {
@@ -371,7 +371,7 @@ fn outputs_in_another_order_are_found() {
 }
 
 #[test]
-fn values_that_stand_still_jump_or_cannot_be_are_found() {
+fn frozen_jumping_and_impossible_values_are_found() {
     let mut flight = FLIGHT.clone();
     let middle = flight.velocity.times()[flight.velocity.len() / 2];
     let mut frozen = Stream::default();
@@ -406,7 +406,7 @@ fn values_that_stand_still_jump_or_cannot_be_are_found() {
 }
 
 #[test]
-fn a_flight_that_is_there_twice_is_found() {
+fn duplicate_flight_is_found() {
     let first = FLIGHT.clone();
     // Another file with the same samples, at other times.
     let mut second = FLIGHT.clone();
@@ -423,7 +423,7 @@ fn a_flight_that_is_there_twice_is_found() {
 }
 
 #[test]
-fn tiers_and_what_they_cannot_show() {
+fn tier_determines_untestable_effects() {
     let tier = |flight: &Flight| Audit::of(flight).tier;
     let names = |flight: &Flight| -> Vec<&'static str> {
         let untestable = untestable::of(flight, &Channels::of(flight));
@@ -466,7 +466,7 @@ fn tiers_and_what_they_cannot_show() {
 }
 
 #[test]
-fn the_command_prints_json_and_fails_only_where_asked() {
+fn command_prints_json_and_fails_only_on_request() {
     let path = place("faulty.mcap");
     let mut flight = FLIGHT.clone();
     flight.outputs = flight.outputs.map(|u| [u[0], 0.5, u[2], u[3]]);

@@ -320,7 +320,7 @@ fn rates(seeds: std::ops::Range<u64>) -> (BTreeMap<&'static str, Rate>, Rate, St
 }
 
 #[test]
-fn corrupted_streams_are_found_and_whole_ones_are_not() {
+fn corrupted_streams_are_found_without_false_alarms() {
     let (found, alarms, notes) = rates(100..101);
     assert_eq!(alarms.count, 0, "{notes}");
     let (count, of) = found.values().fold((0, 0), |(a, b), rate| (a + rate.count, b + rate.of));
@@ -329,7 +329,7 @@ fn corrupted_streams_are_found_and_whole_ones_are_not() {
 
 #[test]
 #[ignore = "takes half an hour; prints the rates that the documentation states"]
-fn corrupted_streams_over_seeds() {
+fn corrupted_streams_are_found_at_stated_rates_over_seeds() {
     let seeds = std::env::var("AUDIT_SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(200);
     let (found, alarms, notes) = rates(0..seeds);
     println!("{notes}");

@@ -146,7 +146,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
     #[test]
-    fn what_a_motion_does_not_show_is_not_told(
+    fn unobservable_quantities_are_not_reported(
         axis in direction(),
         angle in profile(0.6),
         line in direction(),
@@ -158,7 +158,7 @@ proptest! {
 }
 
 #[test]
-fn the_turn_about_the_only_axis_is_not_shown() {
+fn rotation_about_the_only_axis_is_unobservable() {
     let sine = Profile::Sine { size: 0.4, hz: 0.5 };
     for (at, axis) in AXES.into_iter().enumerate() {
         let motion = Motion { axis, angle: sine, line: axis, way: sine, held: false };
@@ -177,7 +177,7 @@ fn the_turn_about_the_only_axis_is_not_shown() {
 
 /// The audit finds a reversed stream even where only one axis moves.
 #[test]
-fn a_stream_that_runs_backwards_is_a_fault() {
+fn reversed_stream_is_a_fault() {
     let sine = Profile::Sine { size: 0.4, hz: 0.5 };
     for axis in AXES {
         let motion = Motion { axis, angle: sine, line: axis, way: sine, held: false };
@@ -191,7 +191,7 @@ fn a_stream_that_runs_backwards_is_a_fault() {
 /// At one attitude the axes of the body are a turn of the world's: both fit to rounding, and which of
 /// the two fits better by rounding says nothing.
 #[test]
-fn a_line_flown_at_one_attitude_shows_no_frame() {
+fn line_at_constant_attitude_does_not_reveal_the_frame() {
     let line = [-0.3584472636188655, 0.897538830006485, 0.2567870865809597];
     let way = Profile::Sine { size: 0.3128056520084014, hz: 1.0942688341121647 };
     let angle = Profile::Constant(0.4398997665688817);

@@ -113,7 +113,7 @@ fn differences(golden: &Golden, flight: &Flight, ticks: &[Tick]) -> [f64; 7] {
 }
 
 #[test]
-fn the_vehicle_flies_as_rotorpy_does_under_an_independent_controller() {
+fn flight_matches_rotorpy_under_an_independent_controller() {
     let golden = golden();
     assert_eq!(golden.flights.len(), 2);
     for flight in &golden.flights {
@@ -133,7 +133,7 @@ fn the_vehicle_flies_as_rotorpy_does_under_an_independent_controller() {
 
 /// A comparison that passes whatever is compared is worth nothing.
 #[test]
-fn small_errors_in_the_gain_the_vehicle_or_the_timing_would_be_seen() {
+fn comparison_detects_small_gain_vehicle_and_timing_errors() {
     let golden = golden();
     let flight = &golden.flights[0];
     let feedback = &golden.feedback;

@@ -94,7 +94,7 @@ fn errors(tick: &Tick) -> Errors {
 }
 
 #[test]
-fn small_steps_are_answered_as_the_sampled_linear_loop_says() {
+fn small_steps_match_the_sampled_linear_loop() {
     for (name, effects) in [
         (NANO, &["motor_lag:tau_s=0", "command_delay:delay_s=0"][..]),
         (QUAD, &["motor_lag:tau_s=0", "command_delay:delay_s=0", "rotor_drag:d_xy=0,d_z=0"]),

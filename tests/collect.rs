@@ -60,7 +60,7 @@ fn column<'a>(summary: &'a Value, name: &str) -> Vec<&'a str> {
 }
 
 #[test]
-fn all_kinds_are_flown_once_and_what_is_cut_short_is_flown_again() {
+fn all_kinds_are_flown_once_and_truncated_flights_again() {
     let (two, one) = (Folder::new("collect-two"), Folder::new("collect-one"));
     let short = ["--seconds", "60", "--effect", "rotor_drag:d_xy=0.012,d_z=0.008"];
     let output = collect(&two.0, &[&short[..], &["--jobs", "2"]].concat());
@@ -115,7 +115,7 @@ fn keeps_to_the_box(log: &Path) {
 }
 
 #[test]
-fn a_flight_that_ends_early_is_told_and_its_log_kept() {
+fn early_end_is_reported_and_its_log_kept() {
     let folder = Folder::new("collect-early");
     let output =
         collect(&folder.0, &["--seconds", "60", "--effect", "rotor_loss:rotor=0,scale=0.3"]);
@@ -126,7 +126,7 @@ fn a_flight_that_ends_early_is_told_and_its_log_kept() {
 }
 
 #[test]
-fn trajectories_are_written_for_fly_and_nothing_is_flown() {
+fn write_trajectories_writes_files_without_flying() {
     let folder = Folder::new("collect-files");
     let files = folder.0.join("files");
     let to = files.to_string_lossy().into_owned();
@@ -142,7 +142,7 @@ fn trajectories_are_written_for_fly_and_nothing_is_flown() {
 }
 
 #[test]
-fn a_programme_without_room_is_refused() {
+fn too_short_programme_is_refused() {
     let folder = Folder::new("collect-short");
     let output = collect(&folder.0, &["--seconds", "5"]);
     assert_eq!(output.status.code(), Some(2));

@@ -55,7 +55,7 @@ fn all(entries: &[Entry]) -> Vec<&Entry> {
 }
 
 #[test]
-fn a_known_effect_is_said_with_its_interval_and_its_fact() {
+fn known_effect_is_reported_with_interval_and_setting() {
     let folder = folder("known");
     let a = flights(&folder.join("a"), None, 0..4);
     let b = flights(&folder.join("b"), Some("mass:mass_kg=0.032"), 0..4);
@@ -74,7 +74,7 @@ fn a_known_effect_is_said_with_its_interval_and_its_fact() {
 }
 
 #[test]
-fn the_same_flights_do_not_differ() {
+fn identical_flights_do_not_differ() {
     let a = flights(&folder("same"), None, 0..3);
     for pairing in [Pairing::Auto, Pairing::None] {
         let compared = compare(&all(&a), &all(&a), pairing);
@@ -86,7 +86,7 @@ fn the_same_flights_do_not_differ() {
 /// Forty-eight flights that differ by their seeds alone, parted by chance again and again.
 #[test]
 #[ignore = "long: tests/run --all"]
-fn chance_alone_makes_a_difference_one_time_in_twenty() {
+fn chance_alone_is_significant_one_time_in_twenty() {
     const SPLITS: usize = 400;
     let folder = folder("chance");
     let pool = flights(&folder.join("a"), None, 0..48);

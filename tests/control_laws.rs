@@ -68,7 +68,7 @@ fn every_law_flies_a_vehicle_with_delay_and_lag() {
 /// The disturbance observer works around any law. The steady error is compared with that of the LQR
 /// without an observer, because an adaptive law already removes most of it.
 #[test]
-fn under_every_law_the_observer_takes_out_a_weight_that_is_not_known() {
+fn observer_compensates_unknown_weight_under_every_law() {
     let params = params(NANO);
     let mut plain = None;
     for spec in LAWS {
@@ -92,7 +92,7 @@ fn under_every_law_the_observer_takes_out_a_weight_that_is_not_known() {
 
 /// Loops that are the autopilot's own take attitude and thrust alone.
 #[test]
-fn every_law_flies_as_px4_and_arducopter_are_flown() {
+fn every_law_flies_px4_and_arducopter() {
     let params = params(QUAD);
     for name in [Autopilot::Px4, Autopilot::Arducopter] {
         for spec in LAWS {
@@ -172,7 +172,7 @@ fn recovered(vehicle: &str, law: Law) -> (State, f64) {
 }
 
 #[test]
-fn the_geometric_law_recovers_from_a_roll_of_170_degrees_and_falls_less_than_the_lqr() {
+fn geometric_law_recovers_from_170_degrees_roll_better_than_lqr() {
     for vehicle in VEHICLES {
         let (end, geometric_m) = recovered(vehicle, Law::GEOMETRIC);
         let (_, lqr_m) = recovered(vehicle, Law::LQR);

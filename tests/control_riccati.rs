@@ -11,7 +11,7 @@ fn matrix<const R: usize, const C: usize>(value: &Value) -> SMatrix<f64, R, C> {
 }
 
 #[test]
-fn gain_equals_scipys() {
+fn gain_matches_scipy() {
     let shared = std::env::var_os("DOWNWASH_SHARED")
         .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
     let path = shared.join("peers/problem/lqr_reference.json");

@@ -28,7 +28,7 @@ fn number(value: &Value) -> f64 {
 
 #[test]
 #[ignore = "long: tests/run --all"]
-fn drag_is_found_and_the_flight_planned_with_it_is_closer() {
+fn hidden_drag_is_found_and_improves_the_planned_flight() {
     let (folder, summary) = run("drag", &["--hidden", "rotor_drag:d_xy=0.012,d_z=0.006"]);
     assert_eq!(summary["end"], "done");
     let found = number(&summary["found"]["rotor_drag"]["d_xy"]);
@@ -45,7 +45,7 @@ fn drag_is_found_and_the_flight_planned_with_it_is_closer() {
 }
 
 #[test]
-fn a_law_is_written_and_the_flight_planned_with_it_is_closer() {
+fn hidden_law_is_written_and_improves_the_planned_flight() {
     let hidden = "force_x = -0.012[kg/s]*air_x*(airspeed/1[m/s])^0.4; \
                   force_y = -0.012[kg/s]*air_y*(airspeed/1[m/s])^0.4";
     let (folder, summary) = run("law", &["--hidden", hidden]);
@@ -66,7 +66,7 @@ fn a_law_is_written_and_the_flight_planned_with_it_is_closer() {
 
 #[test]
 #[ignore = "long: tests/run --all"]
-fn weak_rotors_are_made_up_for_once_by_the_improved_file() {
+fn improved_file_compensates_weak_rotors_only_once() {
     let (_, summary) = run("weak", &["--hidden", "thrust_scale:scale=0.92"]);
     let error = |index: usize| number(&summary["contenders"][index]["mean"]["rmse_3d_m"]);
     assert!(error(1) < 0.3 * error(0), "error {} -> {}", error(0), error(1));

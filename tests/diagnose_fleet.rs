@@ -50,7 +50,7 @@ fn answer(output: &Output) -> Value {
 }
 
 #[test]
-fn one_vehicle_is_no_fleet() {
+fn single_vehicle_is_refused_as_a_fleet() {
     let folder = folder("fleet-of-one");
     fs::create_dir_all(folder.join("fleet/a")).expect("a folder");
     fs::write(folder.join("fleet/a/1.tlog"), b"").expect("a file");
@@ -62,7 +62,7 @@ fn one_vehicle_is_no_fleet() {
 
 #[test]
 #[ignore = "long: tests/run --all"]
-fn what_all_share_is_told_from_what_one_has_whoever_works() {
+fn shared_and_individual_effects_are_separated_with_any_thread_count() {
     let folder = folder("fleet-shared");
     for (seed, name) in (1..).zip(["a", "b", "c", "d", "e", "f"]) {
         let own = if name == "d" { &[DRAG, OFFSET][..] } else { &[DRAG] };

@@ -35,7 +35,7 @@ fn flight() -> PreparedFlight {
 }
 
 #[test]
-fn a_solution_leaves_what_its_numbers_leave() {
+fn linearised_residuals_match_those_of_its_solution() {
     let params = lockstep::params(lockstep::NANO);
     let flights = [flight()];
     let evaluator = Evaluator::new(&params).observing(&flights);

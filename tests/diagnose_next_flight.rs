@@ -179,7 +179,7 @@ fn is_resolved(name: &str, vehicle_file: &str, truth: &str, rival: &str, seed: u
 }
 
 #[test]
-fn wind_is_told_from_trim() {
+fn suggested_flight_distinguishes_wind_from_trim() {
     let (vehicle_file, wind, trim) = PAIRS[0];
     let next = suggested(vehicle_file, [wind, trim], 1);
     let truths: Vec<&str> = next.outlook.iter().flat_map(|o| o.truth.clone()).collect();
@@ -193,7 +193,7 @@ fn wind_is_told_from_trim() {
 /// Every pair, with either truth and two seeds; `--nocapture` shows what was found.
 #[test]
 #[ignore = "long: tests/run --all"]
-fn the_suggested_flight_resolves_the_pairs() {
+fn suggested_flight_resolves_ambiguous_pairs() {
     let mut resolved = Vec::new();
     for (index, (vehicle_file, a, b)) in PAIRS.into_iter().enumerate() {
         for (truth, rival) in [(a, b), (b, a)] {

@@ -61,7 +61,7 @@ fn difference(answer: &Value, quantity: &str) -> [f64; 3] {
 }
 
 #[test]
-fn a_heavy_vehicle_shows_in_the_thrust_and_is_repaired_in_both() {
+fn weak_thrust_is_repaired_in_position_and_thrust() {
     let folder = folder("heavy");
     let logs = fly(&folder, "thrust_scale:scale=0.9");
     let vehicle = vehicle();

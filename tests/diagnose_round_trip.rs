@@ -76,7 +76,7 @@ fn named(answer: &Value) -> Vec<&str> {
 }
 
 #[test]
-fn drag_is_named_with_its_number_and_closes_the_gap_in_the_improved_file() {
+fn drag_is_identified_and_the_improved_file_closes_the_gap() {
     let logs = fly("drag", NANO, 60, &["rotor_drag:d_xy=0.01,d_z=0.004"]);
     let improved = folder("drag-improved").join("improved.toml");
     let out = improved.to_str().expect("a path in UTF-8");
@@ -100,7 +100,7 @@ fn drag_is_named_with_its_number_and_closes_the_gap_in_the_improved_file() {
 /// No fit finds gusts: the diagnosis reads them off the force that is left over.
 #[test]
 #[ignore = "long: tests/run --all"]
-fn gusts_are_in_the_improved_file() {
+fn improved_file_contains_gusts() {
     let nominal = folder("gusts-file").join("nano.toml");
     let text = fs::read_to_string(vehicle(NANO)).expect("the vehicle file");
     let drag = "[modelled_effects]\nparasitic_drag = { cda_m2 = 0.02 }\n";
@@ -119,7 +119,7 @@ fn gusts_are_in_the_improved_file() {
 }
 
 #[test]
-fn a_vehicle_without_effects_is_found_to_have_none() {
+fn vehicle_without_effects_is_diagnosed_as_none() {
     let logs = fly("null", QUAD, 40, &[]);
     let output = diagnose("null", QUAD, &logs, &["--twins", "10", "--fail-on", "gap"]);
     let answer = answer(&output);
@@ -131,7 +131,7 @@ fn a_vehicle_without_effects_is_found_to_have_none() {
 /// what the outputs tell, and twins of the wrong one would leave less than the flights do.
 #[test]
 #[ignore = "long: tests/run --all"]
-fn a_delay_of_whole_ticks_is_named() {
+fn delay_of_whole_ticks_is_identified() {
     let logs = fly("ticks", NANO, 40, &["command_delay:delay_s=0.012"]);
     let answer = answer(&diagnose("ticks", NANO, &logs, &["--twins", "10"]));
     assert_eq!(named(&answer), ["command_delay"], "{}", answer["finding"]);
@@ -143,7 +143,7 @@ fn a_delay_of_whole_ticks_is_named() {
 /// have the evidence, and close nothing.
 #[test]
 #[ignore = "long: tests/run --all"]
-fn what_stands_in_for_a_cause_and_closes_nothing_is_not_named() {
+fn proxy_effect_that_closes_no_gap_is_not_named() {
     let logs = fly("stand-in", NANO, 40, &["command_delay:delay_s=0.009"]);
     let more = ["--twins", "10", "--without", "command_delay"];
     let answer = answer(&diagnose("stand-in", NANO, &logs, &more));
@@ -151,7 +151,7 @@ fn what_stands_in_for_a_cause_and_closes_nothing_is_not_named() {
 }
 
 #[test]
-fn bad_logs_are_refused_and_nothing_is_written() {
+fn invalid_logs_are_refused_and_nothing_is_written() {
     let own = folder("bad");
     let (empty, foreign) = (own.join("empty.tlog"), own.join("foreign.tlog"));
     fs::write(&empty, []).expect("a file");

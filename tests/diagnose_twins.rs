@@ -119,7 +119,7 @@ fn ratios_up_to(
 }
 
 #[test]
-fn twins_leave_what_the_flights_leave() {
+fn twin_residuals_match_flight_residuals() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles/crazyflie.toml");
     let vehicle = VehicleParams::load(&path).expect("the vehicle");
     let mut prepared: Vec<PreparedFlight> = flights(&path)
@@ -151,7 +151,7 @@ fn twins_leave_what_the_flights_leave() {
 /// longer would leave a third of the moments.
 #[test]
 #[ignore = "long: tests/run --all"]
-fn twins_of_a_thinned_log_leave_what_it_leaves() {
+fn twin_residuals_match_a_thinned_log() {
     let settings = Settings { flights: 2, ..Settings::default() };
     let case = Case::fly(&settings, 5, 0, "thinned", &Order::from(Kind::Null)).expect("a case");
     let prepared = prepared(&case, Condition::HalfRate, "diagnose-twins-thinned");
@@ -165,7 +165,7 @@ fn twins_of_a_thinned_log_leave_what_it_leaves() {
 /// and the noise is in what they are to explain as well. A heavier body would seem to explain it:
 /// in twins as in the flights.
 #[test]
-fn twins_of_a_hover_have_its_evidence_for_an_inertia() {
+fn hover_twins_reproduce_its_evidence_for_inertia() {
     let settings = Settings { flights: 2, ..Settings::default() };
     let of_trap = |number| Case::fly(&settings, 5, number, "hover", &Order::from(Kind::Trap));
     let shows_nothing = |case: &Case| case.key.effects.iter().any(|e| e.id == "vortex_ring");

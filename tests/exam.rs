@@ -37,7 +37,7 @@ fn names(folder: &Path) -> BTreeSet<String> {
 }
 
 #[test]
-fn every_case_is_answered_and_the_key_is_the_one_committed_to() {
+fn every_case_is_answered_and_the_key_matches_its_commitment() {
     let out = folder("drawn");
     let stored = out.join("evidence");
     let stored = stored.to_str().expect("a name");
@@ -79,7 +79,7 @@ fn every_case_is_answered_and_the_key_is_the_one_committed_to() {
 
 #[test]
 #[ignore = "long: tests/run --all"]
-fn round_trip_names_its_effect() {
+fn round_trip_identifies_its_effect() {
     let out = folder("round-trip");
     let summary = summary(&exam(&out, &["--round-trip", "--cases", "1", "--seed", "4", "--keep"]));
     let row = &summary["cases"][0];
@@ -102,7 +102,7 @@ with open(out, "w") as f:
 "#;
 
 #[test]
-fn practice_flights_are_diagnosed_and_graded_by_their_own_script() {
+fn practice_flights_are_diagnosed_and_graded_by_their_script() {
     let made = folder("practice-made");
     let arguments = ["--round-trip", "--cases", "1", "--seed", "4", "--keep"];
     summary(&exam(&made, &arguments));

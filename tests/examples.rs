@@ -23,7 +23,7 @@ mod plan_trajectory;
 mod read_log;
 
 #[test]
-fn a_log_is_described() {
+fn read_log_example_describes_a_flight() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("examples");
     let _ = fs::remove_dir_all(&folder);
     fs::create_dir_all(&folder).expect("a folder");
@@ -37,7 +37,7 @@ fn a_log_is_described() {
 }
 
 #[test]
-fn weak_rotors_throw_feedback_alone_off() {
+fn weak_rotors_degrade_pure_feedback() {
     let (end, sound_m) = fly_lockstep::fly("thrust_scale:scale=1", Law::default()).expect("flown");
     let (_, weak_m) = fly_lockstep::fly("thrust_scale:scale=0.9", Law::default()).expect("flown");
     assert_eq!(end, End::Done);
@@ -45,14 +45,14 @@ fn weak_rotors_throw_feedback_alone_off() {
 }
 
 #[test]
-fn a_law_of_ones_own_flies_about_as_well_as_the_lqr() {
+fn custom_law_flies_about_as_well_as_the_lqr() {
     let [(lqr, lqr_m), (own, own_m)] = own_control_law::compare().expect("flown");
     assert_eq!((lqr, own), (End::Done, End::Done));
     assert!(own_m < 1.5 * lqr_m, "{own_m} {lqr_m}");
 }
 
 #[test]
-fn a_plan_passes_the_ball() {
+fn planned_trajectory_avoids_the_sphere() {
     let outcome = plan_trajectory::plan().expect("a plan");
     assert_ne!(outcome.status, Status::Failed);
     let nearest = |state: &[f64; 12]| {

@@ -102,7 +102,7 @@ fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
 
 /// Found by the fuzzer: a record that is longer than the uncompressed chunk around it.
 #[test]
-fn records_longer_than_their_chunk_do_not_break_the_flight_log() {
+fn records_longer_than_their_chunk_never_panic_the_flight_log() {
     let records = [&[4], &1000_u64.to_le_bytes()[..], &[0; 20]].concat();
     let size = (records.len() as u64).to_le_bytes();
     // Start and end time, uncompressed size, no checksum, no compression, size.
@@ -114,7 +114,7 @@ fn records_longer_than_their_chunk_do_not_break_the_flight_log() {
 }
 
 #[test]
-fn attachments_that_are_cut_off_do_not_break_the_flight_log() {
+fn truncated_attachments_never_panic_the_flight_log() {
     // Times, an empty name and media type, no data, a checksum.
     let attachment = [0; 16 + 4 + 4 + 8 + 4];
     for length in 0..=attachment.len() {
@@ -124,28 +124,28 @@ fn attachments_that_are_cut_off_do_not_break_the_flight_log() {
 
 /// A name that no mapping takes, and that is no text.
 #[test]
-fn names_of_control_characters_do_not_break_a_proposal() {
+fn control_characters_in_names_never_panic_the_proposal() {
     fuzz::table(b"t\t\x0E\n0\t1\n");
 }
 
 proptest! {
     #[test]
-    fn no_bytes_break_the_link(input in any_input()) {
+    fn arbitrary_bytes_never_panic_the_link(input in any_input()) {
         fuzz::link(&input);
     }
 
     #[test]
-    fn no_bytes_break_the_telemetry_log(input in any_input()) {
+    fn arbitrary_bytes_never_panic_the_telemetry_log(input in any_input()) {
         fuzz::tlog(&input);
     }
 
     #[test]
-    fn no_bytes_break_the_import(input in any_stamped_frames()) {
+    fn arbitrary_bytes_never_panic_the_import(input in any_stamped_frames()) {
         fuzz::import(&input);
     }
 
     #[test]
-    fn no_bytes_break_an_onboard_log(
+    fn arbitrary_rows_never_panic_the_onboard_log(
         rows in prop::collection::vec(
             (prop::sample::select(vec![b'D', b'A', b'F', b'S', 0x95]), prop::collection::vec(any::<u8>(), 0..40)),
             0..60,
@@ -164,7 +164,7 @@ proptest! {
     }
 
     #[test]
-    fn no_table_breaks_the_import(
+    fn arbitrary_tables_never_panic_the_import(
         rows in prop::collection::vec("[-0-9.,einfa\"]{0,40}|[0-9]{1,3}(,[-0-9.]{1,6}){18}", 0..20),
     ) {
         let header = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat\n";
@@ -172,7 +172,7 @@ proptest! {
     }
 
     #[test]
-    fn no_dialect_of_a_table_breaks_the_import(
+    fn arbitrary_table_dialects_never_panic_the_import(
         above in prop::collection::vec("[ -~]{0,30}", 0..4),
         names in prop::collection::vec("(t|time|px|X|Y|Z|W|qx|q_w|roll|m1|vbat|\"|#|é| \\[ms\\]|[a-z_]{0,4})", 1..14),
         rows in prop::collection::vec(prop::collection::vec("-?[0-9]{0,3}[.,]?[0-9]{0,3}|NaN|\"|", 0..14), 0..12),
@@ -194,19 +194,19 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_break_a_table(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+    fn arbitrary_bytes_never_panic_the_table_reader(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         fuzz::table(&bytes);
     }
 
     #[test]
-    fn no_parameters_break_the_vehicle_file(lines in prop::collection::vec(any_parameter(), 0..40)) {
+    fn arbitrary_parameters_give_valid_vehicle_toml(lines in prop::collection::vec(any_parameter(), 0..40)) {
         if let Some(text) = fuzz::parameters(lines.join("\n").as_bytes()) {
             prop_assert!(toml::from_str::<toml::Table>(&text).is_ok(), "{}", text);
         }
     }
 
     #[test]
-    fn no_formula_breaks_a_vehicle(
+    fn arbitrary_formulas_never_panic_the_law_parser(
         channel in prop::sample::select(vec!["force_x", "force_down", "moment_z", "thrust", "lag"]),
         tokens in prop::collection::vec(any_token(), 0..24),
     ) {
@@ -216,17 +216,17 @@ proptest! {
     }
 
     #[test]
-    fn no_text_breaks_a_law(text in "\\PC{0,200}") {
+    fn arbitrary_text_never_panics_the_law_parser(text in "\\PC{0,200}") {
         fuzz::law(text.as_bytes());
     }
 
     #[test]
-    fn no_bytes_break_the_bridge(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
+    fn arbitrary_bytes_never_panic_the_mocap_bridge(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
         fuzz::mocap(&bytes);
     }
 
     #[test]
-    fn no_line_of_a_room_breaks_the_bridge(
+    fn arbitrary_room_lines_never_panic_the_mocap_bridge(
         lines in prop::collection::vec(
             (
                 prop::sample::select(vec!["1", "2", ""]),
@@ -244,17 +244,17 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_break_the_endpoint(input in "(udpin|tcp|serial|udp)?:?(//)?[ -~]{0,20}") {
+    fn arbitrary_text_never_panics_the_endpoint_parser(input in "(udpin|tcp|serial|udp)?:?(//)?[ -~]{0,20}") {
         fuzz::endpoint(input.as_bytes());
     }
 
     #[test]
-    fn no_bytes_break_the_flight_log(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
+    fn arbitrary_bytes_never_panic_the_flight_log(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
         fuzz::flight_log(&bytes);
     }
 
     #[test]
-    fn no_damage_breaks_the_flight_log(
+    fn damaged_flight_log_never_panics_the_reader(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..20),
         length in any::<prop::sample::Index>(),
     ) {

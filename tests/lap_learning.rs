@@ -159,7 +159,7 @@ fn whole(learned: &Learned) -> Arc<dyn Model> {
 }
 
 #[test]
-fn the_lap_after_learning_is_nearer_the_course() {
+fn lap_after_learning_tracks_the_course_better() {
     let flown = fly(2, |record| Some(record.clone()), whole);
     assert_eq!(flown.end, End::Done, "{:?}", flown.said);
     let [first, second] = &flown.laps[..] else { panic!("{:?}", flown.said) };
@@ -171,7 +171,7 @@ fn the_lap_after_learning_is_nearer_the_course() {
 
 #[test]
 #[ignore = "long: tests/run --all"]
-fn each_lap_is_as_near_the_course_as_the_one_before() {
+fn each_lap_tracks_the_course_at_least_as_well() {
     let flown = fly(4, |record| Some(record.clone()), whole);
     assert_eq!(flown.end, End::Done);
     let rms: Vec<f64> = flown.laps.iter().map(|lap| lap.rms_m).collect();
@@ -182,7 +182,7 @@ fn each_lap_is_as_near_the_course_as_the_one_before() {
 
 /// The readings of the motion are NaN.
 #[test]
-fn what_was_learned_from_poisoned_samples_is_discarded_and_the_flight_goes_on() {
+fn model_learned_from_nan_samples_is_discarded_in_flight() {
     let poison = |record: &Record| {
         let Record::Frame(frame) = record else { return Some(record.clone()) };
         Some(Record::Frame(poisoned(frame, f32::NAN)))
@@ -196,7 +196,7 @@ fn what_was_learned_from_poisoned_samples_is_discarded_and_the_flight_goes_on() 
 
 /// A constant sensor error passes the judgement on held-out samples, but shows in the lap.
 #[test]
-fn a_model_whose_lap_strays_is_withdrawn_and_the_flight_goes_on() {
+fn model_whose_lap_strays_is_withdrawn_in_flight() {
     let wrong = |record: &Record| {
         let Record::Frame(frame) = record else { return Some(record.clone()) };
         Some(Record::Frame(poisoned(frame, 3.0)))
@@ -210,7 +210,7 @@ fn a_model_whose_lap_strays_is_withdrawn_and_the_flight_goes_on() {
 }
 
 #[test]
-fn a_model_without_numbers_gives_no_plan_and_the_flight_goes_on() {
+fn non_finite_model_gives_no_plan_and_flight_continues() {
     let flown = fly(2, |record| Some(record.clone()), |_| Arc::new(NoNumbers));
     assert_eq!(flown.end, End::Done, "{:?}", flown.said);
     assert!(flown.told("no flyable plan with it"), "{:?}", flown.said);
@@ -219,7 +219,7 @@ fn a_model_without_numbers_gives_no_plan_and_the_flight_goes_on() {
 }
 
 #[test]
-fn a_model_whose_later_plans_fail_is_withdrawn_and_the_flight_goes_on() {
+fn model_whose_later_plans_fail_is_withdrawn_in_flight() {
     let fading = |_: &Learned| -> Arc<dyn Model> {
         let physics = PhysicsModel::new(&params(NANO), &PhysicsParameters::default());
         Arc::new(Fading { physics: physics.expect("physics"), asked: AtomicUsize::new(0) })

@@ -25,7 +25,7 @@ fn borrowed(arguments: &[PathBuf]) -> Vec<&Path> {
 }
 
 #[test]
-fn what_is_read_is_not_written_over() {
+fn input_files_are_never_overwritten() {
     let folder = folder("inputs");
     let file = |name: &str| {
         let path = folder.join(name);
@@ -63,7 +63,7 @@ fn what_is_read_is_not_written_over() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_before_any_work() {
+fn invalid_arguments_are_refused_before_any_work() {
     let folder = folder("arguments");
     let report = folder.join("report");
     fs::write(&report, "a file").expect("a file");

@@ -51,7 +51,7 @@ fn left_out(summary: &Value, run: &str) -> String {
 }
 
 #[test]
-fn what_is_wrong_with_a_log_is_said_and_the_rest_is_learned_from() {
+fn defects_of_logs_are_reported_and_the_rest_is_used() {
     let folder = learn::folder("spoiled");
     let whole = fs::read(&SOUND[4]).expect("a log");
     let bad = [
@@ -158,7 +158,7 @@ fn frozen(flight: &mut Flight) {
 
 /// A narrow window finds too few samples wherever they come seldom.
 #[test]
-fn where_a_later_window_leaves_too_few_rows_the_earlier_ones_models_are_taken() {
+fn earlier_window_is_used_if_a_later_one_lacks_rows() {
     let folder = learn::folder("seldom");
     let mut flight = import::open(&SOUND[3], None).expect("a log");
     let mut thinned = Stream::default();
@@ -197,7 +197,7 @@ fn where_a_later_window_leaves_too_few_rows_the_earlier_ones_models_are_taken() 
 }
 
 #[test]
-fn a_log_whose_thrust_does_not_fit_is_of_another_vehicle() {
+fn log_with_mismatched_thrust_is_from_another_vehicle() {
     let folder = learn::folder("heavy");
     let text = fs::read_to_string(learn::vehicle()).expect("a vehicle");
     let heavy = text.replace("mass = 0.030", "mass = 0.090");
@@ -216,7 +216,7 @@ fn a_log_whose_thrust_does_not_fit_is_of_another_vehicle() {
 }
 
 #[test]
-fn a_log_that_holds_another_vehicle_file_is_refused_by_its_difference() {
+fn log_with_a_different_vehicle_file_is_refused() {
     let folder = learn::folder("foreign");
     let text = fs::read_to_string(learn::vehicle()).expect("a vehicle");
     let other = text.replace("inertia = [1.66e-5", "inertia = [1.99e-5");
@@ -234,7 +234,7 @@ fn a_log_that_holds_another_vehicle_file_is_refused_by_its_difference() {
 }
 
 #[test]
-fn too_little_flight_is_no_model() {
+fn too_little_flight_gives_no_model() {
     let folder = learn::folder("little");
     let log = tlog(&folder, "little.tlog", |entries| {
         let start = entries[0].0;
@@ -248,7 +248,7 @@ fn too_little_flight_is_no_model() {
 }
 
 #[test]
-fn a_vehicle_file_in_another_order_than_the_logs_motors_is_refused_with_both() {
+fn mismatched_motor_order_is_refused_with_both_orders() {
     let folder = learn::folder("order");
     let mut flight = import::open(&SOUND[0], None).expect("a log");
     let rotor = |front, right, spin| RotorFact { front, right, spin };

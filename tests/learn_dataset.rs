@@ -38,7 +38,7 @@ static SUMMARY: LazyLock<Value> =
     LazyLock::new(|| learn::summary(&learn::train("whole", &REALISTIC, &[]).0));
 
 #[test]
-fn the_rotors_answer_is_found() {
+fn rotor_response_is_identified() {
     let found = |name: &str| number(&SUMMARY, &format!("/actuation/{name}"));
     // The delay from a setpoint's being sent, which the vehicle's loop of 250 Hz adds to.
     assert!((found("delay_s") - 0.020).abs() < 0.003, "{}", found("delay_s"));
@@ -48,14 +48,14 @@ fn the_rotors_answer_is_found() {
 }
 
 #[test]
-fn labels_are_near_the_truth() {
+fn labels_are_close_to_the_truth() {
     assert!(number(&SUMMARY, "/data/label_error/linear") < 0.006);
     assert!(number(&SUMMARY, "/data/label_error/angular") < 0.05);
     assert!(number(&SUMMARY, "/data/label_bandwidth_hz") > 10.0);
 }
 
 #[test]
-fn inputs_are_those_that_the_vehicle_logged() {
+fn inputs_match_those_logged_by_the_vehicle() {
     for log in logs(&SUMMARY) {
         assert_eq!(log["source"], "setpoints through the on-board law");
         assert!(number(log, "/law_error") < 0.03, "{log}");
@@ -66,7 +66,7 @@ fn inputs_are_those_that_the_vehicle_logged() {
 }
 
 #[test]
-fn no_flight_is_in_two_parts() {
+fn no_flight_is_split_between_parts() {
     assert_eq!(SUMMARY["data"]["split"], "whole-flights");
     assert!(logs(&SUMMARY).iter().all(|log| log["parts"].as_array().expect("parts").len() == 1));
     let rows: f64 = (0..3).map(|part| number(&SUMMARY, &format!("/data/rows/{part}"))).sum();
@@ -75,7 +75,7 @@ fn no_flight_is_in_two_parts() {
 }
 
 #[test]
-fn every_model_beats_the_mean_and_the_baselines() {
+fn every_model_beats_mean_and_baselines() {
     for (index, at_most) in [0.3, 0.02, 0.05].into_iter().enumerate() {
         for kind in ["linear", "angular"] {
             let error = number(&SUMMARY, &format!("/one_step/{index}/truth/2/{kind}"));
@@ -92,7 +92,7 @@ fn every_model_beats_the_mean_and_the_baselines() {
 }
 
 #[test]
-fn latencies_of_the_estimate_are_found() {
+fn estimate_latencies_are_found() {
     let flights =
         observed(flights(&learn::collect("late", 40, &["estimator_latency:latency_s=0.03"])));
     for flight in flights {
@@ -103,7 +103,7 @@ fn latencies_of_the_estimate_are_found() {
 }
 
 #[test]
-fn a_law_that_is_not_the_vehicles_gives_way_to_its_outputs() {
+fn outputs_replace_a_law_that_does_not_match_the_vehicle() {
     let gain = "pd_gain:kp_scale=[2.0,2.0,2.0],kd_scale=[1.8,1.8,1.8]";
     let flights = observed(flights(&learn::collect("gain", 40, &[gain])));
     let by_outputs = |flight: &&ObservedFlight| flight.source.name() == "motor outputs";
@@ -129,7 +129,7 @@ fn observed(flights: impl Iterator<Item = Flight>) -> Vec<ObservedFlight> {
 
 /// The paper's own set-up: setpoints and a known law, and no motor outputs.
 #[test]
-fn flights_without_motor_outputs_are_learned_from() {
+fn flights_without_motor_outputs_are_usable() {
     let without = flights(&SHORT).map(|flight| Flight {
         outputs: Stream::default(),
         motor_unit: MotorUnit::VehicleFile,
@@ -143,7 +143,7 @@ fn flights_without_motor_outputs_are_learned_from() {
 }
 
 #[test]
-fn outputs_that_are_not_logged_are_what_the_onboard_law_makes_of_setpoints() {
+fn missing_outputs_are_computed_by_the_onboard_law() {
     let onboard = Onboard::new(&vehicle()).expect("a mixer");
     for flight in flights(&SHORT) {
         let logged = flight.outputs.clone();
@@ -164,7 +164,7 @@ fn outputs_that_are_not_logged_are_what_the_onboard_law_makes_of_setpoints() {
 }
 
 #[test]
-fn threads_and_the_order_of_logs_do_not_change_a_byte() {
+fn thread_count_and_log_order_do_not_change_a_byte() {
     let turned: Vec<PathBuf> = SHORT.iter().rev().cloned().collect();
     let (two, second) = learn::train("two-threads", &turned, &["--threads", "2"]);
     assert!(two.status.success());
@@ -172,7 +172,7 @@ fn threads_and_the_order_of_logs_do_not_change_a_byte() {
 }
 
 #[test]
-fn half_a_second_shows_gains_that_are_off() {
+fn open_loop_refinement_corrects_wrong_gains() {
     let vehicle = vehicle();
     let onboard = Onboard::new(&vehicle).expect("a mixer");
     let flights = observed(flights(&SHORT));
@@ -217,7 +217,7 @@ impl Watch for Patience {
 }
 
 #[test]
-fn an_interrupted_training_ends_as_if_it_had_not_been() {
+fn interrupted_training_resumes_to_the_same_result() {
     let vehicle = vehicle();
     let onboard = Onboard::new(&vehicle).expect("a mixer");
     let windows = WindowSettings::default();

@@ -43,7 +43,7 @@ fn lowest(training: &Training) -> f64 {
 }
 
 #[test]
-fn the_loss_of_a_known_function_falls_on_rows_never_seen() {
+fn loss_of_a_known_function_falls_on_unseen_rows() {
     let sets = sets();
     let targets_variance = 0.5; // about that of both outputs
     for (method, at_most) in [(Method::Rprop, 0.05), (Method::Adam, 0.03)] {
@@ -57,7 +57,7 @@ fn the_loss_of_a_known_function_falls_on_rows_never_seen() {
 }
 
 #[test]
-fn the_network_returned_is_the_best_on_validation() {
+fn returned_network_is_the_best_on_validation() {
     let sets = sets();
     for method in METHODS {
         let training = run(&settings(method), &sets);
@@ -67,7 +67,7 @@ fn the_network_returned_is_the_best_on_validation() {
 }
 
 #[test]
-fn validation_is_looked_at_when_asked_and_at_the_end() {
+fn validation_runs_at_its_interval_and_at_the_end() {
     let settings = Settings { passes: 12, validation_interval: 5, ..settings(Method::Rprop) };
     let training = run(&settings, &sets());
     let looked: Vec<usize> =
@@ -76,7 +76,7 @@ fn validation_is_looked_at_when_asked_and_at_the_end() {
 }
 
 #[test]
-fn the_number_of_threads_does_not_change_a_bit() {
+fn thread_count_does_not_change_a_bit() {
     let sets = [known_function(9000, 0), known_function(3000, 10_000)];
     for method in METHODS {
         let settings = Settings { passes: 6, ..settings(method) };
@@ -93,7 +93,7 @@ fn the_number_of_threads_does_not_change_a_bit() {
 }
 
 #[test]
-fn the_seed_decides() {
+fn seed_determines_the_training() {
     let sets = sets();
     for method in METHODS {
         let settings = Settings { passes: 3, ..settings(method) };
@@ -117,7 +117,7 @@ fn interrupted(settings: &Settings, sets: &[Samples; 2], passes: usize) -> (Trai
 }
 
 #[test]
-fn an_interrupted_training_ends_as_if_it_had_not_been() {
+fn interrupted_training_resumes_to_the_same_result() {
     let sets = sets();
     for method in METHODS {
         let settings = settings(method);
@@ -135,7 +135,7 @@ fn an_interrupted_training_ends_as_if_it_had_not_been() {
 }
 
 #[test]
-fn a_checkpoint_of_another_training_is_refused() {
+fn checkpoint_of_another_training_is_refused() {
     let sets = sets();
     let settings = settings(Method::Rprop);
     let (_, checkpoint) = interrupted(&settings, &sets, 2);
@@ -169,7 +169,7 @@ fn regularization_keeps_the_parameters_small() {
 }
 
 #[test]
-fn a_training_that_no_longer_improves_stops_early() {
+fn training_stops_early_without_improvement() {
     // Noise alone: what is learned from these rows is wrong on the others.
     let noise = |seed: u64| {
         let mut state = seed;
@@ -196,7 +196,7 @@ fn a_training_that_no_longer_improves_stops_early() {
 }
 
 #[test]
-fn what_cannot_be_learned_is_refused() {
+fn invalid_training_inputs_are_refused() {
     let sets = sets();
     let empty = Samples::with_capacity(3, 2, 0);
     let refused = |training: &Samples, validation: &Samples, settings: &Settings| {
@@ -220,7 +220,7 @@ fn what_cannot_be_learned_is_refused() {
 }
 
 #[test]
-fn values_too_large_to_square_end_the_training_as_diverged() {
+fn overflowing_values_end_the_training_as_diverged() {
     let mut samples = Samples::with_capacity(1, 1, 1);
     samples.push(&[1e30], &[-1e30]).expect("finite values");
     let training = run(&settings(Method::Rprop), &[samples.clone(), samples]);

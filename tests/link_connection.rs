@@ -57,7 +57,7 @@ fn plug(link: &Path) -> SerialStream {
 }
 
 #[tokio::test]
-async fn a_serial_port_is_pulled_and_plugged_in_again() {
+async fn replugged_serial_port_is_reopened() {
     let directory = std::env::temp_dir().join(format!("downwash-pty-{}", std::process::id()));
     std::fs::create_dir_all(&directory).unwrap();
     let link = directory.join("ttyACM0");
@@ -93,7 +93,7 @@ async fn a_serial_port_is_pulled_and_plugged_in_again() {
 }
 
 #[tokio::test]
-async fn a_tcp_connection_that_drops_is_made_again() {
+async fn dropped_tcp_connection_is_reopened() {
     let server = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = server.local_addr().unwrap();
     let mut connection = connection(&format!("tcp:{address}"));
@@ -118,7 +118,7 @@ async fn a_tcp_connection_that_drops_is_made_again() {
 }
 
 #[tokio::test]
-async fn a_busy_port_is_taken_once_it_is_free() {
+async fn busy_port_is_opened_once_it_is_free() {
     let other = UdpSocket::bind("127.0.0.1:0").await.unwrap();
     let mut connection = connection(&format!("udpin:{}", other.local_addr().unwrap()));
     let mut buffer = [0; 256];
@@ -132,7 +132,7 @@ async fn a_busy_port_is_taken_once_it_is_free() {
 }
 
 #[tokio::test]
-async fn an_attempt_goes_on_when_its_future_is_dropped() {
+async fn connection_attempt_survives_a_dropped_future() {
     let server = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let mut connection = connection(&format!("tcp:{}", server.local_addr().unwrap()));
     let mut buffer = [0; 256];
@@ -161,7 +161,7 @@ async fn hear(vehicle: &UdpSocket) -> (Vec<MavMessage>, std::net::SocketAddr) {
 }
 
 #[tokio::test]
-async fn a_vehicle_over_udp_is_greeted_found_and_sent_a_setpoint() {
+async fn vehicle_over_udp_is_greeted_identified_and_sent_a_setpoint() {
     let vehicle = UdpSocket::bind("127.0.0.1:0").await.unwrap();
     let mut connection = connection(&format!("udpout:{}", vehicle.local_addr().unwrap()));
     let now = HostTime::from_ns(1_700_000_000_000_000_000);

@@ -24,7 +24,7 @@ fn beat(system: u8, autopilot: MavAutopilot) -> Vec<u8> {
 }
 
 #[test]
-fn a_crowd_fills_bounded_tables_and_leaves_the_vehicle_alone() {
+fn crowd_fills_bounded_tables_without_affecting_the_vehicle() {
     let settings = downwash::link::session::Settings { vehicle_system: Some(1), ..settings() };
     let (mut world, mut vehicle) = (World::new(settings), Vehicle::new(1));
     world.run(&mut vehicle, seconds(2.0));
@@ -67,7 +67,7 @@ fn signed(key: Key) -> SigningSettings {
 }
 
 #[test]
-fn a_signed_session_flies_who_has_its_key_and_tells_why_it_believes_no_other() {
+fn signed_session_accepts_only_its_key_and_reports_rejections() {
     let stamp = Stamp::from_unix_ns(START.as_ns());
     for (theirs, is_believed) in [(key(), true), (Key::new([4; KEY_LEN]), false)] {
         let ours = signed(key());

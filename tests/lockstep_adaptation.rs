@@ -56,7 +56,7 @@ fn words(records: &[Record]) -> Vec<&str> {
 }
 
 #[test]
-fn payload_and_weak_rotor_are_made_up_for_and_told_around_both_laws() {
+fn payload_and_weak_rotor_are_compensated_and_reported_under_both_laws() {
     let payload = (Foreign::Payload { share: 0.3 }, "mass +", 0.06, 0.012);
     let wear = Foreign::RotorWear { rotor: 0, loss: 0.25, torque_share: 1.0 };
     let rotor = (wear, "less thrust at the front right rotor", 0.09, 0.012);
@@ -75,7 +75,7 @@ fn payload_and_weak_rotor_are_made_up_for_and_told_around_both_laws() {
 }
 
 #[test]
-fn nothing_is_told_and_nothing_is_worse_where_nothing_changes() {
+fn adaptation_is_silent_and_harmless_without_a_change() {
     let mean = |records: &[Record]| {
         let rows = tracked(records);
         (rows.iter().map(|row| row.error_m.powi(2)).sum::<f64>() / rows.len() as f64).sqrt()
@@ -102,7 +102,7 @@ fn sent(records: &[Record]) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn switched_off_its_settings_change_no_byte() {
+fn adaptation_settings_have_no_effect_when_switched_off() {
     let flown = |adaptive: bool, forgetting_s: f64| {
         let mut settings = with(Law::LQR, adaptive, 2.0);
         settings.control.adaptation.forgetting_s = forgetting_s;
@@ -114,7 +114,7 @@ fn switched_off_its_settings_change_no_byte() {
 }
 
 #[test]
-fn estimate_that_jumps_ends_the_flight_as_without_adaptation() {
+fn estimate_jump_ends_the_flight_as_without_adaptation() {
     let flown = |adaptive: bool, observer: Use| {
         let mut settings = with(Law::LQR, adaptive, 20.0);
         settings.offboard.offset_free.observer = observer;

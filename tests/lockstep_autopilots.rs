@@ -20,7 +20,7 @@ pub fn set_up(autopilot: Autopilot) -> SitlConfig {
 }
 
 #[test]
-fn each_autopilot_is_flown_from_take_off_to_landing_with_the_mask_that_it_takes() {
+fn each_autopilot_flies_a_whole_flight_with_its_type_mask() {
     let cases = [
         (Autopilot::Bundled, "bundled", 0x00),
         (Autopilot::Px4, "PX4", 0x07),
@@ -61,7 +61,7 @@ fn same_seed_gives_the_same_flight_with_wander_and_slip() {
 }
 
 #[test]
-fn a_slipping_clock_shows_in_timesync_and_a_stall_in_what_arrives() {
+fn clock_slip_shows_in_timesync_and_stall_in_arrivals() {
     let params = params(QUAD);
     let mut config = set_up(Autopilot::Px4);
     config.clock.rate = 0.989;
@@ -87,7 +87,7 @@ fn a_slipping_clock_shows_in_timesync_and_a_stall_in_what_arrives() {
 /// ArduCopter's estimate after GPS that was wrong by 5.5 m for ten seconds: it jumps there at the
 /// end, and slides back within half a second while its velocity reads zero.
 #[test]
-fn an_estimate_that_slides_in_small_steps_is_not_flown_after() {
+fn sliding_estimate_is_not_followed() {
     let params = params(QUAD);
     let mut config = set_up(Autopilot::Arducopter);
     config.estimator.gps_glitch =
@@ -113,7 +113,7 @@ fn an_estimate_that_slides_in_small_steps_is_not_flown_after() {
 /// ArduCopter in LAND means to stop ahead of where it moves. Where the ground stops it before, it leans
 /// towards that place for ever and refuses to disarm: so it is brought to rest first.
 #[test]
-fn a_vehicle_that_is_to_land_while_it_moves_is_brought_to_rest_before() {
+fn moving_vehicle_brakes_before_landing() {
     let speed_into_landing = |land_brake_s: f64| {
         let params = params(QUAD);
         let mut settings = settings(&params, lockstep::trajectory("sinusoid-yaw.toml"));
@@ -140,7 +140,7 @@ fn a_vehicle_that_is_to_land_while_it_moves_is_brought_to_rest_before() {
 /// Commands and setpoints do not arrive for two seconds, telemetry does: what the vehicle does
 /// meanwhile is no disturbance, and it is not thrown against one afterwards.
 #[test]
-fn nothing_is_learned_of_a_vehicle_that_does_not_hear() {
+fn observer_learns_nothing_while_setpoints_do_not_arrive() {
     let farthest_after = |observer: Use| {
         let params = params(QUAD);
         let mut settings = settings(&params, lockstep::trajectory("sinusoid-yaw.toml"));
@@ -164,7 +164,7 @@ fn nothing_is_learned_of_a_vehicle_that_does_not_hear() {
 /// ArduCopter's position control, which is at work in LAND and stands still in Guided, says nothing of
 /// its position estimate.
 #[test]
-fn a_vehicle_that_stands_in_the_mode_that_landed_it_flies_again() {
+fn vehicle_left_in_landing_mode_flies_again() {
     let params = params(QUAD);
     let flight = || settings(&params, hover(2.0));
     let mut bench = Bench::with(flight(), &params, &[], set_up(Autopilot::Arducopter));
@@ -175,7 +175,7 @@ fn a_vehicle_that_stands_in_the_mode_that_landed_it_flies_again() {
 }
 
 #[test]
-fn a_serial_line_without_room_for_the_state_is_told_with_the_rate_that_fits() {
+fn slow_serial_line_is_reported_with_a_feasible_rate() {
     for autopilot in [Autopilot::Px4, Autopilot::Arducopter] {
         let params = params(QUAD);
         let mut settings = settings(&params, hover(1.0));

@@ -36,7 +36,7 @@ const TRAJECTORIES: [&str; 11] = [
 ];
 
 #[test]
-fn every_trajectory_is_flown_from_take_off_to_landing_by_both_vehicles() {
+fn both_vehicles_fly_every_trajectory_to_landing() {
     for vehicle in VEHICLES {
         let params = params(vehicle);
         for name in TRAJECTORIES {
@@ -54,7 +54,7 @@ fn every_trajectory_is_flown_from_take_off_to_landing_by_both_vehicles() {
 }
 
 #[test]
-fn hover_is_within_centimetres_with_noise_and_with_delay_and_lag() {
+fn hover_stays_within_centimetres_despite_noise_delay_and_lag() {
     for vehicle in VEHICLES {
         let params = params(vehicle);
         for effects in [&[][..], &SLOW] {
@@ -68,7 +68,7 @@ fn hover_is_within_centimetres_with_noise_and_with_delay_and_lag() {
 }
 
 #[test]
-fn effects_that_the_daemon_does_not_know_are_flown_through() {
+fn unmodelled_effects_are_tolerated() {
     let cases = |mass: &str, drag: &str| {
         [
             vec!["estimator_latency:latency_s=0.015".to_owned()],
@@ -117,7 +117,7 @@ fn log_of(seed: u64) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn same_seed_gives_the_same_log_and_another_seed_another() {
+fn same_seed_gives_the_same_log_and_other_seeds_differ() {
     let first = log_of(7);
     assert!(first.len() > 10_000);
     assert!(first == log_of(7));
@@ -125,7 +125,7 @@ fn same_seed_gives_the_same_log_and_another_seed_another() {
 }
 
 #[test]
-fn limits_are_not_met_along_a_gentle_trajectory_nor_reported_when_nothing_is_sent() {
+fn gentle_trajectory_meets_and_reports_no_limits() {
     let params = params(NANO);
     let settings = settings(&params, trajectory("sinusoid-yaw.toml"));
     let (_, records) = fly(settings, &params, &[], SitlConfig::default(), 1);
@@ -163,7 +163,7 @@ fn nano_lqr() -> Lqr {
 }
 
 #[test]
-fn hover_takes_the_weight_and_a_payload_sinks_by_its_share_of_the_gain() {
+fn hover_thrust_is_the_weight_and_payload_sag_matches_the_gain() {
     let params = params(NANO);
     let weight = params.mass * params.gravity;
     let thrust_per_m = nano_lqr().gain()[(0, 2)];
@@ -185,7 +185,7 @@ fn hover_takes_the_weight_and_a_payload_sinks_by_its_share_of_the_gain() {
 }
 
 #[test]
-fn steady_climb_needs_the_weight_only_and_has_no_lasting_error() {
+fn steady_climb_needs_only_the_weight_without_steady_state_error() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(1.0));
     let weight = settings.hover.hover_thrust_n();
@@ -204,7 +204,7 @@ fn steady_climb_needs_the_weight_only_and_has_no_lasting_error() {
 }
 
 #[test]
-fn small_steps_are_answered_as_the_linear_model_says() {
+fn small_steps_match_the_linear_model() {
     const STEP_M: f64 = 0.1;
     let params = params(NANO);
     let mut base = settings(&params, hover(1.0));
@@ -241,7 +241,7 @@ fn small_steps_are_answered_as_the_linear_model_says() {
 }
 
 #[test]
-fn reference_may_turn_and_move_at_once() {
+fn reference_may_turn_and_move_simultaneously() {
     let params = params(QUAD);
     let mut settings = settings(&params, hover(1.0));
     let weight = settings.hover.hover_thrust_n();

@@ -60,7 +60,7 @@ fn disturbances(params: &VehicleParams) -> [String; 6] {
 }
 
 #[test]
-fn no_disturbance_leaves_a_steady_error() {
+fn no_disturbance_leaves_a_steady_state_error() {
     for name in VEHICLES {
         let params = params(name);
         for effect in disturbances(&params) {
@@ -77,7 +77,7 @@ fn no_disturbance_leaves_a_steady_error() {
 }
 
 #[test]
-fn turning_circle_is_followed_whatever_the_vehicle_is() {
+fn turning_circle_is_tracked_under_every_disturbance() {
     for name in VEHICLES {
         let params = params(name);
         let drag = format!("rotor_drag:d_xy={},d_z=0.0", params.mass);
@@ -92,7 +92,7 @@ fn turning_circle_is_followed_whatever_the_vehicle_is() {
 }
 
 #[test]
-fn vehicle_that_answers_late_is_settled_by_every_seed() {
+fn lagging_vehicle_settles_for_every_seed() {
     for name in VEHICLES {
         let params = params(name);
         for seed in 1..5 {
@@ -122,7 +122,7 @@ fn sent(settings: StationSettings, params: &VehicleParams) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn bundled_vehicle_is_flown_as_in_the_paper_unless_it_is_set_otherwise() {
+fn bundled_vehicle_uses_the_papers_feedback_by_default() {
     let params = params(NANO);
     let flown = |offset_free: Use| {
         let mut settings = settings(&params, hover(2.0));
@@ -136,14 +136,14 @@ fn bundled_vehicle_is_flown_as_in_the_paper_unless_it_is_set_otherwise() {
 }
 
 #[test]
-fn autopilot_with_a_loop_of_its_own_is_flown_without_offset_by_default() {
+fn autopilot_with_its_own_loop_is_offset_free_by_default() {
     let params = params(NANO);
     let flown = |offset_free: Use| sent(with(offset_free, &params, hover(2.0)), &params);
     assert!(flown(Use::Auto) == flown(Use::On));
 }
 
 #[test]
-fn thrust_at_its_limit_winds_nothing_up() {
+fn saturated_thrust_causes_no_windup() {
     // Three metres up at once, with a thrust limit that leaves little to climb with, and down again.
     let steps = toml_trajectory(
         "family = \"waypoints\"\npace = { speed_m_s = 3.0, acceleration_m_s2 = 6.0 }\n\
@@ -164,7 +164,7 @@ fn thrust_at_its_limit_winds_nothing_up() {
 }
 
 #[test]
-fn what_was_estimated_is_forgotten_when_the_pilot_takes_over() {
+fn pilot_takeover_resets_the_disturbance_estimate() {
     let params = params(QUAD);
     let mut settings = with(Use::On, &params, hover(60.0));
     settings.policy = EngagePolicy::PilotSwitch;
@@ -223,7 +223,7 @@ fn nominal(params: &VehicleParams) -> (Planner, Answer) {
 }
 
 #[test]
-fn drag_that_a_plan_knows_is_not_taken_out_twice() {
+fn drag_known_to_the_plan_is_not_compensated_twice() {
     let mut params = params(QUAD);
     let drag = format!("rotor_drag:d_xy={},d_z=0.11", 0.8 * params.mass);
     params.modelled_effects = lockstep::effects(&[drag.as_str()]);
@@ -246,7 +246,7 @@ fn drag_that_a_plan_knows_is_not_taken_out_twice() {
 }
 
 #[test]
-fn plans_made_anew_lead_an_autopilots_own_loop_along_a_circle_though_its_estimate_wanders() {
+fn replanning_tracks_a_circle_with_a_wandering_estimate() {
     let mut params = params(QUAD);
     (params.command_delay_s, params.motor_time_constant_s) = (0.02, 0.06);
     let (planner, answer) = nominal(&params);
@@ -274,7 +274,7 @@ fn plans_made_anew_lead_an_autopilots_own_loop_along_a_circle_though_its_estimat
 }
 
 #[test]
-fn quickened_feedback_stays_closer_to_an_estimate_that_wanders_and_to_a_circle() {
+fn quickened_feedback_tracks_wandering_estimates_and_circles_better() {
     let mut params = params(QUAD);
     (params.command_delay_s, params.motor_time_constant_s) = (0.02, 0.04);
     let mut config = SitlConfig { autopilot: Autopilot::Px4, ..SitlConfig::default() };

@@ -26,7 +26,7 @@ fn engage(bench: &mut Bench) {
 }
 
 #[test]
-fn pilots_mode_change_ends_every_phase_at_once_and_for_good() {
+fn pilot_mode_change_ends_every_phase_permanently() {
     use FlightState::{Approach, Hold, Land, TakeOff, Track};
     for phase in [TakeOff, Approach, Track, Hold, Land] {
         let mut bench = Bench::hovering(NANO, 2.0);
@@ -44,7 +44,7 @@ fn pilots_mode_change_ends_every_phase_at_once_and_for_good() {
 }
 
 #[test]
-fn pilots_switch_engages_takes_back_and_engages_again() {
+fn pilot_switch_engages_takes_over_and_engages_again() {
     let mut bench = waiting();
     engage(&mut bench);
     bench.run(1.0);
@@ -57,7 +57,7 @@ fn pilots_switch_engages_takes_back_and_engages_again() {
 }
 
 #[test]
-fn a_stop_does_not_hide_what_became_of_the_flight() {
+fn stop_request_does_not_hide_the_end_of_the_flight() {
     // The pilot takes over while the vehicle lands because of the stop.
     let mut bench = waiting();
     engage(&mut bench);
@@ -89,7 +89,7 @@ fn a_stop_does_not_hide_what_became_of_the_flight() {
 }
 
 #[test]
-fn a_flights_log_goes_on_after_the_pilot_took_over() {
+fn flight_log_continues_after_a_pilot_takeover() {
     let mut bench = waiting();
     engage(&mut bench);
     bench.pilot_mode(Mode::Position);
@@ -100,7 +100,7 @@ fn a_flights_log_goes_on_after_the_pilot_took_over() {
 }
 
 #[test]
-fn a_pause_of_the_link_costs_the_streamed_hold_no_more_than_itself() {
+fn link_pause_interrupts_the_streamed_hold_only_while_it_lasts() {
     let mut bench = waiting();
     bench.until(FlightState::Standby, 10.0);
     bench.run(2.0);
@@ -115,7 +115,7 @@ fn a_pause_of_the_link_costs_the_streamed_hold_no_more_than_itself() {
 }
 
 #[test]
-fn vehicle_in_offboard_at_connect_is_left_alone() {
+fn vehicle_already_in_offboard_is_left_alone() {
     let params = params(NANO);
     let mut bench = waiting();
     engage(&mut bench);
@@ -157,7 +157,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 6, ..ProptestConfig::default() })]
 
     #[test]
-    fn spoilt_and_foreign_bytes_change_no_flight(
+    fn corrupted_and_foreign_bytes_change_no_flight(
         noise in proptest::collection::vec((0u8..5, proptest::collection::vec(any::<u8>(), 0..60)), 64),
     ) {
         let mut bench = Bench::hovering(NANO, 3.0);

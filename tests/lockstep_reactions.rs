@@ -34,7 +34,7 @@ fn comes_down_silently(bench: &mut Bench) {
 }
 
 #[test]
-fn setpoints_stop_with_the_samples_and_the_vehicle_is_asked_to_land() {
+fn missing_samples_stop_setpoints_and_command_landing() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     bench.downlink = Box::new(|_, frame| {
         let is_state = message_id(frame).is_some_and(|id| STATE_MESSAGES.contains(&id));
@@ -49,7 +49,7 @@ fn setpoints_stop_with_the_samples_and_the_vehicle_is_asked_to_land() {
 }
 
 #[test]
-fn silence_of_the_whole_link_leaves_the_landing_to_the_vehicle() {
+fn link_silence_leaves_landing_to_the_vehicle() {
     for vehicle in [NANO, QUAD] {
         let mut bench = in_track(Bench::hovering(vehicle, 30.0));
         bench.downlink = Box::new(|_, _| vec![]);
@@ -67,7 +67,7 @@ fn silence_of_the_whole_link_leaves_the_landing_to_the_vehicle() {
 }
 
 #[test]
-fn link_that_comes_back_does_not_bring_the_setpoints_back() {
+fn restored_link_does_not_resume_setpoints() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     bench.downlink = Box::new(|_, _| vec![]);
     let cut_us = bench.now_us();
@@ -79,7 +79,7 @@ fn link_that_comes_back_does_not_bring_the_setpoints_back() {
 }
 
 #[test]
-fn the_search_is_given_up_after_its_time_without_a_word_of_the_vehicle() {
+fn search_times_out_without_messages_from_the_vehicle() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(30.0));
     // Nobody switches: it stands and waits.
@@ -122,7 +122,7 @@ fn odometry(bench: &Bench, north_m: f32, q_w: f32) -> MavMessage {
 }
 
 #[test]
-fn jump_of_the_estimate_is_held_out_and_landed() {
+fn estimate_jump_leads_to_hold_and_landing() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     let message = odometry(&bench, 5.0, 1.0);
     inject(&mut bench, message);
@@ -134,7 +134,7 @@ fn jump_of_the_estimate_is_held_out_and_landed() {
 }
 
 #[test]
-fn telemetry_that_is_not_a_number_is_passed_over() {
+fn nan_telemetry_is_ignored() {
     let mut bench = in_track(Bench::hovering(NANO, 10.0));
     for message in [odometry(&bench, f32::NAN, 1.0), odometry(&bench, 0.0, f32::NAN)] {
         inject(&mut bench, message);
@@ -146,7 +146,7 @@ fn telemetry_that_is_not_a_number_is_passed_over() {
 }
 
 #[test]
-fn vehicle_blown_away_lands() {
+fn vehicle_blown_off_course_lands() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(30.0));
     settings.offboard.safety.tracking_error_max_m = 0.3;
@@ -160,7 +160,7 @@ fn vehicle_blown_away_lands() {
 }
 
 #[test]
-fn left_fence_and_tilt_end_the_flight() {
+fn fence_breach_and_excessive_tilt_end_the_flight() {
     let params = params(NANO);
     let mut fenced = settings(&params, lockstep::trajectory("sinusoid-xy.toml"));
     fenced.offboard.safety.fence_radius_m = 0.6;
@@ -191,7 +191,7 @@ fn empty_battery_lands_the_vehicle() {
 }
 
 #[test]
-fn restart_of_the_vehicle_in_flight_ends_it_for_good() {
+fn vehicle_reboot_in_flight_ends_the_flight_permanently() {
     let params = params(NANO);
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     let fresh = Vehicle::new(params, effects(&[]), SitlConfig::default(), 2).expect("a vehicle");
@@ -225,7 +225,7 @@ fn refuse(bench: &mut Bench, command: MavCmd) -> Rc<Cell<u32>> {
 }
 
 #[test]
-fn refused_arming_is_told_and_nothing_flies() {
+fn refused_arming_is_reported_and_nothing_flies() {
     let params = params(NANO);
     let empty = BatteryConfig { charge: 0.01, ..Default::default() };
     let config = SitlConfig { battery: empty, ..SitlConfig::default() };
@@ -242,7 +242,7 @@ fn refused_arming_is_told_and_nothing_flies() {
 }
 
 #[test]
-fn refused_offboard_is_told_and_nothing_flies() {
+fn refused_offboard_is_reported_and_nothing_flies() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(5.0));
     settings.offboard.supervisor.engage_timeout_s = 3.0;
@@ -260,7 +260,7 @@ fn refused_offboard_is_told_and_nothing_flies() {
 }
 
 #[test]
-fn low_battery_keeps_a_commanded_flight_on_the_ground() {
+fn low_battery_blocks_a_commanded_flight() {
     let params = params(NANO);
     let low = BatteryConfig { charge: 0.2, ..Default::default() };
     let config = SitlConfig { battery: low, ..SitlConfig::default() };
@@ -276,7 +276,7 @@ fn low_battery_keeps_a_commanded_flight_on_the_ground() {
 }
 
 #[test]
-fn asked_to_land_it_lands() {
+fn land_request_lands_the_vehicle() {
     let mut bench = in_track(Bench::hovering(QUAD, 30.0));
     let now = bench.now();
     bench.station.land(now);
@@ -293,7 +293,7 @@ fn cut(bench: &mut Bench) {
 }
 
 #[test]
-fn a_link_that_falls_silent_is_told_before_the_request_to_stop() {
+fn link_loss_takes_precedence_over_a_stop_request() {
     // Silence after the request, and the request in the silence.
     for stops_first in [true, false] {
         let mut bench = in_track(Bench::hovering(NANO, 30.0));
@@ -311,7 +311,7 @@ fn a_link_that_falls_silent_is_told_before_the_request_to_stop() {
 }
 
 #[test]
-fn a_link_that_counts_as_silent_early_is_lost() {
+fn link_is_lost_after_the_configured_silence() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(30.0));
     settings.offboard.supervisor.link_lost_after_s = 1.0;
@@ -347,7 +347,7 @@ fn stopped_in_flight() -> Bench {
 }
 
 #[test]
-fn what_becomes_of_the_vehicle_after_an_abort_is_recorded() {
+fn vehicle_is_recorded_after_an_abort() {
     let mut bench = stopped_in_flight();
     let aborted_us = bench.now_us();
     let verdict = bench.station.end().cloned();
@@ -364,7 +364,7 @@ fn what_becomes_of_the_vehicle_after_an_abort_is_recorded() {
 }
 
 #[test]
-fn a_vehicle_that_the_pilot_flies_on_is_recorded_for_ten_seconds() {
+fn recording_continues_ten_seconds_after_pilot_takeover() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     bench.pilot_mode(Mode::Position);
     bench.until(FlightState::PilotControl, 1.0);
@@ -379,7 +379,7 @@ fn a_vehicle_that_the_pilot_flies_on_is_recorded_for_ten_seconds() {
 }
 
 #[test]
-fn asked_to_stop_after_an_abort_it_stops_recording() {
+fn stop_request_after_an_abort_ends_the_recording() {
     let mut bench = stopped_in_flight();
     let verdict = bench.station.end().cloned();
     let now = bench.now();
@@ -389,7 +389,7 @@ fn asked_to_stop_after_an_abort_it_stops_recording() {
 }
 
 #[test]
-fn an_ordinary_landing_is_followed_by_nothing() {
+fn recording_ends_with_a_normal_landing() {
     let mut bench = Bench::hovering(NANO, 1.0);
     bench.until(FlightState::Done, 60.0);
     assert!(bench.station.is_over() && bench.station.end() == Some(&End::Done));
@@ -397,7 +397,7 @@ fn an_ordinary_landing_is_followed_by_nothing() {
 
 /// The vehicle starts again and does not tell its version, as a vehicle with another firmware.
 #[test]
-fn another_vehicle_that_is_heard_after_the_abort_is_not_flown() {
+fn different_vehicle_after_an_abort_is_not_flown() {
     let params = params(NANO);
     let mut bench = stopped_in_flight();
     let aborted_us = bench.now_us();
@@ -418,7 +418,7 @@ fn another_vehicle_that_is_heard_after_the_abort_is_not_flown() {
 }
 
 #[test]
-fn a_closed_connection_is_told_if_it_was_the_vehicles() {
+fn only_the_vehicles_closed_connection_is_reported() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     let now = bench.now();
     bench.station.peer_closed(now, Peer::new(7));
@@ -430,7 +430,7 @@ fn a_closed_connection_is_told_if_it_was_the_vehicles() {
 }
 
 #[test]
-fn a_link_that_loses_too_much_keeps_the_vehicle_on_the_ground() {
+fn lossy_link_blocks_the_flight() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(5.0));
     settings.offboard.supervisor.ready_timeout_s = 5.0;
@@ -449,7 +449,7 @@ fn a_link_that_loses_too_much_keeps_the_vehicle_on_the_ground() {
 }
 
 #[test]
-fn gaps_of_strangers_are_no_loss_of_the_link() {
+fn sequence_gaps_of_other_senders_are_not_link_loss() {
     let mut bench = Bench::hovering(NANO, 5.0);
     let mut stranger = Encoder::new(9, 1);
     bench.downlink = Box::new(move |_, frame| {

@@ -94,7 +94,7 @@ fn unknown_loop(vehicle: &str, on_board: Option<f64>, setting: Option<[f64; 3]>)
 }
 
 #[test]
-fn vehicle_whose_loop_is_not_known_is_sent_attitude_and_thrust() {
+fn vehicle_with_unknown_loop_is_sent_attitude_and_thrust() {
     for vehicle in VEHICLES {
         let (rmse, largest) = unknown_loop(vehicle, None, None);
         assert!(rmse < 0.6 && largest < 0.7, "{vehicle}: {rmse} m, {largest} m");
@@ -102,7 +102,7 @@ fn vehicle_whose_loop_is_not_known_is_sent_attitude_and_thrust() {
 }
 
 #[test]
-fn loop_a_third_as_quick_as_measured_elsewhere_flies_without_being_known() {
+fn unknown_loop_a_third_as_fast_still_flies() {
     for vehicle in VEHICLES {
         let (rmse, largest) = unknown_loop(vehicle, Some(2.5), None);
         assert!(rmse < 0.7 && largest < 0.9, "{vehicle}: {rmse} m, {largest} m");
@@ -110,7 +110,7 @@ fn loop_a_third_as_quick_as_measured_elsewhere_flies_without_being_known() {
 }
 
 #[test]
-fn feedback_is_made_for_the_response_that_is_set() {
+fn feedback_is_designed_for_the_configured_response() {
     for vehicle in VEHICLES {
         // A loop that is slower still, and one that is quicker than assumed.
         let (slow, largest) = unknown_loop(vehicle, Some(1.8), Some([1.8, 1.8, 0.9]));

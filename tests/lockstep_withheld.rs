@@ -94,7 +94,7 @@ fn facts_and_flights(bench: &Bench) -> Vec<String> {
 }
 
 #[test]
-fn a_flight_ends_where_another_vehicle_takes_the_place_of_the_one_that_is_flown() {
+fn flight_ends_when_another_vehicle_replaces_the_flown_one() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     bench.downlink = exchanged();
     bench.until(FlightState::Abort, 2.0);
@@ -120,7 +120,7 @@ fn exchanged_for(autopilot: MavAutopilot) -> Downlink {
 }
 
 #[test]
-fn another_autopilot_gets_no_setpoint_and_its_mode_is_no_word_of_the_pilot() {
+fn replacement_autopilot_gets_no_setpoints_and_is_not_the_pilot() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     bench.downlink = exchanged_for(MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA);
     bench.until(FlightState::Abort, 1.1);
@@ -152,7 +152,7 @@ fn switched() -> Bench {
 }
 
 #[test]
-fn under_the_pilots_switch_too_and_the_flights_log_has_nothing_of_the_other_vehicle() {
+fn replacement_vehicle_is_kept_out_of_the_switched_flights_log() {
     for (other, name) in [
         (exchanged(), "PX4"),
         (exchanged_for(MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA), "ArduCopter"),
@@ -171,7 +171,7 @@ fn under_the_pilots_switch_too_and_the_flights_log_has_nothing_of_the_other_vehi
 }
 
 #[test]
-fn under_the_pilots_switch_a_vehicle_that_is_not_flown_is_outwaited() {
+fn unsupported_vehicle_is_waited_out_under_the_pilots_switch() {
     for policy in [EngagePolicy::PilotSwitch, EngagePolicy::Command] {
         let params = params(NANO);
         let mut bench =
@@ -212,7 +212,7 @@ fn read_with_mode(bench: &mut Bench, mode: Mode) -> Rc<Cell<Option<u64>>> {
 
 /// The sample comes first in a datagram, and what ends control behind it.
 #[test]
-fn a_sample_is_not_answered_where_the_same_read_ends_control() {
+fn sample_is_not_answered_if_the_same_read_ends_control() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     let taken_us = read_with_mode(&mut bench, Mode::Position);
     bench.run(0.2);
@@ -222,7 +222,7 @@ fn a_sample_is_not_answered_where_the_same_read_ends_control() {
 }
 
 #[test]
-fn a_sample_is_not_answered_where_the_same_read_hands_over_to_the_landing() {
+fn sample_is_not_answered_if_the_same_read_starts_landing() {
     let mut bench = Bench::hovering(NANO, 1.0);
     // The vehicle never hears that it is to land, and control goes on for its while.
     bench.until(FlightState::Hold, 30.0);
@@ -276,7 +276,7 @@ fn unidentified() -> Downlink {
 }
 
 #[test]
-fn the_log_has_the_setpoints_that_were_sent_and_no_others() {
+fn log_contains_exactly_the_setpoints_sent() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     bench.downlink = in_pairs();
     let from_us = bench.now_us();
@@ -304,7 +304,7 @@ fn sent_frames(records: &[Record]) -> usize {
 }
 
 #[test]
-fn what_the_transport_does_not_take_is_not_logged_as_sent() {
+fn setpoint_refused_by_the_transport_is_not_logged_as_sent() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     let (from_us, from) = (bench.now_us(), bench.records.len());
     let setpoints = bench.station.status().setpoints;
@@ -327,7 +327,7 @@ fn what_the_transport_does_not_take_is_not_logged_as_sent() {
 
 /// A stream that was permitted and does not leave is none.
 #[test]
-fn offboard_is_not_asked_for_while_no_setpoint_leaves() {
+fn offboard_is_not_requested_while_no_setpoint_leaves() {
     let mut bench = Bench::hovering(NANO, 30.0);
     bench.until(FlightState::Standby, 10.0);
     bench.downlink = unidentified();
@@ -339,7 +339,7 @@ fn offboard_is_not_asked_for_while_no_setpoint_leaves() {
 
 /// What the queue holds after a stall looks fresh to whoever reads it late.
 #[test]
-fn after_a_stall_nothing_is_sent_until_a_sample_that_is_newer_than_it() {
+fn nothing_is_sent_after_a_stall_until_a_newer_sample() {
     for stall_s in [0.06, 0.1, 0.25] {
         let mut bench = in_track(Bench::hovering(NANO, 30.0));
         let stopped_us = bench.now_us();

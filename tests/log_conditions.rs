@@ -26,7 +26,7 @@ fn flown(name: &str, conditions: &[Condition]) -> Vec<Flight> {
 }
 
 #[test]
-fn setpoints_of_a_log_with_rough_stamps_are_where_the_ground_sent_them() {
+fn rough_setpoint_timestamps_are_restored_to_send_times() {
     let flights = flown("rough", &[Condition::Plain, Condition::Jitter]);
     let [plain, rough] = flights.as_slice() else { panic!("two logs") };
     assert_eq!(plain.setpoint.values(), rough.setpoint.values());
@@ -41,7 +41,7 @@ fn setpoints_of_a_log_with_rough_stamps_are_where_the_ground_sent_them() {
 }
 
 #[test]
-fn a_log_says_how_many_setpoints_it_lacks() {
+fn missing_setpoints_are_counted() {
     let conditions = [Condition::Plain, Condition::HalfRate, Condition::Dropouts];
     let flights = flown("lacking", &conditions);
     let [plain, half, lost] = flights.as_slice() else { panic!("three logs") };
@@ -57,7 +57,7 @@ fn a_log_says_how_many_setpoints_it_lacks() {
 }
 
 #[test]
-fn what_a_log_lacks_is_kept_in_an_imported_one() {
+fn missing_setpoint_counts_survive_an_import() {
     let flights = flown("kept", &[Condition::HalfRate]);
     let half = flights.first().expect("a flight");
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("log-conditions/kept/half.mcap");

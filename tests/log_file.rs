@@ -75,7 +75,7 @@ fn finished_log_holds_everything_in_order() {
 }
 
 #[test]
-fn same_records_give_the_same_messages_whenever_the_file_is_synced() {
+fn sync_points_do_not_change_the_messages() {
     let records = records(1.0);
     let once = fs::read(write(&directory("once"), &records)).unwrap();
     let often = fs::read(write_synced(&directory("often"), &records, 50)).unwrap();
@@ -121,7 +121,7 @@ fn nan_stays_nan_and_unknown_becomes_nan() {
 }
 
 #[test]
-fn log_cut_at_any_byte_gives_every_whole_chunk() {
+fn truncated_log_gives_every_whole_chunk() {
     let path = write_synced(&directory("cut"), &records(0.06), 30);
     let bytes = fs::read(path).unwrap();
     let (all, _) = bodies(&bytes);
@@ -139,7 +139,7 @@ fn log_cut_at_any_byte_gives_every_whole_chunk() {
 }
 
 #[test]
-fn damaged_chunk_is_left_out_and_reading_goes_on() {
+fn damaged_chunk_is_skipped_and_reading_continues() {
     let path = write_synced(&directory("damaged"), &records(0.5), 100);
     let mut bytes = fs::read(path).unwrap();
     let (all, _) = bodies(&bytes);
@@ -154,7 +154,7 @@ fn damaged_chunk_is_left_out_and_reading_goes_on() {
 }
 
 #[test]
-fn other_files_are_refused() {
+fn non_mcap_files_are_refused() {
     let found = LogReader::new(&b"ULog\x01\x12\x35\x01 and more"[..]).err();
     assert!(matches!(found, Some(ReadError::NotMcap { .. })));
     let missing = LogReader::open(Path::new("no/such.mcap")).err().unwrap();
@@ -181,7 +181,7 @@ fn facts_learned_later_add_to_the_run() {
 }
 
 #[test]
-fn threaded_sink_writes_what_the_direct_one_writes() {
+fn threaded_and_direct_sinks_write_the_same() {
     let records = records(1.0);
     let direct = fs::read(write(&directory("direct"), &records)).unwrap();
     let writer =
@@ -196,14 +196,14 @@ fn threaded_sink_writes_what_the_direct_one_writes() {
 
 #[cfg(unix)]
 #[test]
-fn directory_that_cannot_be_made_is_named() {
+fn uncreatable_directory_is_named_in_the_error() {
     let directory = Path::new("/dev/null/logs");
     let error = LogWriter::create(directory, &run_info(), START, Instant::now()).err().unwrap();
     assert!(error.to_string().contains("/dev/null/logs"));
 }
 
 #[test]
-fn info_sums_up_the_flight() {
+fn info_summarises_the_flight() {
     let path = write(&directory("info"), &records(10.0));
     let info = LogInfo::read(&mut LogReader::open(&path).unwrap()).unwrap();
     assert!(info.finished);
@@ -254,7 +254,7 @@ fn export_gives_csv_and_json_with_null_for_nan() {
 }
 
 #[test]
-fn exports_never_destroy_a_file() {
+fn exports_never_overwrite_an_input() {
     let folder = directory("export_over");
     let path = write(&folder, &records(0.5));
     let whole = fs::read(&path).unwrap();
@@ -283,7 +283,7 @@ fn exports_never_destroy_a_file() {
 }
 
 #[test]
-fn an_export_tells_of_damage() {
+fn export_reports_damage() {
     let path = write_synced(&directory("export_damaged"), &records(0.5), 100);
     let mut bytes = fs::read(&path).unwrap();
     let middle = bytes.len() / 2;

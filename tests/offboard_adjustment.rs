@@ -39,7 +39,7 @@ fn last_words(flight: &Flight) -> (Severity, String) {
 }
 
 #[test]
-fn a_goal_that_is_moved_is_flown_to_and_held_and_landed_at() {
+fn moved_goal_is_reached_held_and_landed_at() {
     let mut flight = hovering(12.0);
     flight.until(FlightState::Track, 30.0);
     let start = flight.ticks.last().expect("a tick").state.position;
@@ -76,7 +76,7 @@ fn a_goal_that_is_moved_is_flown_to_and_held_and_landed_at() {
 }
 
 #[test]
-fn what_is_asked_for_on_the_ground_is_taken_off_to() {
+fn adjustment_on_the_ground_sets_the_take_off_goal() {
     let mut flight = hovering(2.0);
     // Once the vehicle says that it is on the ground.
     while flight.offboard.adjusted() == Adjusted::default() {
@@ -92,7 +92,7 @@ fn what_is_asked_for_on_the_ground_is_taken_off_to() {
 }
 
 #[test]
-fn nobody_but_who_flies_changes_what_is_flown_from_take_off_to_the_start() {
+fn adjustments_are_refused_outside_track_hold_and_ground() {
     let mut flight = hovering(2.0);
     for state in [FlightState::TakeOff, FlightState::Approach] {
         flight.until(state, 30.0);
@@ -111,7 +111,7 @@ fn nobody_but_who_flies_changes_what_is_flown_from_take_off_to_the_start() {
 }
 
 #[test]
-fn a_goal_beyond_a_bound_is_refused_in_flight() {
+fn out_of_bounds_goal_is_refused_in_flight() {
     let mut flight = hovering(8.0);
     flight.until(FlightState::Track, 30.0);
     let up = |up: f64| Adjustment { up_m: Some(up), ..Adjustment::default() };
@@ -163,7 +163,7 @@ fn flown(vehicle_file: &str, law: Law, scale: f64) -> f64 {
 /// With transport delay and rotor lag that the feedback is not designed for, at both ends of what may
 /// be asked for.
 #[test]
-fn every_law_flies_with_its_feedback_scaled() {
+fn every_law_flies_with_scaled_feedback() {
     for vehicle in VEHICLES {
         let mut found = BTreeMap::new();
         for spec in LAWS {

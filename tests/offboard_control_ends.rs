@@ -16,7 +16,7 @@ fn flight(policy: EngagePolicy) -> Flight {
 }
 
 #[test]
-fn pilots_mode_change_ends_a_commanded_flight_for_good() {
+fn pilot_mode_change_ends_a_commanded_flight_permanently() {
     let mut flight = flight(EngagePolicy::Command);
     flight.until(FlightState::Track, 30.0);
     flight.switch(POSITION_MODE);
@@ -30,7 +30,7 @@ fn pilots_mode_change_ends_a_commanded_flight_for_good() {
 }
 
 #[test]
-fn pilots_switch_engages_only_while_the_hold_is_streamed() {
+fn pilot_switch_engages_only_while_the_hold_is_streamed() {
     let mut flight = flight(EngagePolicy::PilotSwitch);
     flight.until(FlightState::Standby, 10.0);
     flight.run(5.0);
@@ -58,7 +58,7 @@ fn pilots_switch_engages_only_while_the_hold_is_streamed() {
 }
 
 #[test]
-fn quick_flick_back_to_offboard_after_a_takeover_does_not_engage() {
+fn quick_return_to_offboard_after_a_takeover_does_not_engage() {
     let mut flight = flight(EngagePolicy::PilotSwitch);
     flight.until(FlightState::Standby, 10.0);
     flight.run(0.1);
@@ -75,7 +75,7 @@ fn quick_flick_back_to_offboard_after_a_takeover_does_not_engage() {
 }
 
 #[test]
-fn daemon_that_starts_beside_a_vehicle_in_offboard_stays_silent() {
+fn daemon_started_with_a_vehicle_in_offboard_stays_silent() {
     let mut flight = flight(EngagePolicy::PilotSwitch);
     flight.vehicle.mode = MODES.offboard;
     flight.run(10.0);
@@ -87,7 +87,7 @@ fn daemon_that_starts_beside_a_vehicle_in_offboard_stays_silent() {
 }
 
 #[test]
-fn commanded_flight_frees_a_disarmed_vehicle_from_offboard() {
+fn commanded_flight_takes_a_disarmed_vehicle_out_of_offboard() {
     // Where the last flight left it.
     let mut flight = flight(EngagePolicy::Command);
     flight.vehicle.mode = MODES.offboard;
@@ -128,7 +128,7 @@ fn link_loss_in_flight_ends_control_until_the_mode_reads_otherwise() {
 }
 
 #[test]
-fn without_fresh_state_nothing_is_sent_and_the_vehicle_is_asked_to_land() {
+fn stale_state_stops_setpoints_and_commands_landing() {
     let mut flight = flight(EngagePolicy::Command);
     flight.until(FlightState::Track, 30.0);
     flight.hears = |message| !matches!(message, Inbound::Odometry { .. });
@@ -142,7 +142,7 @@ fn without_fresh_state_nothing_is_sent_and_the_vehicle_is_asked_to_land() {
 }
 
 #[test]
-fn jump_of_the_estimate_is_held_where_it_shows_the_vehicle() {
+fn estimate_jump_holds_at_the_new_estimate() {
     let mut flight = flight(EngagePolicy::Command);
     flight.until(FlightState::Track, 30.0);
     flight.vehicle.state.position += Ned::new(3.0, 0.0, 0.0);
@@ -172,7 +172,7 @@ fn refused_arming_ends_the_flight_with_the_vehicles_reason() {
 }
 
 #[test]
-fn a_refusal_that_repeats_is_told_once() {
+fn repeated_refusal_is_reported_once() {
     let mut flight = flight(EngagePolicy::Command);
     flight.until(FlightState::Track, 30.0);
     for text in ["failed", "failed", "failed", "denied"] {
@@ -188,7 +188,7 @@ fn a_refusal_that_repeats_is_told_once() {
 }
 
 #[test]
-fn landing_on_request_hands_over_to_the_vehicle() {
+fn requested_landing_hands_over_to_the_vehicle() {
     let mut flight = flight(EngagePolicy::Command);
     flight.until(FlightState::Track, 30.0);
     let now = flight.vehicle.now();
@@ -200,7 +200,7 @@ fn landing_on_request_hands_over_to_the_vehicle() {
 }
 
 #[test]
-fn not_a_number_is_never_flown_on() {
+fn nan_state_is_never_used_for_control() {
     let mut flight = flight(EngagePolicy::Command);
     flight.until(FlightState::Track, 30.0);
     let state = flight.vehicle.state;
@@ -222,7 +222,7 @@ fn not_a_number_is_never_flown_on() {
 }
 
 #[test]
-fn low_battery_and_a_left_fence_land_the_vehicle() {
+fn low_battery_and_fence_breach_land_the_vehicle() {
     let mut low = flight(EngagePolicy::Command);
     low.until(FlightState::Track, 30.0);
     let message = Inbound::Battery(Battery { remaining: Some(0.1), ..Battery::default() });

@@ -37,7 +37,7 @@ fn nano_and_quad_take_off_hover_and_land() {
 }
 
 #[test]
-fn first_setpoints_of_a_flight_are_an_idle_hold() {
+fn flight_starts_with_idle_hold_setpoints() {
     let mut flight = command(QUAD, 1.0, hover);
     flight.until(FlightState::Arm, 20.0);
     let sent: Vec<_> = flight.ticks.iter().filter_map(|t| t.setpoint).collect();
@@ -69,7 +69,7 @@ fn sinusoid_while_turning_is_tracked() {
 }
 
 #[test]
-fn step_is_answered_without_much_overshoot_at_every_heading() {
+fn step_response_has_little_overshoot_at_every_heading() {
     for numbers in [NANO, QUAD] {
         let mut flight = command(numbers, 10.0, |t| {
             let north = if t < 1.0 { 0.0 } else { 1.0 };
@@ -93,7 +93,7 @@ fn step_is_answered_without_much_overshoot_at_every_heading() {
 }
 
 #[test]
-fn vehicle_that_is_a_fifth_heavier_still_flies() {
+fn vehicle_twenty_percent_heavier_still_flies() {
     let heavy = Numbers { mass: QUAD.mass * 1.2, ..QUAD };
     let source = Hovering(Curve(5.0, hover), weight(&QUAD));
     let mut flight = Flight::new(
@@ -106,7 +106,7 @@ fn vehicle_that_is_a_fifth_heavier_still_flies() {
 }
 
 #[test]
-fn same_flight_twice_is_the_same() {
+fn repeated_flight_is_identical() {
     let fly = || {
         let mut flight = command(NANO, 2.0, hover);
         flight.until(FlightState::Done, 40.0);

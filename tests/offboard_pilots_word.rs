@@ -61,7 +61,7 @@ fn pause(flight: &mut Flight, seconds: f64) {
 }
 
 #[test]
-fn in_silence_nothing_is_commanded_for_the_mode_is_not_known() {
+fn nothing_is_commanded_while_silence_hides_the_mode() {
     let mut flight = in_track(EngagePolicy::Command);
     flight.hears = |_| false;
     flight.run(2.0);
@@ -76,7 +76,7 @@ fn in_silence_nothing_is_commanded_for_the_mode_is_not_known() {
 }
 
 #[test]
-fn a_last_frame_that_is_younger_than_the_state_is_no_word_of_the_mode() {
+fn late_frame_of_another_kind_does_not_confirm_the_mode() {
     let mut flight = in_track(EngagePolicy::Command);
     flight.hears = |_| false;
     // What was under way before the cut comes a little later than the state.
@@ -92,7 +92,7 @@ fn a_last_frame_that_is_younger_than_the_state_is_no_word_of_the_mode() {
 }
 
 #[test]
-fn after_silence_the_landing_is_commanded_once_the_mode_is_told_again() {
+fn landing_is_commanded_once_the_mode_is_reported_after_silence() {
     let mut flight = in_track(EngagePolicy::Command);
     flight.hears = |_| false;
     flight.run(1.0);
@@ -106,7 +106,7 @@ fn after_silence_the_landing_is_commanded_once_the_mode_is_told_again() {
 }
 
 #[test]
-fn a_mode_that_lay_unread_during_a_pause_is_the_pilots_word() {
+fn unread_mode_change_after_a_pause_is_the_pilots() {
     let mut flight = in_track(EngagePolicy::Command);
     pause(&mut flight, 2.4);
     // What the socket kept: the mode before, then the pilot's.
@@ -124,7 +124,7 @@ fn a_mode_that_lay_unread_during_a_pause_is_the_pilots_word() {
 }
 
 #[test]
-fn after_a_pause_the_mode_is_not_known_until_it_is_told_again() {
+fn mode_is_unknown_after_a_pause_until_reported_again() {
     // The socket kept only the oldest of what came.
     let paused = || {
         let mut flight = in_track(EngagePolicy::Command);
@@ -154,7 +154,7 @@ fn after_a_pause_the_mode_is_not_known_until_it_is_told_again() {
 }
 
 #[test]
-fn a_mode_that_returns_with_the_disarming_is_no_switch_of_the_pilot() {
+fn mode_restored_on_disarming_is_not_the_pilots_switch() {
     for heartbeat_first in [false, true] {
         let mut flight = in_track(EngagePolicy::PilotSwitch);
         // The pilot takes over, lands and stands armed beside a stream that waits for the switch.
@@ -197,7 +197,7 @@ fn a_mode_that_returns_with_the_disarming_is_no_switch_of_the_pilot() {
 }
 
 #[test]
-fn a_switch_on_the_ground_lapses_where_the_pilot_does_not_arm() {
+fn switch_on_the_ground_lapses_unless_the_pilot_arms() {
     let mut flight = flight(EngagePolicy::PilotSwitch);
     flight.until(FlightState::Standby, 10.0);
     flight.run(0.2);
@@ -210,7 +210,7 @@ fn a_switch_on_the_ground_lapses_where_the_pilot_does_not_arm() {
 }
 
 #[test]
-fn an_offer_ends_when_the_pilot_leaves_again_before_it_was_taken_for_his_word() {
+fn offer_ends_if_the_pilot_leaves_offboard_before_engaging() {
     let mut flight = flight(EngagePolicy::PilotSwitch);
     flight.until(FlightState::Standby, 10.0);
     flight.run(0.2);
@@ -239,7 +239,7 @@ fn an_offer_ends_when_the_pilot_leaves_again_before_it_was_taken_for_his_word() 
 }
 
 #[test]
-fn nothing_is_offered_where_the_mode_was_not_told_lately() {
+fn nothing_is_offered_without_a_recent_mode_report() {
     let mut flight = flight(EngagePolicy::PilotSwitch);
     flight.until(FlightState::Standby, 10.0);
     flight.run(0.2);
@@ -265,7 +265,7 @@ fn flown_by_others(policy: EngagePolicy, settings: OffboardSettings) -> Flight {
 }
 
 #[test]
-fn a_vehicle_that_others_fly_is_not_taken_over_unasked() {
+fn vehicle_flown_by_others_is_not_taken_over_unasked() {
     let mut command = flown_by_others(EngagePolicy::Command, OffboardSettings::default());
     command.run(70.0);
     assert_eq!(command.offboard.flight_state(), FlightState::Abort);
@@ -281,7 +281,7 @@ fn a_vehicle_that_others_fly_is_not_taken_over_unasked() {
 }
 
 #[test]
-fn a_takeover_in_the_air_that_is_asked_for_flies_by_the_local_frames_height() {
+fn requested_takeover_in_the_air_uses_local_frame_height() {
     let mut settings = OffboardSettings::default();
     settings.supervisor.take_over = true;
     let mut flight = flown_by_others(EngagePolicy::Command, settings);
@@ -293,7 +293,7 @@ fn a_takeover_in_the_air_that_is_asked_for_flies_by_the_local_frames_height() {
 }
 
 #[test]
-fn where_the_vehicle_does_not_tell_whether_it_is_armed_nothing_is_streamed() {
+fn nothing_is_streamed_while_the_arming_state_is_unknown() {
     let mut flight = flown_by_others(EngagePolicy::PilotSwitch, OffboardSettings::default());
     flight.hears =
         |message| !matches!(message, Inbound::Heartbeat { .. } | Inbound::LandedState(_));
@@ -303,7 +303,7 @@ fn where_the_vehicle_does_not_tell_whether_it_is_armed_nothing_is_streamed() {
 }
 
 #[test]
-fn a_failsafe_is_called_one_and_not_the_pilot() {
+fn failsafe_is_not_reported_as_the_pilot() {
     let mut flight = in_track(EngagePolicy::Command);
     // CURRENT_MODE comes first; HEARTBEAT and the text say why within a second.
     flight.vehicle.mode = RETURN_MODE;
@@ -322,7 +322,7 @@ fn a_failsafe_is_called_one_and_not_the_pilot() {
 }
 
 #[test]
-fn a_vehicle_that_declares_a_failsafe_or_a_critical_battery_is_landed() {
+fn declared_failsafe_or_critical_battery_lands_the_vehicle() {
     let failsafe = Inbound::StatusText { severity: 3, text: "Battery Failsafe".to_owned() };
     let critical = Battery { charge: ChargeState::Critical, ..Battery::default() };
     for (message, words) in [
@@ -341,7 +341,7 @@ fn a_vehicle_that_declares_a_failsafe_or_a_critical_battery_is_landed() {
 }
 
 #[test]
-fn a_position_that_the_vehicle_no_longer_vouches_for_is_not_followed() {
+fn position_reported_unhealthy_is_not_followed() {
     let heard = |flight: &mut Flight, health: u32, enabled: u32| {
         let message = Inbound::SysStatus { unhealthy: 0, health, enabled };
         let host = flight.vehicle.now();
@@ -371,7 +371,7 @@ fn a_position_that_the_vehicle_no_longer_vouches_for_is_not_followed() {
 }
 
 #[test]
-fn what_the_vehicle_reports_as_unhealthy_is_named_once() {
+fn unhealthy_sensors_are_named_once() {
     let mut flight = in_track(EngagePolicy::Command);
     for _ in 0..3 {
         let message = Inbound::SysStatus { unhealthy: 0x20 | 0x0020_0000, health: 0, enabled: 0 };
@@ -385,7 +385,7 @@ fn what_the_vehicle_reports_as_unhealthy_is_named_once() {
 }
 
 #[test]
-fn a_landing_that_the_vehicle_does_not_report_ends_in_a_request_to_disarm() {
+fn unreported_landing_ends_in_a_disarm_request() {
     let mut flight = in_track(EngagePolicy::Command);
     let now = flight.vehicle.now();
     flight.offboard.land(now);

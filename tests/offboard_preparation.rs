@@ -20,7 +20,7 @@ fn is_no_odometry(message: &Inbound) -> bool {
 }
 
 #[test]
-fn a_vehicle_without_current_mode_is_flown_and_that_is_told_once() {
+fn missing_current_mode_is_reported_once_and_flown() {
     let mut flight = flight();
     flight.hears = |message| !matches!(message, Inbound::CurrentMode { .. });
     flight.until(FlightState::Track, 30.0);
@@ -29,14 +29,14 @@ fn a_vehicle_without_current_mode_is_flown_and_that_is_told_once() {
 }
 
 #[test]
-fn a_vehicle_with_current_mode_is_not_said_to_have_none() {
+fn present_current_mode_is_not_reported_missing() {
     let mut flight = flight();
     flight.until(FlightState::Track, 30.0);
     assert!(!flight.events.iter().any(|event| event.text.contains("CURRENT_MODE")));
 }
 
 #[test]
-fn telemetry_that_comes_and_goes_does_not_start_the_wait_anew() {
+fn intermittent_telemetry_does_not_restart_the_wait() {
     let mut flight = flight();
     let limit_s = OffboardSettings::default().supervisor.ready_timeout_s;
     let mut waited_s = 0.0;

@@ -47,7 +47,7 @@ fn flown(name: &str, effects: &[&str]) -> (Seen, Vec<Change>) {
 }
 
 #[test]
-fn a_weaker_rotor_is_told_when_it_is_from_the_log_and_live() {
+fn weakened_rotor_is_detected_from_log_and_live() {
     let (seen, live) = flown("rotor", &["rotor_loss:rotor=2,scale=0.92@25"]);
     for (way, told) in [("log", &seen.changes), ("live", &live)] {
         assert_eq!(told.len(), 1, "{way}: {told:?}");
@@ -60,7 +60,7 @@ fn a_weaker_rotor_is_told_when_it_is_from_the_log_and_live() {
 }
 
 #[test]
-fn nothing_is_told_of_a_vehicle_that_only_differs_from_its_file() {
+fn constant_difference_from_the_file_is_no_change() {
     let file =
         ["thrust_scale:scale=0.97", "inertia:scale=[1.08,0.94,1.0]", "motor_lag:tau_s=0.034"];
     let (seen, live) = flown("null", &file);

@@ -23,7 +23,7 @@ fn short() -> PlanSettings {
 }
 
 #[test]
-fn turns_of_fifty_g_give_the_nearest_that_can_be_flown() {
+fn fifty_g_turns_give_the_nearest_flyable_plan() {
     let fast = trajectory(
         "family = 'sinusoid-yaw'\naltitude_m = 1\nduration_s = 2\namplitude_m = 5\n\
          period_s = 0.6\nyaw_period_s = 1\nramp_s = 0.2",
@@ -35,7 +35,7 @@ fn turns_of_fifty_g_give_the_nearest_that_can_be_flown() {
 }
 
 #[test]
-fn jumps_are_smoothed() {
+fn reference_jumps_are_smoothed() {
     let jumps = trajectory(
         "family = 'steps'\naltitude_m = 1\ndwell_s = 1.0\n\
          offsets = [[0, 0, 0, 0], [3, 0, 0, 170], [-3, 2, 1, -170]]",
@@ -46,7 +46,7 @@ fn jumps_are_smoothed() {
 }
 
 #[test]
-fn numbers_that_are_none_are_named_with_their_time() {
+fn non_finite_numbers_are_named_with_their_time() {
     let settings = short();
     let planner = planner(Arc::new(physics()), &settings);
     let good = planner.desire(&hasty(0.4)).expect("desired states");
@@ -70,7 +70,7 @@ fn numbers_that_are_none_are_named_with_their_time() {
 }
 
 #[test]
-fn an_absurd_trajectory_file_is_an_error_of_the_planner() {
+fn absurd_trajectory_gives_a_planner_error() {
     let planner = planner(Arc::new(physics()), &PlanSettings::default());
     let long = trajectory("family = 'hover'\naltitude_m = 1\nduration_s = 2000");
     let error = planner.desire(&long).expect_err("refused");
@@ -91,7 +91,7 @@ fn an_absurd_trajectory_file_is_an_error_of_the_planner() {
 }
 
 #[test]
-fn one_sample() {
+fn single_sample_trajectory_converges() {
     let still = trajectory("family = 'hover'\naltitude_m = 1\nduration_s = 0.001");
     let outcome = plan(&still, &short());
     sound(&outcome, &short());
@@ -101,7 +101,7 @@ fn one_sample() {
 }
 
 #[test]
-fn through_the_floor_of_the_box_stays_on_it() {
+fn path_through_the_box_floor_stays_on_it() {
     let dive = trajectory(
         "family = 'waypoints'\npace = { speed_m_s = 1.5, acceleration_m_s2 = 3.0 }\n\
          points = [{ north_m = 0, east_m = 0, altitude_m = 1 }, \
@@ -118,7 +118,7 @@ fn through_the_floor_of_the_box_stays_on_it() {
 }
 
 #[test]
-fn a_start_that_breaks_every_limit() {
+fn start_that_breaks_every_limit_ends_soundly() {
     let settings = PlanSettings { box_m: Some([[-1.0; 3], [1.0; 3]]), ..short() };
     let planner = planner(Arc::new(physics()), &settings);
     let desire = planner.desire(&hasty(0.6)).expect("desired states");
@@ -136,7 +136,7 @@ fn a_start_that_breaks_every_limit() {
 }
 
 #[test]
-fn no_time_and_a_stop_at_once_give_the_guess() {
+fn immediate_stop_returns_the_guess() {
     let settings = short();
     let planner = planner(Arc::new(physics()), &settings);
     let desire = planner.desire(&hasty(0.6)).expect("desired states");
@@ -212,7 +212,7 @@ impl Model for Broken {
 }
 
 #[test]
-fn a_model_without_numbers_ends_the_search() {
+fn non_finite_model_ends_the_search() {
     for solver in [SolverChoice::InteriorPoint, SolverChoice::Clarabel, SolverChoice::Penalty] {
         let settings = PlanSettings { solver, ..short() };
         let planner = planner(Arc::new(Broken), &settings);
@@ -228,7 +228,7 @@ proptest! {
 
     /// Whatever is asked: an end, within the bounds of the inputs.
     #[test]
-    fn every_search_ends(
+    fn every_search_terminates_within_input_bounds(
         amplitude in 0.01_f64..30.0,
         period in 0.05_f64..5.0,
         yaw_period in 0.1_f64..10.0,

@@ -80,7 +80,7 @@ proptest! {
     #![proptest_config(ProptestConfig { max_global_rejects: 10_000, ..ProptestConfig::with_cases(64) })]
 
     #[test]
-    fn of_the_wrench(
+    fn wrench_step_derivatives_match_finite_differences(
         state in state(),
         thrust in 0.0_f64..0.5,
         moments in prop::array::uniform3(-2e-4_f64..2e-4),
@@ -94,7 +94,7 @@ proptest! {
     }
 
     #[test]
-    fn of_the_commanded_input(
+    fn commanded_step_derivatives_match_finite_differences(
         state in state(),
         thrust in 0.0_f64..0.5,
         command in prop::array::uniform6(-1.0_f64..1.0),

@@ -61,7 +61,7 @@ fn read(name: &str, bytes: &[u8]) -> Result<Plan, String> {
 }
 
 #[test]
-fn what_is_written_is_read() {
+fn plan_file_round_trips() {
     let plan = a_plan();
     let text = plan.to_json().expect("a text");
     assert_eq!(read("whole", text.as_bytes()), Ok(plan.clone()));
@@ -71,7 +71,7 @@ fn what_is_written_is_read() {
 }
 
 #[test]
-fn damaged_plans_are_refused_with_the_reason() {
+fn damaged_plan_is_refused_with_the_reason() {
     let text = a_plan().to_json().expect("a text");
     let changed = |from: &str, to: &str| {
         assert!(text.contains(from), "{from}");
@@ -106,7 +106,7 @@ fn damaged_plans_are_refused_with_the_reason() {
 }
 
 #[test]
-fn plans_that_do_not_hold_are_not_flown() {
+fn violated_plan_is_not_flyable() {
     let mut plan = a_plan();
     plan.violation.defect = 2e-4;
     assert!(matches!(plan.check_flyable(), Err(NotFlyable::Violated { .. })));
@@ -133,7 +133,7 @@ fn plans_that_do_not_hold_are_not_flown() {
 }
 
 #[test]
-fn the_reference_passes_through_the_plan() {
+fn reference_passes_through_the_plan() {
     let plan = a_plan();
     let reference = PlannedReference::new(&plan);
     assert!((reference.duration() - plan.duration()).abs() < 1e-12);
@@ -153,7 +153,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn a_truncated_or_flipped_file_is_never_a_panic(cut in 0.0_f64..1.0, flip in any::<(f64, u8)>()) {
+    fn truncated_or_corrupted_plan_never_panics(cut in 0.0_f64..1.0, flip in any::<(f64, u8)>()) {
         static TEXT: std::sync::LazyLock<Vec<u8>> =
             std::sync::LazyLock::new(|| a_plan().to_json().expect("a text").into_bytes());
         let place = |share: f64| ((TEXT.len() - 1) as f64 * share.fract().abs()) as usize;

@@ -50,28 +50,28 @@ fn goes_round(regions: &[KeepOutSetting]) -> Outcome<7> {
 }
 
 #[test]
-fn a_ball_beside_the_path() {
+fn sphere_beside_the_path_is_avoided() {
     goes_round(&[ball([1.0, 0.1, -1.0], 0.3)]);
 }
 
 #[test]
-fn a_ball_on_the_path() {
+fn sphere_on_the_path_is_avoided() {
     goes_round(&[ball([1.0, 0.0, -1.0], 0.3)]);
 }
 
 #[test]
-fn a_box_beside_the_path() {
+fn box_beside_the_path_is_avoided() {
     goes_round(&[block([0.8, -0.1, -2.0], [1.2, 0.4, -0.2])]);
 }
 
 #[test]
-fn a_box_on_the_path() {
+fn box_on_the_path_is_avoided() {
     goes_round(&[block([0.9, -0.3, -2.0], [1.1, 0.3, 0.0])]);
 }
 
 /// A step is longer than the wall is thick: a plan that leads through says so, and by how much.
 #[test]
-fn a_wall_of_a_few_millimetres_on_the_path() {
+fn thin_wall_violation_is_reported_with_its_depth() {
     let wall = block([1.0, -0.3, -2.0], [1.004, 0.3, 0.0]);
     let outcome = plan(&straight(), &settings(&[wall]));
     let ways = outcome.iterate.states.windows(2).flat_map(|pair| {
@@ -86,7 +86,7 @@ fn a_wall_of_a_few_millimetres_on_the_path() {
 }
 
 #[test]
-fn a_gate() {
+fn path_leads_through_a_gate() {
     let outcome = goes_round(&[
         block([0.9, -2.0, -3.0], [1.1, 0.1, 1.0]),
         block([0.9, 0.6, -3.0], [1.1, 2.0, 1.0]),
@@ -96,14 +96,14 @@ fn a_gate() {
 }
 
 #[test]
-fn a_region_far_away_changes_nothing() {
+fn distant_region_changes_nothing() {
     let free = plan(&straight(), &settings(&[]));
     let far = plan(&straight(), &settings(&[ball([1.0, 8.0, -1.0], 1.0)]));
     assert!((free.cost - far.cost).abs() < 1e-3 * free.cost, "{} and {}", free.cost, far.cost);
 }
 
 #[test]
-fn a_goal_inside_a_region_is_neared() {
+fn goal_inside_a_region_is_approached() {
     let region = ball([2.0, 0.0, -1.0], 0.4);
     let outcome = plan(&straight(), &settings(&[region]));
     let text = format!("{:?} {:?}", outcome.status, outcome.violation);
@@ -115,7 +115,7 @@ fn a_goal_inside_a_region_is_neared() {
 
 /// What cannot be is left as soon as the vehicle can, and is said.
 #[test]
-fn a_start_inside_a_region_is_left() {
+fn start_inside_a_region_is_left() {
     let region = ball([0.0, 0.0, -1.0], 0.3);
     let outcome = plan(&straight(), &settings(&[region]));
     let text = format!("{:?} {:?}", outcome.status, outcome.violation);
@@ -131,7 +131,7 @@ fn a_start_inside_a_region_is_left() {
 }
 
 #[test]
-fn moved_a_little_the_guess_of_before_is_enough() {
+fn previous_plan_warm_starts_a_slightly_moved_problem() {
     let settings = settings(&[ball([1.0, 0.1, -1.0], 0.3)]);
     let planner = planner(Arc::new(physics()), &settings);
     let desire = planner.desire(&straight()).expect("desired states");

@@ -14,7 +14,7 @@ fn capability(thrust_to_weight: f64) -> Capability {
 }
 
 #[test]
-fn every_manoeuvre_can_be_flown_in_the_usual_room() {
+fn every_manoeuvre_fits_the_default_room() {
     let envelope = FlightEnvelope::default();
     let room = Room::new(&ProgrammeSettings::default(), &envelope, &capability(1.95));
     let found = library(&room, &envelope);

@@ -81,7 +81,7 @@ fn all_solvers_reach_the_same_cost_through_physics() {
 }
 
 #[test]
-fn all_solvers_plan_for_the_vehicle_with_its_loop() {
+fn all_solvers_agree_for_the_vehicle_with_its_loop() {
     let costs = [SolverChoice::InteriorPoint, SolverChoice::Clarabel, SolverChoice::Penalty].map(
         |solver| {
             let settings = PlanSettings { solver, progress: 1e-7, ..PlanSettings::default() };
@@ -96,7 +96,7 @@ fn all_solvers_plan_for_the_vehicle_with_its_loop() {
 }
 
 #[test]
-fn under_an_autopilots_own_loop_inputs_do_not_jump_from_period_to_period() {
+fn inputs_for_an_autopilot_loop_are_smooth() {
     let settings = PlanSettings::default();
     let mut parameters = PhysicsParameters::default();
     let trim = "attitude_trim:roll_rad=0.014,pitch_rad=-0.009";
@@ -117,7 +117,7 @@ fn under_an_autopilots_own_loop_inputs_do_not_jump_from_period_to_period() {
 }
 
 #[test]
-fn the_plan_is_what_its_model_does_with_its_inputs() {
+fn plan_states_follow_from_its_model_and_inputs() {
     let settings = PlanSettings::default();
     let models: [(&str, Arc<dyn Model>); 3] = [
         ("physics", Arc::new(physics())),
@@ -169,7 +169,7 @@ fn turned(state: &StateVector, angle: f64) -> StateVector {
 }
 
 #[test]
-fn turning_the_world_turns_the_plan() {
+fn rotating_the_world_rotates_the_plan() {
     let settings = PlanSettings::default();
     let models: [(&str, Arc<dyn Model>); 2] =
         [("physics", Arc::new(physics())), ("hybrid", Arc::new(hybrid(Features::Heading, 4)))];
@@ -207,7 +207,7 @@ fn turning_the_world_turns_the_plan() {
 }
 
 #[test]
-fn tilt_rate_and_box_limits_hold() {
+fn tilt_rate_and_box_limits_are_respected() {
     let limits = Limits { tilt_max_rad: 0.15, body_rate_max_rad_s: 1.0, ..Limits::default() };
     let settings = PlanSettings {
         box_m: Some([[-0.05, -0.2, -1.2], [0.25, 0.2, -0.8]]),
@@ -231,7 +231,7 @@ fn tilt_rate_and_box_limits_hold() {
 }
 
 #[test]
-fn a_longer_search_is_never_worse() {
+fn longer_search_is_never_worse() {
     let model: Arc<dyn Model> = Arc::new(hybrid(Features::World, 9));
     let mut last = f64::INFINITY;
     for subproblems_max in [1, 2, 4, 8, 16, 32] {

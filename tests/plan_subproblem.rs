@@ -242,14 +242,14 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn reaches_the_optimum_of_the_same_quadratic_program(kind in kinds(), seed in any::<u64>()) {
+    fn interior_point_reaches_the_quadratic_optimum(kind in kinds(), seed in any::<u64>()) {
         compare(&subproblem::<4>(kind, seed))?;
         compare(&subproblem::<7>(kind, seed))?;
     }
 
     /// Bounds that are out of reach cost no iterations, and those that are not are found.
     #[test]
-    fn what_no_bound_acts_on_takes_one_sweep(kind in kinds(), seed in any::<u64>()) {
+    fn inactive_bounds_cost_only_one_sweep(kind in kinds(), seed in any::<u64>()) {
         let kind = Kind { growth: kind.growth.min(1.0), curvature: 0.1 + kind.curvature, ..kind };
         let mut problem = subproblem::<7>(kind, seed);
         for stage in &mut problem.stages {
@@ -274,7 +274,7 @@ proptest! {
 
     /// Where the step is small against the errors, the norm and its second order are one.
     #[test]
-    fn agrees_with_the_cones_where_steps_are_small(kind in kinds(), seed in any::<u64>()) {
+    fn interior_point_agrees_with_cones_for_small_steps(kind in kinds(), seed in any::<u64>()) {
         let kind = Kind { error: 2e3, trust: 0.1 * kind.trust, rows: kind.rows.min(1), ..kind };
         let mut problem = subproblem::<4>(kind, seed);
         problem.tolerance = 1e-8;
@@ -290,7 +290,7 @@ proptest! {
 }
 
 #[test]
-fn the_penalty_gives_the_equations_solution_where_it_is_large() {
+fn large_penalty_recovers_the_equality_solution() {
     let kind = Kind {
         stages: 8,
         growth: 1.1,
@@ -313,7 +313,7 @@ fn the_penalty_gives_the_equations_solution_where_it_is_large() {
 }
 
 #[test]
-fn updating_in_place_gives_what_a_new_set_up_gives() {
+fn updating_in_place_matches_a_new_setup() {
     let kind = Kind {
         stages: 6,
         growth: 1.0,
@@ -338,7 +338,7 @@ fn updating_in_place_gives_what_a_new_set_up_gives() {
 }
 
 #[test]
-fn numbers_that_are_none_are_an_error() {
+fn non_finite_numbers_are_an_error() {
     let kind = Kind {
         stages: 5,
         growth: 1.0,
@@ -366,7 +366,7 @@ fn numbers_that_are_none_are_an_error() {
 }
 
 #[test]
-fn a_long_unstable_horizon_keeps_its_dynamics() {
+fn long_unstable_horizon_satisfies_its_dynamics() {
     let kind = Kind {
         stages: 1000,
         growth: 1.02,

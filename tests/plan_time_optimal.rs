@@ -72,7 +72,7 @@ fn check(found: &TimeOptimal, course: &Course, vehicle: &VehicleParams, limits: 
 }
 
 #[test]
-fn a_climb_takes_the_time_of_full_and_no_thrust() {
+fn climb_time_matches_bang_bang_thrust() {
     let vehicle = vehicle();
     let limits = limits(RATES);
     let height = 6.0;
@@ -94,7 +94,7 @@ fn a_climb_takes_the_time_of_full_and_no_thrust() {
 }
 
 #[test]
-fn a_level_way_nears_the_time_of_a_point_whose_thrust_turns_at_once() {
+fn level_flight_time_approaches_the_point_mass_bound() {
     let vehicle = vehicle();
     let course = from_rest(Ned::zero(), Vec::new(), Ned::new(40.0, 0.0, 0.0));
     let level = ((4.0 * 6.879 / 0.85_f64).powi(2) - vehicle.gravity.powi(2)).sqrt();
@@ -110,7 +110,7 @@ fn a_level_way_nears_the_time_of_a_point_whose_thrust_turns_at_once() {
 }
 
 #[test]
-fn waypoints_are_passed_within_the_limits() {
+fn waypoints_are_passed_within_limits() {
     let vehicle = vehicle();
     let limits = limits(RATES);
     let course = course(4, true);
@@ -120,7 +120,7 @@ fn waypoints_are_passed_within_the_limits() {
 
 #[test]
 #[ignore = "long: tests/run --all"]
-fn the_published_course_takes_no_longer_than_others_need() {
+fn published_course_time_is_competitive() {
     let vehicle = vehicle();
     let limits = limits(RATES);
     for (is_level, most) in [(true, 17.61), (false, 17.57)] {
@@ -134,7 +134,7 @@ fn the_published_course_takes_no_longer_than_others_need() {
 
 #[test]
 #[ignore = "long: tests/run --all"]
-fn sixty_waypoints_are_planned() {
+fn sixty_waypoint_course_is_planned() {
     let vehicle = vehicle();
     let limits = limits(RATES);
     let course = course(60, true);
@@ -143,7 +143,7 @@ fn sixty_waypoints_are_planned() {
 }
 
 #[test]
-fn gates_are_passed_in_order_and_in_their_direction() {
+fn gates_are_passed_in_order_and_direction() {
     let vehicle = vehicle();
     let limits = limits(RATES);
     // Out and back through one opening: the second passage is the other way.
@@ -164,7 +164,7 @@ fn gates_are_passed_in_order_and_in_their_direction() {
 }
 
 #[test]
-fn regions_are_gone_round_between_the_states_too() {
+fn regions_are_avoided_between_states_too() {
     let vehicle = vehicle();
     let limits = limits(RATES);
     let free = from_rest(Ned::zero(), Vec::new(), Ned::new(10.0, 0.0, 0.0));
@@ -187,7 +187,7 @@ fn regions_are_gone_round_between_the_states_too() {
 }
 
 #[test]
-fn time_goes_with_the_root_of_the_size() {
+fn time_scales_with_the_square_root_of_size() {
     let vehicle = vehicle();
     let course = course(2, true);
     let time = planned(&course, &vehicle, &limits(RATES)).knots.duration_s();
@@ -215,7 +215,7 @@ fn time_goes_with_the_root_of_the_size() {
 }
 
 #[test]
-fn a_search_that_is_stopped_gives_what_it_has() {
+fn stopped_search_returns_its_best() {
     let vehicle = vehicle();
     let limits = limits(RATES);
     let course = course(3, true);
@@ -284,7 +284,7 @@ fn race_plan(task: &Task, planner: &FlightPlanner) -> (Plan, Knots) {
 }
 
 #[test]
-fn the_shipped_course_makes_a_plan_that_may_be_flown() {
+fn shipped_course_gives_a_flyable_plan() {
     let (task, vehicle) = (race(), crazyflie());
     let planner = flight_planner(PlanSettings::default());
     let (plan, knots) = race_plan(&task, &planner);
@@ -307,7 +307,7 @@ fn the_shipped_course_makes_a_plan_that_may_be_flown() {
 }
 
 #[test]
-fn the_shipped_course_is_flown_through_its_gates() {
+fn shipped_course_is_flown_through_its_gates() {
     let (task, vehicle) = (race(), crazyflie());
     let planner = flight_planner(PlanSettings::default());
     let (plan, _) = race_plan(&task, &planner);
@@ -344,7 +344,7 @@ fn the_shipped_course_is_flown_through_its_gates() {
 }
 
 #[test]
-fn a_place_that_cannot_be_reached_is_named() {
+fn unreachable_place_is_named() {
     let region = KeepOutSetting::Sphere { centre_m: [2.2, 1.2, -1.6], radius_m: 0.5 };
     let settings = PlanSettings { keep_out: vec![region], ..PlanSettings::default() };
     let task = race();
@@ -360,7 +360,7 @@ fn a_place_that_cannot_be_reached_is_named() {
 }
 
 #[test]
-fn files_that_are_no_course_are_refused_by_file_and_key() {
+fn invalid_course_files_are_refused_by_file_and_key() {
     let text = |passages: &str| {
         format!(
             "family = 'time-optimal'\nstart = {{ altitude_m = 1.0 }}\n\
@@ -397,7 +397,7 @@ fn files_that_are_no_course_are_refused_by_file_and_key() {
 }
 
 #[test]
-fn a_course_is_no_trajectory_until_it_is_planned() {
+fn unplanned_course_is_refused_as_a_trajectory() {
     let error = Trajectory::load(Path::new("race")).expect_err("refused").to_string();
     assert!(error.contains("downwash plan race -o plan.json"), "{error}");
 }

@@ -133,7 +133,7 @@ fn cautious(goal: Trajectory) -> RecedingReference {
 }
 
 #[test]
-fn a_kick_is_planned_back_from() {
+fn replanning_recovers_from_a_kick() {
     let reference = inline(hover_at(0.0));
     let mut follower = Follower::hovering();
     follower.follow(&reference, 1.0);
@@ -153,7 +153,7 @@ fn a_kick_is_planned_back_from() {
 }
 
 #[test]
-fn a_vehicle_that_answers_late_is_led_back_without_a_swing() {
+fn lagging_vehicle_returns_without_oscillation() {
     for delay in [2, 6] {
         let reference = late(hover_at(0.0), f64::from(delay) * PERIOD_S);
         let mut follower = Follower { delay: delay as usize, ..Follower::hovering() };
@@ -170,7 +170,7 @@ fn a_vehicle_that_answers_late_is_led_back_without_a_swing() {
 }
 
 #[test]
-fn what_is_only_an_estimates_noise_is_hardly_flown() {
+fn estimator_noise_is_hardly_followed() {
     let reference = cautious(hover_at(0.0));
     let mut follower = Follower::hovering();
     let mut random = Pcg64Mcg::seed_from_u64(1);
@@ -196,7 +196,7 @@ fn what_is_only_an_estimates_noise_is_hardly_flown() {
 }
 
 #[test]
-fn a_cautious_plan_leaves_small_errors_to_feedback_and_leads_back_from_large_ones() {
+fn cautious_plan_corrects_only_large_errors() {
     let reference = cautious(hover_at(0.0));
     let mut follower = Follower::hovering();
     follower.follow(&reference, 1.0);
@@ -213,7 +213,7 @@ fn a_cautious_plan_leaves_small_errors_to_feedback_and_leads_back_from_large_one
 }
 
 #[test]
-fn the_distance_counts_from_the_goal_though_plans_begin_at_the_vehicle() {
+fn desired_position_is_the_goal_despite_replanning() {
     let reference = inline(hover_at(0.5));
     let mut follower = Follower::hovering();
     follower.follow(&reference, 0.3);
@@ -224,7 +224,7 @@ fn the_distance_counts_from_the_goal_though_plans_begin_at_the_vehicle() {
 }
 
 #[test]
-fn a_moved_goal_is_followed_within_a_fraction_of_a_second() {
+fn moved_goal_is_followed_within_a_fraction_of_a_second() {
     let reference = inline(hover_at(0.0));
     let mut follower = Follower::hovering();
     follower.follow(&reference, 1.0);
@@ -264,7 +264,7 @@ impl Model for Held {
 }
 
 #[test]
-fn a_planner_that_is_late_leaves_the_goal_as_the_reference_and_stalls_nothing() {
+fn late_planner_falls_back_to_the_goal_without_blocking() {
     let (open, gate) = channel();
     let (entered, planning) = channel();
     let held = Held { model: physics(), gate: Mutex::new(gate), entered };
@@ -300,7 +300,7 @@ impl Model for Broken {
 }
 
 #[test]
-fn plans_that_fail_are_not_flown() {
+fn failed_plans_are_not_flown() {
     let (planner, answer) = planner(Arc::new(Broken));
     let reference =
         RecedingReference::inline(hover_at(0.0), planner, answer, RecedingSettings::default());
@@ -315,7 +315,7 @@ fn plans_that_fail_are_not_flown() {
 }
 
 #[test]
-fn another_flight_begins_without_the_last_ones_plans() {
+fn new_flight_starts_without_old_plans() {
     let reference = inline(hover_at(0.0));
     let mut follower = Follower::hovering();
     follower.follow(&reference, 1.0);
@@ -331,7 +331,7 @@ fn another_flight_begins_without_the_last_ones_plans() {
 /// The vehicle is where it is to be, and its estimate says that it falls: a first plan, which has none
 /// before it, gives all the thrust there is to be rid of that, unless it is cautious.
 #[test]
-fn a_first_cautious_plan_leaves_what_is_near_to_feedback() {
+fn first_cautious_plan_leaves_small_errors_to_feedback() {
     let most = |receding: RecedingSettings| {
         let (planner, answer) = planner(physics());
         let hover_n = planner.hover_thrust_n();

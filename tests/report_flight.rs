@@ -25,7 +25,7 @@ fn drawn(html: &str) -> &str {
 }
 
 #[test]
-fn report_is_one_file_that_fetches_nothing() {
+fn report_is_self_contained() {
     let path = log("whole", &records(22.5));
     let report = report(&path);
     let html = report.to_html();
@@ -47,7 +47,7 @@ fn report_is_one_file_that_fetches_nothing() {
 }
 
 #[test]
-fn the_page_of_ten_minutes_is_small_enough_to_send() {
+fn ten_minute_report_is_small_enough_to_send() {
     let path = log("ten_minutes", &records(600.0));
     let flight = downwash::log::import::open(&path, None);
     let report = report(&path);
@@ -60,7 +60,7 @@ fn the_page_of_ten_minutes_is_small_enough_to_send() {
 }
 
 #[test]
-fn summary_counts_what_was_flown() {
+fn summary_counts_ticks_and_events() {
     let mut records = records(10.0);
     // A pause of four ticks.
     let mut tick = 0;
@@ -82,7 +82,7 @@ fn summary_counts_what_was_flown() {
 }
 
 #[test]
-fn events_beyond_those_that_are_listed_are_counted_by_level() {
+fn unlisted_events_are_counted_by_level() {
     let event = |severity| Record::Event {
         host: START,
         severity,

@@ -72,14 +72,14 @@ fn telemetry() -> Telemetry {
 }
 
 #[test]
-fn odometry_at_the_control_rate_fires_each_tick() {
+fn odometry_at_the_control_rate_triggers_each_tick() {
     let samples = run(&mut telemetry(), &[(10_000, odometry)], 2_000_000);
     assert!((190..=200).contains(&samples.len()), "{}", samples.len());
     assert!(samples.iter().all(|sample| sample.source == SampleSource::Odometry));
 }
 
 #[test]
-fn quicker_odometry_is_thinned_without_drift() {
+fn faster_odometry_is_decimated_without_drift() {
     let samples = run(&mut telemetry(), &[(4_000, odometry)], 10_000_000);
     assert!((990..=1001).contains(&samples.len()), "{}", samples.len());
 }
@@ -91,7 +91,7 @@ fn odometry_slightly_below_the_rate_loses_no_tick() {
 }
 
 #[test]
-fn slow_odometry_leaves_the_ticks_to_the_pair() {
+fn slow_odometry_yields_to_attitude_and_position() {
     let streams: [Stream; 3] = [(33_000, odometry), (4_000, quaternion), (10_000, position)];
     let samples = run(&mut telemetry(), &streams, 2_000_000);
     assert!((195..=200).contains(&samples.len()), "{}", samples.len());
@@ -122,7 +122,7 @@ fn noise(k: u64) -> f64 {
 }
 
 #[test]
-fn at_the_control_rate_every_sample_is_answered_whatever_the_jitter() {
+fn every_sample_is_answered_at_the_control_rate_despite_jitter() {
     for rate_hz in [100.0, 500.0] {
         let period_us = 1e6 / rate_hz;
         // Each stamp off by up to a fifth of a period, each arrival by up to two periods.
@@ -135,7 +135,7 @@ fn at_the_control_rate_every_sample_is_answered_whatever_the_jitter() {
 }
 
 #[test]
-fn a_pause_of_the_vehicle_costs_no_tick_after_it() {
+fn vehicle_pause_loses_no_later_tick() {
     for rate_hz in [100.0, 500.0] {
         let period_us = (1e6 / rate_hz) as u64;
         // Every 100 samples the vehicle stalls for eight periods.
@@ -146,7 +146,7 @@ fn a_pause_of_the_vehicle_costs_no_tick_after_it() {
 }
 
 #[test]
-fn quicker_odometry_is_thinned_to_the_rate_on_average() {
+fn faster_odometry_is_decimated_to_the_rate_on_average() {
     // 4 ms, and 7.5 ms in turns of 7 and 8.
     let even = (1..=2_500).map(|k| (k * 4_000, 0));
     let uneven = (1..=1_333).map(|k| (k * 7_500 / 1000 * 1000, 0));
@@ -159,14 +159,14 @@ fn quicker_odometry_is_thinned_to_the_rate_on_average() {
 }
 
 #[test]
-fn slow_odometry_fires_where_there_is_nothing_better() {
+fn slow_odometry_is_used_without_a_better_source() {
     let samples = run(&mut telemetry(), &[(12_000, odometry), (50_000, position)], 3_000_000);
     assert!(samples.len() >= 240, "{}", samples.len());
     assert!(samples.iter().all(|sample| sample.source == SampleSource::Odometry));
 }
 
 #[test]
-fn pair_is_carried_to_the_newer_stamp() {
+fn attitude_and_position_are_extrapolated_to_the_newer_stamp() {
     // Attitude 3 ms before or after the position.
     for offset in [3_000i64, -3_000] {
         let mut telemetry = telemetry();
@@ -197,7 +197,7 @@ fn two_attitude_sources_are_never_mixed() {
 }
 
 #[test]
-fn jump_is_told_once_and_the_next_message_is_good_again() {
+fn position_jump_is_reported_once() {
     let mut telemetry = telemetry();
     run(&mut telemetry, &[(10_000, odometry)], 1_000_000);
     let shifted = |us: u64, by: f64| {
@@ -213,7 +213,7 @@ fn jump_is_told_once_and_the_next_message_is_good_again() {
 }
 
 #[test]
-fn reset_counter_restart_and_repeat_are_told_apart() {
+fn reset_restart_and_repeat_are_distinguished() {
     let mut telemetry = telemetry();
     run(&mut telemetry, &[(10_000, odometry)], 3_000_000);
     assert_eq!(telemetry.update(&odometry(3_000_000)), Err(TelemetryFault::OutOfOrder));
@@ -254,7 +254,7 @@ impl Link {
 }
 
 #[test]
-fn message_that_waited_on_its_way_is_not_acted_upon_and_told() {
+fn late_message_is_rejected_and_reported() {
     let (mut telemetry, mut link) = (telemetry(), Link::default());
     link.second(&mut telemetry);
     assert_eq!(telemetry.take_late(START), None);
@@ -271,7 +271,7 @@ fn message_that_waited_on_its_way_is_not_acted_upon_and_told() {
 }
 
 #[test]
-fn a_queue_that_overflows_is_no_jump_of_the_clock() {
+fn queue_overflow_is_not_a_clock_jump() {
     let (mut telemetry, mut link) = (telemetry(), Link::default());
     link.second(&mut telemetry);
     // Nothing is read for 1.5 s. What is old then comes at once; what the queue could not hold is
@@ -286,7 +286,7 @@ fn a_queue_that_overflows_is_no_jump_of_the_clock() {
 }
 
 #[test]
-fn a_clock_that_steps_forward_is_told_once() {
+fn forward_clock_step_is_reported_once() {
     let (mut telemetry, mut link) = (telemetry(), Link::default());
     link.second(&mut telemetry);
     let mut stepped = |us: u64| {
@@ -305,7 +305,7 @@ proptest! {
     /// Whatever is sent, ticks are never closer than half the period, stamps rise,
     /// and states are finite.
     #[test]
-    fn ticks_keep_their_distance(gaps in prop::collection::vec((1u64..30_000, 0u8..4, any::<bool>()), 1..400)) {
+    fn ticks_keep_their_minimum_spacing(gaps in prop::collection::vec((1u64..30_000, 0u8..4, any::<bool>()), 1..400)) {
         let mut telemetry = telemetry();
         let (mut us, mut before) = (0, None::<Sample>);
         for (gap, kind, nan) in gaps {

@@ -96,7 +96,7 @@ fn keeps_away(plan: &Value) {
 }
 
 #[test]
-fn a_plan_keeps_its_tube_out_of_a_region_and_flights_stay_within() {
+fn plan_keeps_its_tube_clear_and_flights_stay_inside() {
     let folder = planned("tube-short", 24, 0.9);
     let plan = folder.read("plan.json");
     keeps_away(&plan);
@@ -151,7 +151,7 @@ fn logged_radii(log: &Path) -> Vec<f64> {
 }
 
 #[test]
-fn too_few_flights_are_refused_with_the_number_that_is_needed() {
+fn too_few_flights_are_refused_with_the_required_number() {
     let folder = Folder::new("tube-few");
     folder.write("way.toml", WAY);
     folder.json("plan way.toml -o plan.json --json");
@@ -179,7 +179,7 @@ fn too_few_flights_are_refused_with_the_number_that_is_needed() {
 
 #[test]
 #[ignore = "long: tests/run --all"]
-fn of_many_flights_the_promised_share_stays_within() {
+fn promised_share_of_flights_stays_in_the_tube() {
     let folder = planned("tube-long", 500, 0.95);
     keeps_away(&folder.read("plan.json"));
     let check =

@@ -55,7 +55,7 @@ fn until(viewer: &mut Viewer, text: &str) -> Vec<Data> {
 }
 
 #[test]
-fn viewers_get_the_bytes_of_the_log_and_only_what_they_asked_for() {
+fn viewers_get_log_bytes_of_subscribed_topics_only() {
     let (view, mut feed) = start(CoursePath::default());
     let topics = ["/state", "/control", "/imu", "/vehicle/pose", "/log"];
     let mut viewer = Viewer::ready(view.address(), "/status");
@@ -86,7 +86,7 @@ fn viewers_get_the_bytes_of_the_log_and_only_what_they_asked_for() {
 }
 
 #[test]
-fn a_viewer_is_told_the_server_its_schemas_the_time_and_the_parameters() {
+fn viewer_receives_server_info_schemas_time_and_parameters() {
     let (view, mut feed) = start(CoursePath::default());
     let mut viewer = Viewer::connect(view.address());
     let Heard::Json(info) = viewer.hear() else { panic!("no server's word") };
@@ -128,7 +128,7 @@ fn a_viewer_is_told_the_server_its_schemas_the_time_and_the_parameters() {
 }
 
 #[test]
-fn who_comes_late_is_shown_the_vehicle_the_plan_the_trail_and_the_events() {
+fn late_viewer_receives_vehicle_plan_trail_and_events() {
     let course = CoursePath { period_s: 1.0, points: vec![Ned::zero(); 20], tube: Vec::new() };
     let (view, mut feed) = start(course);
     let mut flight = records(10.0);
@@ -153,7 +153,7 @@ fn who_comes_late_is_shown_the_vehicle_the_plan_the_trail_and_the_events() {
 }
 
 #[test]
-fn a_viewer_that_stalls_loses_messages_and_holds_nobody_up() {
+fn stalled_viewer_loses_messages_without_blocking_others() {
     let (view, mut feed) = start(CoursePath::default());
     let topics = ["/mavlink/rx", "/state", "/log"];
     let mut stalled = Viewer::ready(view.address(), "/status");
@@ -189,7 +189,7 @@ fn garbage() -> Vec<u8> {
 }
 
 #[test]
-fn a_million_bytes_of_garbage_end_their_own_connection_at_most() {
+fn garbage_ends_only_its_own_connection() {
     let (view, mut feed) = start(CoursePath::default());
     let mut watching = Viewer::ready(view.address(), "/status");
     watching.subscribe(&["/log"]);
@@ -235,7 +235,7 @@ fn get(address: SocketAddr, path: &str) -> String {
 }
 
 #[test]
-fn the_page_is_at_the_same_port_and_asks_nobody_else() {
+fn page_is_served_on_the_same_port_without_external_requests() {
     let (view, _feed) = start(CoursePath::default());
     let page = get(view.address(), "/");
     let (head, page) = page.split_once("\r\n\r\n").expect("a head");
@@ -249,7 +249,7 @@ fn the_page_is_at_the_same_port_and_asks_nobody_else() {
 }
 
 #[test]
-fn connections_are_few_and_a_place_is_free_again() {
+fn connections_are_limited_and_slots_are_freed() {
     let (view, _feed) = start(CoursePath::default());
     let idle: Vec<_> = (0..32).map(|_| TcpStream::connect(view.address())).collect();
     let mut turned_away = TcpStream::connect(view.address()).expect("connects");
@@ -266,7 +266,7 @@ fn connections_are_few_and_a_place_is_free_again() {
 }
 
 #[test]
-fn a_taken_port_is_said_with_what_to_do() {
+fn taken_port_error_suggests_another() {
     let (view, _feed) = start(CoursePath::default());
     let settings = ViewSettings { address: view.address().to_string(), ..Default::default() };
     let error = LiveView::start(settings, &[], CoursePath::default()).err().expect("taken");

@@ -59,7 +59,7 @@ fn until(viewer: &mut Viewer, status: u8) -> (Vec<Data>, (u64, f32, bool)) {
 }
 
 #[test]
-fn a_log_is_played_to_its_end_without_a_gap() {
+fn log_is_played_to_its_end_without_a_gap() {
     let (playback, logged) = play("played", true);
     let mut viewer = Viewer::connect(playback.address());
     let Heard::Json(info) = viewer.hear() else { panic!("no server's word") };
@@ -85,7 +85,7 @@ fn a_log_is_played_to_its_end_without_a_gap() {
 }
 
 #[test]
-fn seeking_shows_what_holds_there_and_goes_on_from_there() {
+fn seek_shows_the_state_there_and_playback_continues() {
     let (playback, _) = play("sought", true);
     let mut viewer = Viewer::ready(playback.address(), "/state");
     viewer.subscribe(&["/state", "/scene", "/log"]);
@@ -110,7 +110,7 @@ fn seeking_shows_what_holds_there_and_goes_on_from_there() {
 }
 
 #[test]
-fn a_paused_log_stands_still_and_its_facts_are_parameters() {
+fn paused_log_stands_still_and_exposes_its_facts() {
     let (playback, _) = play("paused", false);
     let mut viewer = Viewer::ready(playback.address(), "/state");
     viewer.subscribe(&["/state"]);
@@ -137,7 +137,7 @@ fn a_paused_log_stands_still_and_its_facts_are_parameters() {
 }
 
 #[test]
-fn a_log_without_messages_has_no_span() {
+fn empty_log_has_no_span() {
     let folder = std::env::temp_dir().join(format!("downwash-empty-{}", std::process::id()));
     let log = write(&folder, &[]);
     let recording = Recording::read(LogReader::open(&log).expect("a log")).expect("readable");

@@ -60,7 +60,7 @@ fn number(name: &str, value: impl Into<Value>) -> Value {
 }
 
 #[test]
-fn without_the_flag_nothing_is_offered_and_nothing_is_taken() {
+fn read_only_view_offers_and_accepts_no_changes() {
     let (view, _feed) = start(false);
     assert!(server_info(&view)["metadata"].get("writable").is_none());
     assert!(view.take_changes().is_none());
@@ -70,7 +70,7 @@ fn without_the_flag_nothing_is_offered_and_nothing_is_taken() {
 }
 
 #[test]
-fn a_change_is_handed_on_whole_and_all_viewers_see_what_holds() {
+fn change_is_forwarded_whole_and_shown_to_all_viewers() {
     let (view, _feed) = start(true);
     let changes = view.take_changes().expect("changes");
     assert_eq!(server_info(&view)["metadata"]["writable"], NAMES.join(" "));
@@ -98,7 +98,7 @@ fn a_change_is_handed_on_whole_and_all_viewers_see_what_holds() {
 }
 
 #[test]
-fn what_is_not_on_the_list_or_no_number_changes_nothing() {
+fn unlisted_or_non_numeric_parameters_change_nothing() {
     let (view, _feed) = start(true);
     let changes = view.take_changes().expect("changes");
     let mut viewer = Viewer::ready(view.address(), "/status");
@@ -118,7 +118,7 @@ fn what_is_not_on_the_list_or_no_number_changes_nothing() {
 }
 
 #[test]
-fn a_viewer_that_asks_without_end_fills_nothing() {
+fn repeated_changes_are_bounded() {
     let (view, _feed) = start(true);
     let changes = view.take_changes().expect("changes");
     let mut viewer = Viewer::ready(view.address(), "/status");
@@ -149,7 +149,7 @@ fn knock(at: SocketAddr, origin: &str) -> (TcpStream, String) {
 }
 
 #[test]
-fn a_page_from_elsewhere_is_not_let_in_where_something_can_be_set() {
+fn foreign_origin_is_refused_by_a_writable_view() {
     let (view, _feed) = start(true);
     let at = view.address();
     assert_eq!(knock(at, "https://example.org").1, "HTTP/1.1 403 Forbidden");
