@@ -1,4 +1,4 @@
-//! Files that people take for flight logs are called what they are.
+//! Refusals name the kind of files that are often mistaken for flight logs.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -66,7 +66,7 @@ fn refusal_names_the_kind_of_foreign_file() {
     }
 }
 
-/// An MCAP file of one topic, written in any encoding.
+/// An MCAP file with one topic in the given encoding.
 fn mcap(schema: &str, schema_encoding: &str, encoding: &str, body: &[u8]) -> Vec<u8> {
     let mut file = Cursor::new(Vec::new());
     let mut writer = mcap::Writer::new(&mut file).expect("a file");

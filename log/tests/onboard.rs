@@ -1,5 +1,5 @@
-//! Logs that autopilots wrote themselves become flights, whole, old or damaged; and the same
-//! flights as those that telemetry recorded.
+//! Onboard logs of autopilots, whole, old or damaged, import as flights that agree with the
+//! telemetry of the same flight.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -36,7 +36,7 @@ fn assert_sound<T>(stream: &Stream<T>) {
 
 #[test]
 fn ulog_imports_as_a_flight() {
-    // The name does not matter.
+    // The file name does not matter.
     let flight = import("ulog", "flight.txt", &ulog(4.0).bytes);
     assert_eq!(flight.origin.format, "ulog");
     assert_eq!(
@@ -48,7 +48,7 @@ fn ulog_imports_as_a_flight() {
     );
     assert_eq!((flight.attitude.len(), flight.body_rate.len()), (500, 1000));
     assert_eq!((flight.position.len(), flight.velocity.len()), (100, 89));
-    // Samples are where they were taken: at their own stamp, or in the middle of their interval.
+    // Samples carry the time of measurement: their own timestamp, or the middle of their interval.
     assert!((flight.attitude.times()[1] - 1.008).abs() < 1e-9);
     assert!((flight.body_rate.times()[1] - 1.002).abs() < 1e-9);
     assert!((flight.specific_force.times()[1] - 1.0025).abs() < 1e-9);
@@ -72,7 +72,7 @@ fn dataflash_log_imports_as_a_flight() {
     let roll = flight.attitude.values()[100].euler().roll;
     assert!((roll - 0.3 * 2_f64.sin()).abs() < 1e-4, "{roll}");
     assert_eq!(flight.position.values()[9], Ned::new(1.0, 2.0, -3.0));
-    // Motors by the functions of the outputs, over the range that the parameters state.
+    // Motors are assigned by output functions and scaled to the range in the parameters.
     let outputs = flight.outputs.values()[0].map(|u| (100.0 * u).round());
     assert_eq!(outputs, [25.0, 50.0, 75.0, 100.0]);
     assert_eq!((flight.motor_unit, flight.motor_source), {
@@ -160,7 +160,7 @@ fn dataflash_log_from_before_2016_imports_as_a_flight() {
     assert!((flight.attitude.times()[1] - 10.02).abs() < 1e-9);
     assert!((flight.attitude.values()[100].euler().roll - 0.3 * 2_f64.sin()).abs() < 1e-4);
     assert_eq!(flight.position.values()[9], Ned::new(1.0, 2.0, -3.0));
-    // Over the range of the throttle's channel, as nothing else is stated.
+    // Scaled to the range of the throttle channel, because nothing else is stated.
     let outputs = flight.outputs.values()[3].map(|u| (100.0 * u).round());
     assert_eq!(
         (outputs, flight.motor_unit),
@@ -216,7 +216,7 @@ fn refusal_of_unknown_log_lists_its_topics() {
 #[test]
 fn non_multirotor_is_recognised_in_every_log_kind() {
     let kind = |flight: &Flight| flight.facts.stated_otherwise().map(|stated| stated.kind);
-    // ArduPilot: by the firmware alone, and by the functions of the outputs alone.
+    // ArduPilot: from the firmware alone, and from the output functions alone.
     let mut named = dataflash(1.0).bytes;
     let copter = b"ArduCopter V4.5.0";
     let at = named.windows(copter.len()).position(|bytes| bytes == copter).expect("the firmware");
@@ -240,7 +240,7 @@ fn non_multirotor_is_recognised_in_every_log_kind() {
     assert_eq!(kind(&import("kinds", "hovering.bin", &hovering.bytes)), Some(VehicleKind::Vtol));
     assert_eq!(kind(&import("kinds", "copter.bin", &dataflash(1.0).bytes)), None);
 
-    // By the frame in its messages.
+    // From the frame in its messages.
     for (name, expected, motors) in [
         (b"HEXA/X", None, Some(6)),
         (b"OCTA/X", None, Some(8)),
@@ -261,7 +261,7 @@ fn non_multirotor_is_recognised_in_every_log_kind() {
         }
     }
 
-    // PX4: by parameters, and by what it says of its state.
+    // PX4: from parameters, and from its reported state.
     for (name, value, expected) in [
         ("CA_AIRFRAME", 1, Some(VehicleKind::FixedWing)),
         ("CA_AIRFRAME", 3, Some(VehicleKind::Vtol)),
@@ -293,13 +293,13 @@ fn non_multirotor_is_recognised_in_every_log_kind() {
     assert_eq!(import("kinds", "six.ulg", &six.bytes).facts.motors, Some(6));
 }
 
-/// Pulses of four outputs from `first` on that all move, about 1500 us.
+/// Pulses near 1500 us on four outputs from `first` on, all moving.
 fn hovering(step: usize) -> [f32; 16] {
     let move_by = |i: usize| 20.0 * ((step * (i + 3)) as f32 * 0.1).sin();
     std::array::from_fn(|i| if i < 4 { 1500.0 + move_by(i) } else { 900.0 })
 }
 
-/// A gimbal on the first output; the others hold.
+/// A gimbal moves on the first output; the others are constant.
 fn gimbal(step: usize) -> [f32; 16] {
     std::array::from_fn(|i| match i {
         0 => 1500.0 + 80.0 * (step as f32 * 0.03).sin(),
@@ -308,12 +308,12 @@ fn gimbal(step: usize) -> [f32; 16] {
     })
 }
 
-/// As PX4 holds outputs disarmed, then armed and without a motor.
+/// What PX4 outputs without motors: disarmed, then armed.
 fn idle(step: usize) -> [f32; 16] {
     std::array::from_fn(|i| if i < 8 { if step < 50 { 900.0 } else { 1000.0 } } else { 0.0 })
 }
 
-/// Commands of controllers on CAN.
+/// Commands to motor controllers on CAN.
 fn can(step: usize) -> [f32; 16] {
     std::array::from_fn(|i| {
         if i < 4 { 4096.0 + 100.0 * ((step * (i + 2)) as f32 * 0.1).sin() } else { 0.0 }
@@ -377,7 +377,7 @@ fn motors_on_can_of_older_px4_are_found() {
     assert!((flight.outputs.values()[60][2] - expected).abs() < 1e-6);
     let note = |words: &str| flight.facts.notes.iter().any(|note| note.contains(words));
     assert!(note("instance 1, as no parameter") && note("over CAN"), "{:?}", flight.facts.notes);
-    // Stated: a device that is known by its parameters alone.
+    // Stated: a device identified by its parameters alone.
     let stated: Vec<(String, i32)> =
         (1..=4).map(|n| (format!("UAVCAN_EC_FUNC{n}"), 105 - n)).collect();
     let stated: Vec<(&str, i32)> = stated.iter().map(|(n, v)| (n.as_str(), *v)).collect();
@@ -417,12 +417,13 @@ fn oldest_ulog_layouts_are_read() {
     let angles = flight.attitude.values()[3].euler();
     assert!((angles.roll - 0.1).abs() < 1e-6 && (angles.yaw - 0.3).abs() < 1e-6);
     assert!((flight.body_rate.values()[3].to_array()[1] - 0.2).abs() < 1e-6);
-    // The interval is in s, and the sample in its middle.
+    // The interval is in s, and the sample lies in its middle.
     assert!((flight.body_rate.times()[0] - 0.998).abs() < 1e-6);
     assert_eq!(flight.position.len(), 50);
 }
 
-/// A damaged type makes the file's flags of a row, whose bytes then forbid reading the file.
+/// A damaged type byte turns a data row into a flag message, whose bits would forbid reading the
+/// file.
 #[test]
 fn flag_message_amid_a_ulog_is_treated_as_damage() {
     let whole = survives(&ULOG).expect("a flight").body_rate.len();
@@ -440,7 +441,7 @@ fn data_appended_after_a_crash_is_read() {
     let mut log = ulog(1.0);
     let cut = log.bytes.len() - 11;
     let rest = ulog(1.5).bytes;
-    // The first part ends within a message; what follows begins at the stated offset.
+    // The first part ends within a message; the appended data begin at the stated offset.
     let whole = log.bytes.len();
     log.bytes.truncate(cut);
     log.bytes.extend(&rest[whole..]);
@@ -466,7 +467,7 @@ fn newer_incompatible_ulog_is_refused_by_name() {
 static ULOG: LazyLock<Vec<u8>> = LazyLock::new(|| ulog(1.0).bytes);
 static DATAFLASH: LazyLock<Vec<u8>> = LazyLock::new(|| dataflash(1.0).bytes);
 
-/// Reads bytes as any kind of log; streams stay sound, whatever they are.
+/// Reads bytes as any kind of log and checks that the streams are sound.
 fn survives(bytes: &[u8]) -> Option<Flight> {
     let flights = read_bytes(bytes, "");
     for flight in &flights {
@@ -502,7 +503,7 @@ fn truncated_logs_are_read_up_to_the_cut() {
 fn truncated_or_damaged_log_reports_where() {
     for bytes in [&*ULOG, &*DATAFLASH] {
         assert_eq!(survives(bytes).expect("a flight").losses, Vec::<String>::new());
-        // Some of these lengths end between two messages, which nothing tells from a whole log.
+        // Some of these lengths end between two messages, which looks like a complete log.
         let losses = (1..20).map(|short| {
             survives(&bytes[..bytes.len() - short]).expect("a flight").losses.join(" ")
         });
@@ -534,7 +535,7 @@ fn removed_bytes_lose_only_their_own_messages() {
     }
 }
 
-/// The high byte of a length: some values lead to where another message begins.
+/// The high byte of a length: some values point to the start of another message.
 #[test]
 fn damaged_length_loses_no_later_message() {
     let whole = survives(&ULOG).expect("a flight").body_rate.len();
@@ -568,7 +569,7 @@ proptest! {
     #[test]
     fn few_damaged_bytes_lose_few_samples(
         is_ulog in any::<bool>(),
-        // Behind the definitions, which all else hangs on.
+        // Only after the definitions, on which everything else depends.
         changes in prop::collection::vec((0.2..1.0, any::<u8>()), 1..6),
     ) {
         let sound = if is_ulog { &*ULOG } else { &*DATAFLASH };
@@ -589,7 +590,7 @@ proptest! {
     }
 }
 
-/// The vehicle's own log, telemetry of the same flight, and the vehicle.
+/// The vehicle's own log, telemetry of the same flight, and the vehicle file.
 fn practice() -> Vec<(PathBuf, PathBuf, VehicleParams)> {
     let folder = match std::env::var_os("DOWNWASH_PRACTICE") {
         Some(folder) => PathBuf::from(folder),
@@ -611,8 +612,8 @@ fn practice() -> Vec<(PathBuf, PathBuf, VehicleParams)> {
     found
 }
 
-/// The delay of `b` against `a` at which their values differ least, and by how much they differ,
-/// root mean square and per component.
+/// The delay of `b` relative to `a` with the smallest difference, and that difference as RMS per
+/// component.
 fn apart<T>(
     a: &Stream<T>,
     b: &Stream<T>,
@@ -682,7 +683,7 @@ fn onboard_practice_logs_agree_with_their_telemetry() {
         println!(
             "{name}: delay in s and difference of position, velocity, attitude, rate, outputs: {found:.4?}"
         );
-        // Both logs are thinned: what moves fast between two samples differs by as much.
+        // Both logs are decimated, so fast changes between two samples show as differences.
         let most = [0.02, 0.03, 0.01, 0.12, 0.03];
         for ((delay, error), most) in found.into_iter().zip(most) {
             assert!(error < most && delay.abs() < 0.012, "{name}: {found:?}");

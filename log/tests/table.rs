@@ -1,4 +1,4 @@
-//! Tables become flights by a mapping file, which must say everything.
+//! Tables import as flights through a mapping file, which must state everything.
 
 use std::fmt::Write;
 use std::fs;
@@ -149,7 +149,7 @@ fn motors_of_every_unit_are_read() {
     assert_eq!((thrust, unit), (1.5, MotorUnit::Newton));
 }
 
-/// The plain part of [`SHIPPED`]: pose alone.
+/// The pose part of [`SHIPPED`].
 const POSE: &str = r#"
 world_frame = "nwu"
 body_frame = "flu"
@@ -165,7 +165,7 @@ order = "xyzw"
 rotates = "body_to_world"
 "#;
 
-/// A table of a pose, its cells and lines ended in these ways.
+/// A pose table with this cell separator, decimal mark and line ending.
 fn pose(separator: &str, decimal: &str, end: &str) -> String {
     let mut lines = vec![["t", "px", "py", "pz", "qx", "qy", "qz", "qw"].join(separator)];
     for row in 0..60 {
@@ -203,15 +203,15 @@ fn every_csv_dialect_is_read() {
         let sep = format!("sep={sep}\r\n{table}");
         assert_pose(&import("dialects", &sep, POSE).unwrap());
     }
-    // A header that ends with a separator, and rows that do not.
+    // A header that ends with a separator, while the rows do not.
     let mut table = pose(",", ".", "");
     table.insert(table.find('\r').unwrap(), ',');
     assert_pose(&import("dialects", &table, POSE).unwrap());
-    // Commas between cells, and quoted in them.
+    // Commas between cells and inside quoted cells.
     let quote = |line: &str| format!("\"{}\"\r\n", line.replace(';', "\",\""));
     let quoted: String = pose(";", ",", "").lines().map(quote).collect();
     assert_pose(&import("dialects", &quoted, POSE).unwrap());
-    // Names behind a mark of comments, as of trajectories in text.
+    // Header after a comment character, as in plain-text trajectories.
     let marked = format!("# {}", pose(" ", ".", ""));
     assert_pose(&import("dialects", &marked, POSE).unwrap());
     let stated = format!("separator = \";\"\ndecimal = \",\"\n{POSE}");
@@ -248,11 +248,11 @@ fn header_row_is_found_or_set_by_skip_lines() {
     let table = pose(",", ".", "");
     let preamble = "Recorded by a laboratory\r\n\r\nrate,100\r\nX,Y\r\n";
     assert_pose(&import("preamble", &format!("{preamble}{table}"), POSE).unwrap());
-    // The line of units below the names is no row.
+    // The unit row below the header is not data.
     let units = table.replacen("\r\n", "\r\n(s),(m),(m),(m),,,,\r\n", 1);
     let flight = import("preamble", &units, POSE).unwrap();
     assert_pose(&flight);
-    // A line that has the same names is skipped where that is said.
+    // `skip_lines` skips an earlier line with the same names.
     let twice = format!("{}{table}", "t,px,py,pz,qx,qy,qz,qw\r\nold,1,2\r\n");
     assert_pose(&import("preamble", &twice, &format!("skip_lines = 2\n{POSE}")).unwrap());
 }
@@ -296,7 +296,7 @@ fn table_that_contradicts_its_mapping_is_refused() {
     let (named, map) = (table.replacen("px", "px [cm]", 1), POSE.replace("px", "px [cm]"));
     let message = refusal("contrary", &named, &map);
     assert!(message.contains("is in \"cm\""), "{message}");
-    // The names of a quaternion's columns against its order.
+    // The names of the quaternion columns contradict the configured order.
     let message = refusal("contrary", &table, &POSE.replace("xyzw", "wxyz"));
     assert!(message.contains("the order is \"wxyz\", but the columns are 5 (qx)"), "{message}");
     let file = place("contrary", "take.csv");
@@ -316,7 +316,7 @@ fn motive(units: &str) -> String {
         let cells = |word: &str| vec![word.to_owned(); 8];
         [cells("Rigid Body"), cells(name), vec!["\"0A1B\"".to_owned(); 8]]
     };
-    // The titles stand above the time; some versions put them one column further.
+    // The titles are above the time column; some versions shift them by one column.
     for (title, cells) in ["Type", "Name", "ID"].into_iter().zip(body("quad")) {
         let marker = if title == "Type" { "Rigid Body Marker" } else { "quad:Marker1" };
         let _ = write!(text, ",{title},{},{marker},{marker},{marker}\r\n", cells[1..].join(","));
@@ -338,7 +338,7 @@ fn shipped_mapping_reads_a_motive_export() {
     fs::write(&file, motive("Meters")).unwrap();
     let flight = open(&file, Some(Path::new("motive"))).unwrap();
     assert_eq!((flight.position.len(), flight.left_out.len()), (50, 0), "{:?}", flight.left_out);
-    // Front along x, y up, right along z: left is -z, and a turn about up is one to the left.
+    // Front is x, up is y, right is z: left is -z, and a positive turn about up is to the left.
     let [n, e, d] = flight.position.values()[25].to_array();
     assert!((n - 0.25).abs() < 1e-9 && (e + 0.2).abs() < 1e-9 && (d + 1.5).abs() < 1e-9);
     let attitude = flight.attitude.values()[25].euler();
@@ -353,7 +353,7 @@ fn shipped_mapping_reads_a_motive_export() {
     fs::write(&file, motive("Meters").replace("Quaternion", "XYZ")).unwrap();
     let message = open(&file, Some(Path::new("motive"))).unwrap_err().to_string();
     assert!(message.contains("\"Rotation Type\" = \"XYZ\""), "{message}");
-    // By the words above them, of the one body that has these.
+    // Selected by the header groups of the one body that has them.
     let columns = |group: &str, axes: &[&str]| {
         let words: Vec<_> =
             axes.iter().map(|axis| format!("[\"Rigid Body\", {group:?}, {axis:?}]")).collect();
@@ -378,10 +378,10 @@ fn world_frames_with_any_axes_are_read() {
     };
     let flight = read("[\"west\", \"south\", \"up\"]", "\"flu\"").unwrap();
     assert_eq!(flight.position.values()[0].to_array(), [-2.0, -1.0, -0.5]);
-    // A left-handed world (x right, y up, z front) with a body of the same.
+    // A left-handed world (x right, y up, z front) and a body with the same axes.
     let flight = read("[\"east\", \"up\", \"north\"]", "[\"right\", \"up\", \"front\"]").unwrap();
     assert_eq!(flight.position.values()[0].to_array(), [0.5, 1.0, -2.0]);
-    // The table turns about its z, which is front: right goes up, a roll to the left.
+    // The table rotates about its z axis, which is front: right goes up, a roll to the left.
     let roll = flight.attitude.values()[50].euler().roll;
     assert!((roll.abs() - 0.1).abs() < 1e-5 && roll < 0.0, "{roll}");
     let message = read("[\"east\", \"up\", \"north\"]", "\"flu\"").unwrap_err().to_string();
@@ -392,7 +392,7 @@ fn world_frames_with_any_axes_are_read() {
 
 #[test]
 fn streams_keep_their_own_rows_and_rates() {
-    // A pose at 50 Hz and a gyro at 200 Hz, in one table as joined by time.
+    // A 50 Hz pose and a 200 Hz gyro joined by time in one table.
     let mut table = "t,px,py,pz,qx,qy,qz,qw,wx,wy,wz\n".to_owned();
     for row in 0..200 {
         let t = f64::from(row) * 0.005;
@@ -471,13 +471,13 @@ fn proposed_mapping_imports_the_table() {
         assert!(proposed.contains(said), "{said}: {proposed}");
     }
     assert!(propose(&motive("Meters")).contains("--mapping motive"));
-    // Angles of a turn are no position, and another order of a quaternion is no fit.
+    // Rotation angles are not taken for a position, and a mismatched quaternion order is rejected.
     let angles = propose(&motive("Meters").replace("Quaternion", "XYZ"));
     assert!(angles.contains("[position]\ncolumns = [7, 8, 9]"), "{angles}");
     let other = propose(&motive("Meters").replace("X,Y,Z,W,X,Y,Z", "W,X,Y,Z,X,Y,Z"));
     assert!(other.contains("quaternion = [\"W\", 4, 5, 6]\norder = \"wxyz\""), "{other}");
 
-    // Vicon's export: its units stand below the names.
+    // Vicon's export has its units below the header.
     let mut vicon = "Objects\n100\n,,quad:quad,,,,,,\nFrame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ\n\
                      ,,,,,,mm,mm,mm\n"
         .to_owned();
@@ -553,7 +553,7 @@ const AXES: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Turning a vector and then changing axes is changing axes and then turning.
+    /// Rotating a vector commutes with changing axes.
     #[test]
     fn attitude_conversion_commutes_with_axis_change(
         rotation in any_rotation(),
@@ -565,14 +565,14 @@ proptest! {
         let turn = AttitudeTurn::new(world, body).expect("one hand");
         let attitude = turn.apply(rotation);
         prop_assert!((attitude.to_world(body.to_frd(v)) - turned).norm() < 1e-9);
-        // Both keep right hands right.
+        // Both conversions preserve handedness.
         let [x, y, z] = AXES.map(|axis| world.to_ned(axis));
         prop_assert!((x.cross(y) - z).norm() < 1e-12);
         let [x, y, z] = AXES.map(|axis| body.to_frd(axis));
         prop_assert!((x.cross(y) - z).norm() < 1e-12);
     }
 
-    /// One state written in any axes, units, orders and forms is read back as it was.
+    /// A state written in any axes, units, orders and forms is read back unchanged.
     #[test]
     fn state_round_trips_through_every_table_form(
         truth in any_rotation(),
@@ -585,7 +585,7 @@ proptest! {
         is_flu: bool,
         world in 0usize..3,
     ) {
-        // From NED and FRD into the table's axes: each conversion is its own inverse, but ENU's.
+        // From NED and FRD into the table's axes: every conversion except ENU's is its own inverse.
         let (frame, to_table): (&str, fn(Ned) -> [f64; 3]) = [
             ("ned", (|v: Ned| v.to_array()) as fn(Ned) -> [f64; 3]),
             ("enu", |v: Ned| [v.east(), v.north(), -v.down()]),

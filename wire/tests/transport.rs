@@ -10,7 +10,7 @@ use tokio_serial::{SerialPort, SerialStream};
 use wire::Endpoint;
 use wire::transport::{Incoming, PEERS_MAX, Peer, RECEIVE_LEN, Transport};
 
-/// Bounds what waits for the system; nothing in these tests takes this long unless it hangs.
+/// Bounds every wait; a test takes this long only if it hangs.
 async fn soon<F: Future>(future: F) -> F::Output {
     tokio::time::timeout(Duration::from_secs(20), future).await.expect("the system answers")
 }
@@ -24,7 +24,7 @@ fn port(transport: &Transport) -> u16 {
     transport.local_addr().expect("has an address").port()
 }
 
-/// Receives bytes, passing over connections that open.
+/// Receives bytes and skips opened connections.
 async fn receive(transport: &mut Transport) -> (Peer, Vec<u8>) {
     let mut buffer = vec![0; RECEIVE_LEN];
     loop {
@@ -72,7 +72,7 @@ async fn blocking_wait_receives_datagrams_in_order() {
     assert!(vehicle.send(remote, b"one") && vehicle.send(remote, b"two"));
     let one = listener.wait(&mut buffer, Duration::from_secs(20)).unwrap();
     assert!(matches!(one, Some(Incoming::Bytes { len: 3, .. })) && buffer.starts_with(b"one"));
-    // The runtime's way takes up where the thread's own left off, and the other way round.
+    // Receiving through the runtime continues where the blocking wait stopped, and vice versa.
     let (peer, bytes) = receive(&mut listener).await;
     assert_eq!(bytes, b"two");
     assert!(listener.send(peer, b"answer"));
@@ -96,7 +96,7 @@ async fn udpin_keeps_its_peer_among_a_thousand_strangers() {
     let (vehicle_peer, _) = receive(&mut listener).await;
     listener.keep(Some(vehicle_peer));
     let mut buffer = [0; 16];
-    // Each of them is new, and the vehicle says nothing in between.
+    // Each of them is new, and the vehicle is silent in between.
     for _ in 0..1000 {
         let stray = UdpSocket::bind("127.0.0.1:0").await.unwrap();
         stray.send_to(b"s", to).await.unwrap();
@@ -219,7 +219,7 @@ async fn full_stream_drops_only_whole_frames() {
     let (mut taken, mut number) = (Vec::new(), 0u32);
     while sender.stats().dropped < 3 {
         let frame = number.to_be_bytes().repeat(FRAME / 4);
-        // Readiness is learnt while receiving, as in the daemon's loop.
+        // Readiness is registered by receiving, as in the daemon's loop.
         let mut buffer = [0; 16];
         let _ = tokio::time::timeout(Duration::ZERO, sender.recv(&mut buffer)).await;
         if sender.send(remote, &frame) {

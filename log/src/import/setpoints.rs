@@ -59,8 +59,8 @@ pub(super) fn steadied(mut sent: Vec<Sent>) -> Vec<Sent> {
 mod tests {
     use super::*;
 
-    /// A minute at 100 Hz from a ground whose clock is 3 s behind and runs slow; the log's time
-    /// stamps are off by up to `rough` s.
+    /// A minute at 100 Hz from a ground station whose clock is 3 s behind and runs slow; the log's
+    /// timestamps are off by up to `rough` s.
     fn flown(rough: f64) -> Vec<Sent> {
         let setpoint = AttitudeSetpoint { attitude: None, body_rate: None, thrust: Some(0.5) };
         (0..6000)

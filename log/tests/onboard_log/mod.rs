@@ -1,6 +1,6 @@
-//! Logs as PX4 and ArduPilot write them, made up row by row.
+//! Builds PX4 and ArduPilot onboard logs row by row.
 
-/// A ULog under way.
+/// A ULog under construction.
 pub struct Ulog {
     pub bytes: Vec<u8>,
     topics: u16,
@@ -39,7 +39,7 @@ impl Ulog {
         self.message(b'P', &[&[key.len() as u8], key.as_bytes(), &value.to_le_bytes()].concat());
     }
 
-    /// Announces a topic; rows go by the number that it returns.
+    /// Announces a topic and returns the number that its rows carry.
     pub fn subscribe(&mut self, topic: &str, instance: u8) -> u16 {
         let number = self.topics;
         self.topics += 1;
@@ -61,7 +61,7 @@ pub fn floats(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
-/// A short flight as PX4 logs it: half a minute of a turning attitude, with all that is read.
+/// A short flight as PX4 logs it, with a turning attitude and every topic that the importer reads.
 pub fn ulog(seconds: f64) -> Ulog {
     let mut log = Ulog::new();
     log.info("char[3] sys_name", b"PX4");
@@ -117,7 +117,7 @@ pub fn ulog(seconds: f64) -> Ulog {
             let report = |rpm: f32, function: u8| {
                 [&us.to_le_bytes()[..], &floats(&[rpm]), &[function, 0, 0, 0]].concat()
             };
-            // The controllers are wired in another order than the motors.
+            // The motor controllers are wired in a different order from the motors.
             let reports =
                 [report(100.0, 102), report(-200.0, 101), report(300.0, 103), report(400.0, 104)];
             log.row(esc, us, &[&[4, 0, 0, 0, 0, 0, 0, 0][..], &reports.concat()].concat());
@@ -127,7 +127,7 @@ pub fn ulog(seconds: f64) -> Ulog {
     log
 }
 
-/// A DataFlash log under way.
+/// A DataFlash log under construction.
 pub struct DataFlash {
     pub bytes: Vec<u8>,
 }
@@ -283,10 +283,10 @@ pub fn old_dataflash(seconds: f64) -> DataFlash {
     log
 }
 
-/// An instance of actuator_outputs: how many outputs it has, and their values at a row.
+/// An instance of actuator_outputs: the number of outputs, and their values at a row.
 pub type OutputInstance<'a> = (u32, &'a dyn Fn(usize) -> [f32; 16]);
 
-/// Attitude, position and these instances of actuator_outputs.
+/// A log with attitude, position and these instances of actuator_outputs.
 pub fn px4_outputs(parameters: &[(&str, i32)], instances: &[OutputInstance]) -> Ulog {
     let mut log = Ulog::new();
     log.info("char[3] sys_name", b"PX4");
