@@ -1,4 +1,4 @@
-//! Arming, take-off, position hold, landing, and who is in command, on the virtual clock.
+//! Arming, take-off, position hold, landing and command authority, on the virtual clock.
 
 use crate::bench;
 use crate::bench::{Bench, setpoint};
@@ -89,7 +89,7 @@ fn disarming_in_the_air_requires_the_force_code() {
     assert!(bench.armed());
     assert_eq!(bench.command(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, &[0.0, 21196.0]), ACCEPTED);
     assert!(!bench.armed());
-    // Falling, it cannot be armed again.
+    // It cannot be armed again while it falls.
     bench.run(0.2);
     let (result, texts) = bench.command_and_texts(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, &[1.0]);
     assert_eq!(result, REJECTED);
@@ -111,7 +111,7 @@ fn arming_requires_a_ground_station_if_a_parameter_says_so() {
     let mut bench = Bench::new();
     let one = f32::from_bits(1);
     bench.set_parameter("NAV_DLL_ACT", one, MavParamType::MAV_PARAM_TYPE_INT32);
-    // The hello of the bench's peer is too long ago.
+    // The bench's peer sent its hello too long ago.
     bench.run(11.0);
     assert_eq!(bench.arm(), REJECTED);
     bench.join(Peer(7), mavlink::MavlinkVersion::V2);

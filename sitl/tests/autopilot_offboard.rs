@@ -1,4 +1,4 @@
-//! OFFBOARD: how it is entered, what each type mask does, and what follows when the stream stops.
+//! OFFBOARD: entering it, the effect of each type mask, and the loss of the stream.
 
 use crate::bench;
 use crate::bench::{Bench, setpoint};
@@ -20,7 +20,7 @@ fn in_offboard(mask: u8) -> Bench {
     bench
 }
 
-/// Time from now until the mode is no longer OFFBOARD, s.
+/// Time until the vehicle leaves OFFBOARD, s.
 fn time_to_leave(bench: &mut Bench) -> f64 {
     let start = bench.vehicle.now_us();
     while bench.mode() == Mode::Offboard {
@@ -77,18 +77,18 @@ fn attitude_is_tracked_with_and_without_rates() {
 
 #[test]
 fn rates_are_followed_with_and_without_attitude() {
-    // Together: the offset at which kp balances kd, kd / kp * rate.
+    // With attitude: the offset at which kp balances kd, kd / kp * rate.
     let mut bench = in_offboard(0x00);
     bench.stream(setpoint(0.0, 0.5, HOVER, 0x00));
     bench.run(1.0);
     let roll = bench.vehicle.plant().state().attitude.euler().roll;
     assert!((roll - 0.075 / 0.6 * 0.5).abs() < 0.01, "roll {roll}");
-    // Masked, they are not.
+    // Masked rates are ignored.
     bench.stream(setpoint(0.0, 0.5, HOVER, 0x07));
     bench.run(1.0);
     let roll = bench.vehicle.plant().state().attitude.euler().roll;
     assert!(roll.abs() < 0.01, "roll {roll}");
-    // Alone, the body turns at the rate.
+    // Without attitude, the body turns at the commanded rate.
     bench.stream(setpoint(0.0, 0.5, HOVER, 0x80));
     bench.run(0.4);
     let rate = bench.vehicle.plant().state().body_rate.front();

@@ -1,4 +1,4 @@
-//! The wire: streams and their rates, commands, parameters, versions, addresses, several peers.
+//! The protocol: streams and their rates, commands, parameters, versions, addresses, several peers.
 
 use std::collections::BTreeMap;
 
@@ -153,7 +153,7 @@ fn unknown_commands_are_answered_unsupported() {
     let mut bench = Bench::new();
     assert_eq!(bench.command(MavCmd::MAV_CMD_DO_SET_ROI_NONE, &[]), UNSUPPORTED);
     bench.heard();
-    // COMMAND_LONG 65000 by hand: the dialect's types cannot say it.
+    // COMMAND_LONG 65000 is built by hand, because the dialect's types cannot express it.
     let mut payload = [0_u8; 33];
     payload[28..30].copy_from_slice(&65_000_u16.to_le_bytes());
     payload[30..32].copy_from_slice(&[1, 1]);

@@ -1,4 +1,4 @@
-//! The same seed and bytes give the same bytes; no bytes make it fail.
+//! The output depends only on the seed and the input bytes, and no input makes the vehicle panic.
 
 use crate::bench;
 use crate::bench::{Bench, setpoint};

@@ -1,5 +1,5 @@
-//! The simulated vehicle's integration tests in one binary. The modules of the first block are what
-//! several tests share.
+//! The simulated vehicle's integration tests in one binary. Several tests share the modules of the
+//! first block.
 
 mod bench;
 

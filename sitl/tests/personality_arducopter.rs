@@ -1,4 +1,4 @@
-//! `autopilot = "arducopter"`: what was measured on ArduCopter, on the simulated vehicle.
+//! `autopilot = "arducopter"` reproduces what was measured on ArduCopter.
 
 use crate::bench;
 use crate::bench::{Bench, setpoint};
@@ -21,7 +21,7 @@ fn on_the_ground() -> Bench {
     Bench::with(config, 1)
 }
 
-/// What a careful operator sets: thrust as thrust, no angle boost, a short time-out.
+/// A careful operator's settings: direct thrust, no angle boost, a short timeout.
 fn set_up(bench: &mut Bench) {
     bench.set_parameter("GUID_OPTIONS", 8.0, REAL);
     bench.set_parameter("ATC_ANGLE_BOOST", 0.0, REAL);
@@ -168,8 +168,8 @@ fn attitude_target_echoes_the_shaped_setpoint() {
 
 #[test]
 fn rates_with_attitude_are_fed_forward_in_the_commanded_axes() {
-    // 0.8 Hz, 8 degrees: measured a gain of 0.83 with attitude alone, 1.05 with rates, and at a
-    // heading of 90 degrees rates must be turned back by the sender.
+    // At 0.8 Hz and 8 degrees the measured gain is 0.83 with attitude alone and 1.05 with rates. At
+    // a heading of 90 degrees the sender must rotate the rates back.
     let amplitude = 8f64.to_radians();
     let omega = 0.8 * std::f64::consts::TAU;
     let gain = |yaw: f64, with_rates: bool, turned_back: bool| {
@@ -268,7 +268,7 @@ fn last_yaw_rate_is_held_until_the_timeout() {
     assert!((75.0..100.0).contains(&yaw), "measured 84 degrees: {yaw}");
 }
 
-/// A heartbeat of the ground station with this system id.
+/// A ground station's heartbeat with this system id.
 fn heartbeat(bench: &mut Bench, system: u8) {
     let mut encoder = wire::Encoder::new(system, 190);
     let mut bytes = Vec::new();
@@ -291,7 +291,7 @@ fn only_ground_station_loss_triggers_return_or_land() {
             heartbeat(&mut bench, 255);
             for _ in 0..4 {
                 bench.run(1.0);
-                // From whom it does not watch, it hides nothing.
+                // Heartbeats of a station that it does not monitor do not mask the silence.
                 heartbeat(&mut bench, system);
             }
             assert_eq!(bench.mode(), expected, "action {action}, heartbeats of {system}");

@@ -1,4 +1,4 @@
-//! What the vehicle says when something is wrong with it: its estimate, its pack, its landing.
+//! What the vehicle reports when its estimate, battery or landing detection fails.
 
 use crate::bench;
 use crate::bench::{Bench, Heard};
@@ -95,7 +95,7 @@ fn position_estimate_wanders_by_the_configured_amount() {
             _ => None,
         });
         let told = told.expect("a position").map(f64::from);
-        // Between two messages, 33 ms, the vehicle hovers.
+        // The vehicle hovers during the 33 ms between two messages.
         squares += told.iter().zip(truth.to_array()).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
         count += 3;
     }
@@ -128,7 +128,7 @@ fn velocity_wander_leaves_the_position_alone() {
     }
     let deviation = (squares / f64::from(count)).sqrt();
     assert!((0.12..0.20).contains(&deviation), "{deviation} m/s");
-    // The position has no part in it: its noise, and what is flown within 33 ms.
+    // The position is unaffected: only its noise and the motion within 33 ms remain.
     assert!(most < 0.06, "{most} m");
 }
 
@@ -164,7 +164,7 @@ fn force_code_skips_arming_checks_on_arducopter_only() {
     }
 }
 
-/// The charge state that BATTERY_STATUS tells.
+/// The charge state in BATTERY_STATUS.
 fn charge_state(bench: &mut Bench) -> Option<MavBatteryChargeState> {
     bench.heard();
     bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[147.0]));

@@ -1,4 +1,4 @@
-//! `autopilot = "px4"`: what was measured on PX4, on the simulated vehicle.
+//! `autopilot = "px4"` reproduces what was measured on PX4.
 
 use crate::bench;
 use crate::bench::{Bench, Heard, count, setpoint};
@@ -52,7 +52,7 @@ fn sih() -> VehicleParams {
     params
 }
 
-/// In OFFBOARD, 20 m up, with a stream of this mask.
+/// In OFFBOARD, 20 m up, with a stream of setpoints with this mask.
 fn in_offboard(mask: u8, hz: u64) -> Bench {
     enter(Bench::hovering(Autopilot::Px4), mask, hz)
 }
@@ -139,7 +139,7 @@ fn yaw_rate_with_attitude_is_fed_forward() {
     bench.stream(message);
     bench.run(3.0);
     let yaw = bench.vehicle.plant().state().attitude.yaw();
-    // Where the yaw loop's P balances it.
+    // Where the P gain of the yaw loop balances it.
     let expected = 0.5 / (0.3 / 0.06);
     assert!((yaw - expected).abs() < 0.1 * expected, "{yaw}, expected {expected}");
 }
@@ -200,7 +200,7 @@ fn attitude_step_time_does_not_depend_on_setpoint_rate() {
 
 #[test]
 fn rate_integrals_cancel_a_steady_moment() {
-    // A centre of mass off to the front: the PD alone would hang in pitch by M / kp.
+    // Centre of mass shifted to the front: a PD alone would leave a pitch error of M / kp.
     let mut effects = vehicle::effects::EffectSet::new();
     effects.insert_argument("com_offset:x_m=0.005,y_m=0").unwrap();
     let mut config = SitlConfig { autopilot: Autopilot::Px4, ..SitlConfig::default() };

@@ -1,4 +1,4 @@
-//! A vehicle that knows where it is by poses from outside alone, on the wire.
+//! A vehicle whose position comes only from external poses, over MAVLink.
 
 use crate::bench::Bench;
 use sitl::autopilot::Mode;
@@ -19,7 +19,7 @@ fn bench(autopilot: Autopilot) -> Bench {
     bench
 }
 
-/// Sends where the vehicle truly is, at 50 Hz.
+/// Sends the vehicle's true position at 50 Hz.
 fn see(bench: &mut Bench, seconds: f64, is_odometry: bool) {
     for _ in 0..(50.0 * seconds) as u32 {
         let [x, y, z] = bench.vehicle.plant().state().position.to_array().map(|value| value as f32);
@@ -49,7 +49,7 @@ fn see(bench: &mut Bench, seconds: f64, is_odometry: bool) {
     }
 }
 
-/// Whether SYS_STATUS calls the position healthy, by the latest.
+/// Whether the latest SYS_STATUS reports the position as healthy.
 fn is_healthy(bench: &mut Bench) -> Option<bool> {
     let position = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL;
     bench.heard().into_iter().rev().find_map(|heard| match heard.message {
@@ -91,8 +91,8 @@ fn external_poses_are_ignored_unless_configured() {
     assert!(place.expect("it has a position").abs() < 0.1);
 }
 
-/// In the air the poses end: the position is vouched for a while longer, then no more, and the vehicle comes
-/// down.
+/// The poses end in the air: the position stays healthy for a while, then turns unhealthy, and the
+/// vehicle lands.
 #[test]
 fn pose_loss_is_reported_and_leads_to_landing() {
     for (autopilot, after_s) in [(Autopilot::Px4, 5.8), (Autopilot::Bundled, 5.8)] {

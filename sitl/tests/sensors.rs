@@ -26,7 +26,7 @@ fn effects(arguments: &[&str]) -> EffectSet {
     set
 }
 
-/// A plant high above the floor with a pack that does not sag.
+/// A plant high above the floor with a battery that does not sag.
 fn airborne(vehicle: &VehicleParams, effects: &EffectSet) -> Plant {
     let mut setup = Setup::default();
     setup.battery.resistance_ohm = Some(0.0);
@@ -38,7 +38,7 @@ fn ideal() -> SitlConfig {
     SitlConfig { sensors: SensorConfig::IDEAL, ..SitlConfig::default() }
 }
 
-/// Steps of free flight with rotation, sampling every fourth.
+/// Free flight with rotation, sampled every fourth step.
 fn fly(config: &SitlConfig, set: &EffectSet, seed: u64, steps: usize) -> Vec<(Readings, State)> {
     let mut plant = airborne(&quad(), set);
     plant.set_state(State {
@@ -180,10 +180,10 @@ fn vibration_follows_the_rotor_speed() {
         last = shaken;
         squares += shaken * shaken / f64::from(steps);
     }
-    // The pack is nearly full, so the speed is that of the output's root.
+    // The pack is nearly full, so rotor speed is the square root of the output.
     let wanted = 2.0 * 100.0 * vehicle.hover_share().sqrt() * 2.0;
     assert!((crossings as f64 / wanted - 1.0).abs() < 0.05, "{crossings} {wanted}");
-    // Four lines of fixed phases: between nothing and four times the amplitude.
+    // Four spectral lines with fixed phases add up to between zero and four times the amplitude.
     assert!(squares.sqrt() < 0.4 && squares > 0.0, "{squares}");
 }
 

@@ -1,4 +1,4 @@
-//! A vehicle on a virtual clock, and peers that talk to it in frames.
+//! A vehicle on a virtual clock, and peers that exchange frames with it.
 
 use mavlink::{MavlinkVersion, Message};
 use sitl::autopilot::{LinkKind, Mode, Peer, Vehicle};
@@ -9,7 +9,7 @@ use wire::{Decoder, Encoder};
 
 pub const GROUND: Peer = Peer(0);
 
-/// A message as a peer got it, with the vehicle's time.
+/// A message as a peer received it, with the vehicle's time.
 pub struct Heard {
     pub time_us: u64,
     pub message: MavMessage,
@@ -23,12 +23,12 @@ struct Station {
     heard: Vec<Heard>,
 }
 
-/// The vehicle and its peers. Sets of setpoints are streamed while time passes, if asked for.
+/// The vehicle and its peers, with an optional stream of setpoints while time passes.
 pub struct Bench {
     pub vehicle: Vehicle,
     stations: Vec<Station>,
     stream: Option<SET_ATTITUDE_TARGET_DATA>,
-    /// Time between the setpoints of a stream, us.
+    /// Interval between streamed setpoints, us.
     pub period_us: u64,
     pub bytes_out: Vec<u8>,
 }
@@ -59,7 +59,7 @@ pub fn params() -> VehicleParams {
 }
 
 impl Bench {
-    /// A vehicle with one peer that has said hello.
+    /// A vehicle with one peer that has sent its hello.
     pub fn new() -> Self {
         Self::with_seed(1)
     }
@@ -100,7 +100,7 @@ impl Bench {
         bench
     }
 
-    /// A further peer says hello.
+    /// Adds a peer, which sends its hello.
     pub fn join(&mut self, peer: Peer, version: MavlinkVersion) {
         let mut encoder = Encoder::new(255, 190);
         encoder.set_version(version);
@@ -143,7 +143,7 @@ impl Bench {
         });
     }
 
-    /// Lets time pass, a period of the stream at a time, with a setpoint in each if one is streamed.
+    /// Advances time in steps of the stream's period, with a setpoint in each if one is streamed.
     pub fn run(&mut self, seconds: f64) {
         let end = self.vehicle.now_us() + (seconds * 1e6) as u64;
         while self.vehicle.now_us() < end {
@@ -159,7 +159,7 @@ impl Bench {
         }
     }
 
-    /// Lets time pass until `done`, at most `seconds`; returns whether it came.
+    /// Advances time until `done`, at most `seconds`; returns whether it became true.
     pub fn run_until(&mut self, seconds: f64, done: impl Fn(&Self) -> bool) -> bool {
         let end = self.vehicle.now_us() + (seconds * 1e6) as u64;
         while self.vehicle.now_us() < end && !done(self) {
@@ -177,7 +177,7 @@ impl Bench {
         self.stream = None;
     }
 
-    /// What a peer has heard since it was last asked.
+    /// What a peer has received since the last call.
     pub fn heard_by(&mut self, peer: Peer) -> Vec<Heard> {
         let station = self.stations.iter_mut().find(|s| s.peer == peer).expect("a known peer");
         std::mem::take(&mut station.heard)
@@ -197,14 +197,14 @@ impl Bench {
             .collect()
     }
 
-    /// Sends a command and returns the answer and the texts that came with it.
+    /// Sends a command; returns its answer and the texts that came with it.
     pub fn command_and_texts(&mut self, command: MavCmd, params: &[f32]) -> (MavResult, String) {
         let (results, texts) = self.answers(command, params);
         assert_eq!(results.len(), 1, "one answer");
         (results[0], texts)
     }
 
-    /// Sends a command and returns every answer to it and the texts that came with them.
+    /// Sends a command; returns all answers to it and the texts that came with them.
     pub fn answers(&mut self, command: MavCmd, params: &[f32]) -> (Vec<MavResult>, String) {
         self.heard();
         self.send(&command_long(command, params));
@@ -233,12 +233,12 @@ impl Bench {
         self.command(MavCmd::MAV_CMD_DO_SET_MODE, &[1.0, main.into(), sub.into()])
     }
 
-    /// Chooses a mode of ArduCopter.
+    /// Selects an ArduCopter mode.
     pub fn set_mode_number(&mut self, number: u8) -> MavResult {
         self.command(MavCmd::MAV_CMD_DO_SET_MODE, &[1.0, number.into()])
     }
 
-    /// The value of a parameter as the protocol's float; `None` without an answer.
+    /// The value of a parameter as the protocol's float; `None` if unanswered.
     pub fn parameter(&mut self, name: &str) -> Option<f32> {
         self.heard();
         self.send(&MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
@@ -253,12 +253,12 @@ impl Bench {
         })
     }
 
-    /// Asks for message `id` `hz` times a second.
+    /// Requests message `id` at `hz`.
     pub fn request(&mut self, id: u32, hz: f32) -> MavResult {
         self.command(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, &[id as f32, 1e6 / hz])
     }
 
-    /// Messages of `id` in two seconds, a second.
+    /// Rate of message `id`, measured over two seconds, Hz.
     pub fn rate_of(&mut self, id: u32) -> f64 {
         self.heard();
         self.run(2.0);
@@ -270,7 +270,7 @@ impl Bench {
         self.vehicle.plant().state().attitude.euler().roll.to_degrees()
     }
 
-    /// Time until the roll is 63 % of a step to `degrees`, s.
+    /// Time until the roll reaches 63 % of a step to `degrees`, s.
     pub fn roll_step_s(&mut self, degrees: f64, hover: f32, mask: u8) -> f64 {
         let start = self.vehicle.now_us();
         self.stream(setpoint(degrees.to_radians(), 0.0, hover, mask));
