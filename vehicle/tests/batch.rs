@@ -1,4 +1,4 @@
-//! A batch flies as as many plants do, whatever acts.
+//! A batch behaves like the same number of single plants under every effect.
 
 use vehicle::VehicleParams;
 use vehicle::batch::{Batch, Precision, Width};
@@ -10,11 +10,11 @@ use vehicle::rigid_body::State;
 use crate::common::{effects, quad};
 use crate::every_effect::EVERY_EFFECT;
 
-/// More than one block, and not all of its lanes.
+/// More than one block, the last one incomplete.
 const COUNT: usize = 70;
 const SECOND: usize = 1000;
 
-/// Outputs that hold a height and a level attitude.
+/// Outputs that hold height and a level attitude.
 fn controlled(vehicle: &VehicleParams, state: &State, height: f64) -> [f64; 4] {
     let Euler { roll, pitch, yaw } = state.attitude.euler();
     let [p, q, r] = state.body_rate.to_array();
@@ -40,8 +40,8 @@ fn start(index: usize, height: f64) -> State {
     }
 }
 
-/// The largest distance (m) and angle (rad) between a batch and plants after a second of flight
-/// under feedback from each one's own state.
+/// Largest distance (m) and angle (rad) between a batch and single plants after a second of flight
+/// under feedback from each vehicle's own state.
 fn apart<F: Precision>(vehicle: &VehicleParams, effects: &EffectSet, height: f64) -> (f64, f64) {
     let mut setup = Setup::default();
     setup.start.heading_rad = 0.3;
@@ -75,7 +75,7 @@ fn apart<F: Precision>(vehicle: &VehicleParams, effects: &EffectSet, height: f64
 #[test]
 fn batch_matches_plants_with_every_effect_alone_and_together() {
     let mut vehicle = quad();
-    // Feedback against the reaction of rotors that follow at once amplifies rounding.
+    // Feedback against the reaction torque of lag-free rotors amplifies rounding.
     vehicle.motor_time_constant_s = 0.02;
     let alone = EVERY_EFFECT.iter().map(|effect| effects(&[effect]));
     let at_once = effects(&["motor_lag:tau_s=0"]);
@@ -108,7 +108,7 @@ fn every_instruction_set_gives_the_same_bits() {
 
 #[test]
 fn batch_floor_contact_matches_the_plant() {
-    // Some fall onto the floor, turned, before they climb.
+    // Some fall onto the floor, rotated, before they climb.
     let mut vehicle = quad();
     for lag in [0.0, 0.03] {
         vehicle.motor_time_constant_s = lag;

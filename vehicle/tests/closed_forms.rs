@@ -1,4 +1,4 @@
-//! The plant against motions that are known in closed form.
+//! The plant against closed-form motions.
 
 use crate::common::{airborne, effects, moving, quad};
 use vehicle::effects::EffectSet;
@@ -95,7 +95,7 @@ fn energy_change_equals_the_work_of_thrust() {
     assert!(gained.abs() > 1.0 && (gained - work).abs() < 1e-7, "gained {gained}, work {work}");
 }
 
-/// Turning the whole scene about the vertical turns the trajectory and nothing else.
+/// Rotating the whole scene about the vertical rotates the trajectory and changes nothing else.
 #[test]
 fn physics_is_invariant_under_heading_rotation() {
     let vehicle = quad();

@@ -26,7 +26,7 @@ fn with(arguments: &[&str]) -> (Frd, Frd) {
     force_and_moment(&physics, &physics.calm())
 }
 
-/// What the arguments add to the nominal force and moment.
+/// What the effects add to the nominal force and moment.
 fn added(arguments: &[&str]) -> ([f64; 3], [f64; 3]) {
     let ((force, moment), (force0, moment0)) = (with(arguments), with(&[]));
     ((force - force0).to_array(), (moment - moment0).to_array())
@@ -262,7 +262,7 @@ fn blade_flapping_tilts_thrust_and_adds_moment() {
     let (force, moment) = added(&["blade_flapping:moment_Nms_m=0.04,tilt_rad_s_m=0.01"]);
     assert_close(force, [-thrust * 0.01 * x, -thrust * 0.01 * y, 0.0]);
     assert_close(moment, [-0.04 * speed_ratio() * y, 0.04 * speed_ratio() * x, 0.0]);
-    // Its thrust is that before aerodynamic factors.
+    // Flapping acts on the thrust before the aerodynamic factors.
     let both = "ground_effect:r_eff_m=2";
     let (with_ground, _) = with(&["blade_flapping:tilt_rad_s_m=0.01", both]);
     assert!((with_ground.front() + thrust * 0.01 * x).abs() < 1e-9);

@@ -1,4 +1,4 @@
-//! On the floor: sit, take off, land hard, tip over, never blow up.
+//! Floor contact: resting, take-off, hard landings and tipping over, always numerically stable.
 
 use crate::common::{effects, quad, root};
 use vehicle::VehicleParams;

@@ -1,4 +1,4 @@
-//! Laws that are not the catalogue's, against their equations at one state.
+//! Laws outside the catalogue, against their equations at one state.
 
 use crate::common::{airborne, effects, quad};
 use vehicle::foreign::Foreign;
@@ -8,7 +8,7 @@ use vehicle::rigid_body::State;
 
 const HIGH: f64 = -50.0;
 
-/// The plant under these laws two steps after `state`, with outputs that carry the weight.
+/// The plant under these laws two steps after `state`, with outputs that support the weight.
 fn after(laws: &[Foreign], state: State) -> Plant {
     let vehicle = quad();
     let mut plant = airborne(&vehicle, &effects(&[]));
@@ -16,7 +16,7 @@ fn after(laws: &[Foreign], state: State) -> Plant {
     let outputs = [vehicle.hover_share(); 4];
     plant.set_rotor_states(outputs);
     plant.set_state(state);
-    // The second step sees what the first did to the rotors.
+    // The second step includes the first step's effect on the rotors.
     plant.step(outputs);
     plant.step(outputs);
     plant
@@ -26,13 +26,13 @@ fn moving(velocity: Ned) -> State {
     State { position: Ned::new(0.0, 0.0, HIGH), velocity, ..State::default() }
 }
 
-/// Force that laws add, N.
+/// Force added by the laws, N.
 fn added(laws: &[Foreign], state: State) -> Frd {
     let by = |laws: &[Foreign]| after(laws, state).specific_force();
     (by(laws) - by(&[])) * quad().mass
 }
 
-/// Moment that laws add, N m.
+/// Moment added by the laws, N m.
 fn turned(laws: &[Foreign], state: State) -> Frd {
     let by = |laws: &[Foreign]| after(laws, state).angular_acceleration();
     (by(laws) - by(&[])).scale_by(quad().inertia)

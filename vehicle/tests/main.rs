@@ -1,4 +1,4 @@
-//! Integration tests of the vehicle model in one binary. `common` is what several tests share.
+//! The vehicle model's integration tests in one binary. Several tests share `common`.
 
 mod common;
 #[path = "../benches/every_effect/mod.rs"]

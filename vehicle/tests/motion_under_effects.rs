@@ -21,7 +21,7 @@ fn level(velocity: Ned) -> State {
     State { position: start(), velocity, ..State::default() }
 }
 
-/// The plant under `arguments`, level with this velocity, with outputs that carry the weight.
+/// The plant under `arguments`, level at this velocity, with outputs that support the weight.
 fn hovering(arguments: &[&str], velocity: Ned) -> (Plant, impl Fn(&mut Plant, usize) + use<>) {
     let vehicle = quad();
     let mut plant = airborne(&vehicle, &effects(arguments));
@@ -47,7 +47,7 @@ fn fall_with_parasitic_drag_reaches_terminal_velocity() {
     assert!((plant.state().velocity.down() / terminal - 1.0).abs() < 1e-4, "it got there");
 }
 
-/// With the weight carried: v = v_0 / (1 + k v_0 t), k = rho CdA / (2 m), along the velocity.
+/// With the weight supported: v = v_0 / (1 + k v_0 t), k = rho CdA / (2 m), along the velocity.
 #[test]
 fn parasitic_drag_brakes_along_the_velocity() {
     let velocity = Ned::new(6.0, -8.0, 2.0);
@@ -60,8 +60,8 @@ fn parasitic_drag_brakes_along_the_velocity() {
     assert!((plant.state().position - start() - way).norm() < 1e-9);
 }
 
-/// In a steady horizontal wind without drag V_h stays what it is: the climb is uniformly
-/// accelerated by g k V_h^2, up to g / 2.
+/// In a steady horizontal wind without drag V_h is constant: the climb accelerates uniformly by g k
+/// V_h^2, up to g / 2.
 #[test]
 fn translational_lift_accelerates_a_climb_with_the_square_of_the_wind() {
     for (wind, share) in [(3.0, 0.02 * 9.0), (-4.0, 0.02 * 16.0), (10.0, 0.5)] {
@@ -115,7 +115,7 @@ fn vortex_ring_onset_is_a_smooth_step() {
     while plant.state().velocity.down() < to {
         fly(&mut plant, 1);
     }
-    // Back to the very moment, within the last step.
+    // Interpolated back to the crossing within the last step.
     let late = (plant.state().velocity.down() - to) * pace(to);
     assert!((plant.time() - late - expected).abs() < 1e-5, "{} s not {expected} s", plant.time());
 }
@@ -147,9 +147,8 @@ fn rotor_momentum_makes_the_body_precess() {
     }
 }
 
-/// Without drag torque nothing from outside acts on body and rotors together, however they
-/// tumble and whatever the rotors do: the finite difference of the rotors' angular momentum in
-/// the world is the torque that the body feels, turned round.
+/// Without drag torque no external moment acts on body and rotors: the finite difference of the
+/// rotors' angular momentum in the world is the negative of the torque on the body.
 #[test]
 fn body_and_rotors_conserve_angular_momentum_while_tumbling() {
     for (tau, tolerance) in [(0.05, 1e-9), (0.0, 1e-4)] {
@@ -189,8 +188,8 @@ const EVERY: usize = 5;
 const SEGMENT: usize = 1600;
 const SEGMENTS: usize = 250;
 
-/// The air's velocity under gusts, and the velocity of a vehicle whose drag has the gusts' own
-/// time constant.
+/// The air's velocity under gusts, and the velocity of a vehicle whose drag has the gusts' time
+/// constant.
 fn gusty_flight() -> (Vec<[f64; 3]>, Vec<f64>) {
     let gusts = format!("gusts:sigma_m_s={SIGMA},length_m=1.2,speed_m_s=6");
     let drag = format!("rotor_drag:d_xy={}", MASS / TIME_CONSTANT);
@@ -270,7 +269,7 @@ fn vehicle_with_drag_low_passes_the_gusts() {
     assert!((share - 0.5).abs() < 0.06, "{share} of the gusts' variance");
 }
 
-/// Under outputs that change as an on-board loop's do, over a second that turns it over.
+/// Under outputs that change like an on-board loop's, over a second in which the vehicle tumbles.
 #[test]
 fn coarse_plant_matches_the_fine_one() {
     let set = ["motor_lag:tau_s=0.03", "rotor_drag:d_xy=0.3,d_z=0.1", "wind:north_m_s=3"];

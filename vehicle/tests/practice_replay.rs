@@ -24,9 +24,9 @@ use wire::tlog::Reader;
 const HORIZON_MS: u32 = 520;
 /// Least time between the starts of predictions in ms.
 const SPACING_MS: u32 = 900;
-/// Time after the log's start that rotors and latency may reach back to, in ms.
+/// How far rotors and latency may reach back before the log's start, in ms.
 const MARGIN_MS: u32 = 300;
-/// The true effects divide the nominal vehicle's error by at least this where they show.
+/// The least factor by which the true effects reduce the nominal vehicle's error where they show.
 const GAIN: f64 = 1.5;
 /// Rotors forget their states within this many time constants.
 const LAG_MEMORY: f64 = 5.0;
@@ -66,11 +66,11 @@ impl Case {
     }
 }
 
-/// Samples over vehicle time (s), read linearly between them.
+/// Samples over vehicle time (s), interpolated linearly.
 struct Series<const N: usize>(Vec<(f64, [f64; N])>);
 
 impl<const N: usize> Series<N> {
-    /// The value at `time`; the nearest sample's beyond the ends.
+    /// The value at `time`; beyond the ends, the nearest sample.
     fn at(&self, time: f64) -> [f64; N] {
         let after = self.0.partition_point(|(stamp, _)| *stamp <= time);
         let (before, after) = (after.saturating_sub(1), after.min(self.0.len() - 1));
@@ -80,7 +80,7 @@ impl<const N: usize> Series<N> {
     }
 }
 
-/// What the vehicle reported of its pose at one stamp.
+/// The pose that the vehicle reported at one timestamp.
 #[derive(Clone, Copy)]
 struct Report {
     position: Ned,
@@ -88,14 +88,14 @@ struct Report {
     attitude: Attitude,
 }
 
-/// Of the two quaternions that are one rotation, the one closer to `last`: fit to interpolate.
+/// Of the two quaternions of a rotation, the one closer to `last`, for interpolation.
 fn nearer(Attitude { w, x, y, z }: Attitude, last: Option<[f64; 4]>) -> [f64; 4] {
     let q = [w, x, y, z];
     let product: f64 = q.iter().zip(last.unwrap_or(q)).map(|(a, b)| a * b).sum();
     if product < 0.0 { q.map(|c| -c) } else { q }
 }
 
-/// What a log holds of a flight, on the vehicle's clock.
+/// The contents of a flight log, on the vehicle's clock.
 struct Flight {
     /// By stamp in ms, where position and attitude were reported together.
     reports: BTreeMap<u32, Report>,
@@ -114,7 +114,8 @@ impl Flight {
         let (mut positions, mut attitudes) = (BTreeMap::new(), BTreeMap::new());
         let (mut attitude, mut body_rate) = (vec![], vec![]);
         let (mut outputs, mut voltage) = (vec![], vec![]);
-        // The pack's messages have no stamp of the vehicle: that of the last message that has.
+        // Battery messages carry no vehicle timestamp: they take that of the last message that
+        // does.
         let mut now = 0.0;
         while let Some(entry) = log.read().unwrap() {
             decoder.push(&entry.frame);
@@ -274,7 +275,7 @@ struct Errors {
     attitude: f64,
 }
 
-/// Which of a vehicle's motions shows an effect to one who knows the outputs.
+/// Which motion reveals an effect if the outputs are known.
 enum Shows {
     Velocity,
     Attitude,
@@ -293,9 +294,9 @@ fn shows(effect: EffectId) -> Shows {
     }
 }
 
-/// With the true effects, the errors of velocity and position are those of the noisy reports and
-/// nothing else. Attitude has more: the loop's 250 outputs a second are logged 100 times, in step
-/// with the setpoints, and what they do between is lost.
+/// With the true effects, velocity and position errors match the noise of the reports. Attitude
+/// errors exceed it: the loop's 250 outputs a second are logged at 100 Hz, in step with the
+/// setpoints, so changes in between are lost.
 #[test]
 fn true_effects_explain_the_practice_flights() {
     let folder = practice_folders().swap_remove(0);

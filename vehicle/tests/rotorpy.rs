@@ -76,7 +76,7 @@ fn plant_matches_rotorpy() {
         }
         println!("{name}: worst errors in m, m/s, rad, rad/s, rotor state: {worst:?}");
         assert!(worst.iter().all(|&error| error < 1e-6), "{name}: {worst:?}");
-        // The flights go somewhere: agreement at rest would mean nothing.
+        // The flights must move: agreement at rest would prove nothing.
         let travelled = plant.state().position - Ned::from(samples[0].position);
         assert!(travelled.norm() > 1.0, "{name}");
     }

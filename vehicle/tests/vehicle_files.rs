@@ -1,4 +1,4 @@
-//! The vehicle files that ship, and those of the practice flights where they are at hand.
+//! The shipped vehicle files, and those of the practice flights if available.
 
 use crate::common::{practice_folders, root};
 use vehicle::VehicleParams;

@@ -325,7 +325,7 @@ mod tests {
             assert_eq!((found[0].doubt, found[0].field), (Doubt::CannotFly, "inertia[0]"));
             assert!(found[0].what.contains(unit), "{}", found[0].what);
         }
-        // In the right unit, of a vehicle that is only unlike others.
+        // In the right unit, but an unusual vehicle.
         let found = remarks(|v| v.inertia = v.inertia.map(|moment| 8.0 * moment));
         assert!(found.iter().all(|remark| remark.doubt == Doubt::Unlikely), "{found:?}");
         let found = remarks(|v| v.inertia = [1e-300; 3]);

@@ -1,4 +1,4 @@
-//! What the tests share: vehicles and states.
+//! Vehicles and states that the tests share.
 use std::path::PathBuf;
 
 use vehicle::VehicleParams;
@@ -27,7 +27,7 @@ pub fn effects(arguments: &[&str]) -> EffectSet {
     set
 }
 
-/// A plant with a pack that does not sag, high above the floor.
+/// A plant high above the floor with a battery that does not sag.
 pub fn airborne(vehicle: &VehicleParams, effects: &EffectSet) -> Plant {
     let mut setup = Setup::default();
     setup.battery.resistance_ohm = Some(0.0);
