@@ -138,8 +138,8 @@ mod tests {
     use super::*;
     use crate::campaign::draw;
 
-    /// The rule that is broken by a vehicle that moves east from `east` at `speed`. Setpoints reach
-    /// it from `lost_s` on.
+    /// The rule broken by a vehicle that moves east from `east` at `speed`, while setpoints are
+    /// lost until `lost_s`.
     fn judged(east: f64, speed: f64, lost_s: f64) -> Option<Rule> {
         let script = Script { faults: Vec::new(), ..draw::script(1, 1) };
         let mut envelope = Envelope::new(&script, &[[0.0, 0.0, -1.0]]);

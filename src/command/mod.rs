@@ -323,7 +323,7 @@ mod tests {
         fs::create_dir_all(&folder)?;
         let pipe = folder.join("pipe");
         let name = CString::new(pipe.as_os_str().as_bytes())?;
-        // SAFETY: the name is a string of the system's.
+        // SAFETY: the name is a NUL-terminated string.
         assert_eq!(unsafe { libc::mkfifo(name.as_ptr(), 0o600) }, 0);
         let reader = std::thread::spawn({
             let pipe = pipe.clone();
@@ -332,7 +332,7 @@ mod tests {
         let written = write_file(&pipe, b"results");
         let kind = fs::metadata(&pipe)?.file_type();
         if !kind.is_fifo() {
-            // So that the reader ends where nobody writes to it.
+            // Lets the reader end if nobody writes.
             fs::remove_dir_all(&folder)?;
             panic!("{written:?}: the pipe became {kind:?}");
         }

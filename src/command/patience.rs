@@ -55,7 +55,7 @@ mod tests {
         let (first, second) = (heard.recv().expect("a word"), heard.recv().expect("another"));
         assert!(pause <= first && first < second);
         drop(patience);
-        // The teller ends, and its end of the channel with it.
+        // The reporting thread ends and closes its end of the channel.
         while heard.recv().is_ok() {}
     }
 

@@ -176,7 +176,7 @@ mod tests {
         assert!((jacobian[2][INPUT] * params.mass + 1.0).abs() < 1e-5, "{}", jacobian[2][INPUT]);
     }
 
-    /// The nano under an autopilot's own loop, with motors that the autopilot straightens.
+    /// The nano under an autopilot's own loop that linearises the motors.
     fn straightened() -> Arc<dyn Model> {
         let text = include_str!("../../config/vehicles/crazyflie.toml");
         let mut params = VehicleParams::from_toml_str(text).expect("a vehicle");

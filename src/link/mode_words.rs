@@ -102,7 +102,7 @@ mod tests {
 
     const OFFBOARD: u32 = 6;
 
-    /// A report in its place, in a settled order.
+    /// A report in sequence, while the order is settled.
     fn word(frame: &[u8], word: u32) -> ModeWord<'_> {
         ModeWord {
             frame,

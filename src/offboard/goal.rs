@@ -83,7 +83,7 @@ mod tests {
         offset.lead_to(Ned::new(2.0, -1.0, 0.5));
         let (mut speed, mut before, mut acceleration) = (0.0_f64, Ned::zero(), 0.0_f64);
         for tick in 0..1500 {
-            // It is asked elsewhere on its way.
+            // The target moves while the offset is on its way.
             if tick == 300 {
                 offset.lead_to(Ned::new(-1.0, 0.0, 0.0));
             }

@@ -124,7 +124,7 @@ mod tests {
             ("127.0.0.1:8765", "https://example.org", false),
             ("127.0.0.1:8765", "http://127.0.0.1:80", false),
             ("127.0.0.1:8765", "null", false),
-            // A name of theirs that leads to this machine.
+            // A foreign name that resolves to this machine.
             ("example.org:8765", "http://example.org:8765", false),
         ] {
             let request = request(host, origin);

@@ -8,7 +8,7 @@ fn seed() -> u64 {
     given.unwrap_or(1)
 }
 
-/// The first flight of these that breaks a rule.
+/// The first of these flights that breaks a rule.
 fn first_failure(seed: u64, numbers: impl IntoIterator<Item = usize>) -> Option<CampaignFlight> {
     let fly = |number| flown(number, &draw::script(seed, number as u64)).expect("a flight");
     numbers.into_iter().map(fly).find(|flight| !flight.violations.is_empty())
@@ -42,7 +42,7 @@ fn same_script_gives_the_same_bytes() {
     }
 }
 
-/// Flies drawn flights with a bug until one is found; how many it took, and the rule.
+/// Flies drawn flights with a planted bug until one breaks a rule; returns its number and the rule.
 fn found(bug: Planted, most: usize) -> Option<(usize, Rule)> {
     planted::plant(Some(bug));
     let failure = first_failure(1, 0..most);
@@ -78,7 +78,7 @@ fn campaign_detects_an_accepted_older_heartbeat() {
     is_found(Planted::OlderHeartbeat, &[Rule::OldMode, Rule::AgainstThePilot]);
 }
 
-/// Scripts that a campaign found faults of the program with, since mended; each is named for its fault.
+/// Scripts with which a campaign found faults, since fixed; each file is named after its fault.
 #[test]
 fn failures_found_by_campaigns_stay_fixed() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/campaign_found");

@@ -222,8 +222,8 @@ mod tests {
         );
     }
 
-    /// Of flights without any difference, no more than about one in twenty comparisons finds one;
-    /// a known difference lies within as many intervals as they say.
+    /// Without a real difference, about one comparison in twenty finds one; intervals cover a known
+    /// difference at their stated rate.
     #[test]
     fn false_alarm_rate_and_coverage_match_five_percent() {
         const TRIALS: usize = 4000;
@@ -239,7 +239,7 @@ mod tests {
             };
             let (a, b) = (draw(1.0), draw(2.0));
             let more: Vec<f64> = b.iter().map(|b| b + 1.5).collect();
-            // Apart from the pairs: others, with another spread.
+            // Without pairs: other samples, with a different spread.
             let c: Vec<f64> = (0..n + 2).map(|_| 5.0 + 2.0 * own.sample(&mut random)).collect();
             let d: Vec<f64> = (0..n).map(|_| 5.0 + own.sample(&mut random)).collect();
             let e: Vec<f64> = d.iter().map(|d| d + 1.5).collect();
