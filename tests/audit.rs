@@ -1,4 +1,4 @@
-//! What the audit finds in flights whose faults are known: those that were put in, and no others.
+//! The audit of flights with known faults finds those faults and no others.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use serde_json::Value;
 use sitl::config::{ImuNoise, SensorConfig, SitlConfig};
 use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
-/// Turns and travels in every axis.
+/// Rotates and moves in every axis.
 const LIVELY: &str = r#"
 family = "multisine"
 altitude_m = 1.5
@@ -62,7 +62,7 @@ fn trim() -> Attitude {
     Euler::new(0.008, -0.014, 0.011).attitude()
 }
 
-/// The flight with streams that are late, turned and biased.
+/// The flight with delayed, rotated and biased streams.
 fn spoiled(flight: &Flight) -> Flight {
     let mut flight = flight.clone();
     flight.attitude = flight.attitude.map(|q| q.compose(trim())).shifted(0.0173);
@@ -73,7 +73,7 @@ fn spoiled(flight: &Flight) -> Flight {
     flight
 }
 
-/// A stream without a tenth of its samples, whichever.
+/// A stream without a random tenth of its samples.
 fn thinned<T: Clone>(stream: &Stream<T>, seed: u64) -> Stream<T> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     stream.filter_map(|value| (random.random::<f64>() > 0.1).then(|| value.clone()))
@@ -162,7 +162,8 @@ fn scale_of_each_axis_is_recovered() {
     assert!(!audit.is_faulty(), "{:#?}", audit.findings);
 }
 
-/// Noise in the velocity flattens the slope of the position on it; the interval holds the truth.
+/// Noise in the velocity flattens the slope of the position against it; the interval covers the
+/// truth.
 #[test]
 fn scale_interval_covers_noise_in_either_stream() {
     let mut random = Pcg64Mcg::seed_from_u64(3);
@@ -194,7 +195,7 @@ fn clock_drift_is_found() {
     assert!(audit.findings.iter().any(|f| f.check == "clock_drift"), "{:#?}", audit.findings);
 }
 
-/// Flights of one kind after another, each with its own numbers.
+/// Flights of each kind in turn, each with its own parameters.
 fn clean(seed: u64) -> Flight {
     let kinds = [
         LIVELY,
@@ -229,7 +230,7 @@ fn two_hundred_clean_flights_raise_no_alarm() {
     assert_no_alarm(0..200);
 }
 
-/// A check that ends in a fault.
+/// Checks that the audit reports a fault.
 fn assert_fault(flight: &Flight, check: &str, words: &str) {
     let audit = Audit::of(flight);
     let found = audit.findings.iter().find(|f| f.check == check && f.severity == Severity::Fault);
@@ -317,7 +318,7 @@ fn constant_outputs_in_flight_are_found() {
         flight.outputs = flight.outputs.map(|_| [held; 4]);
         assert_fault(&flight, "still_outputs", "all four stay");
     }
-    // Armed in the middle, and no motor's.
+    // The outputs change only at arming, in the middle of the flight, and drive no motor.
     let mut flight = FLIGHT.clone();
     let middle = flight.outputs.len() / 2;
     let mut outputs = Stream::default();
@@ -326,7 +327,7 @@ fn constant_outputs_in_flight_are_found() {
     }
     flight.outputs = outputs;
     assert_fault(&flight, "still_outputs", "all four stay");
-    // On the ground nothing need move.
+    // Outputs need not move on the ground.
     let mut flight = FLIGHT.clone();
     flight.outputs = flight.outputs.map(|_| [0.5; 4]);
     flight.body_rate = flight.body_rate.map(|_| Frd::new(0.0, 0.0, 0.0));
@@ -355,7 +356,7 @@ fn wrong_output_order_is_found() {
     flight.outputs = flight.outputs.map(|u| [u[1], u[2], u[3], u[0]]);
     assert_fault(&flight, "motor_order", "order");
 
-    // The log does not say where they are, the vehicle file does.
+    // The log does not state the rotor positions, but the vehicle file does.
     flight.facts.rotors.clear();
     let mut audit = Audit::of(&flight);
     assert!(!audit.is_faulty());
@@ -408,7 +409,7 @@ fn frozen_jumping_and_impossible_values_are_found() {
 #[test]
 fn duplicate_flight_is_found() {
     let first = FLIGHT.clone();
-    // Another file with the same samples, at other times.
+    // Another file with the same samples at other times.
     let mut second = FLIGHT.clone();
     second.origin.sha256 = "other".into();
     second.origin.path = "copy.tlog".into();

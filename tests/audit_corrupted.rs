@@ -1,5 +1,5 @@
-//! What the audit says of flights of drawn vehicles, sensors and motions, whole and with one stream
-//! corrupted: how often it finds what was done, and how often it finds a fault where nothing was.
+//! The audit on drawn vehicles, sensors and motions, intact or with one corrupted stream: how often
+//! it finds the corruption, and how often it raises a false alarm.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use sitl::config::{EstimatorConfig, SensorConfig, SitlConfig};
 use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
-/// A flight of a vehicle, effects, sensors, an estimator and a motion that the seed draws.
+/// A flight whose vehicle, effects, sensors, estimator and motion are drawn from the seed.
 fn drawn(seed: u64) -> Flight {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut within = |low: f64, high: f64| random.random_range(low..high);
@@ -93,12 +93,12 @@ fn drawn(seed: u64) -> Flight {
     flight
 }
 
-/// What is to be said of a corrupted stream.
+/// What the audit must report about a corrupted stream.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Told {
-    /// That nothing may be concluded.
+    /// That no conclusion is possible.
     Fault,
-    /// What is wrong by how much.
+    /// What is wrong, with its size.
     Finding,
 }
 
@@ -106,12 +106,12 @@ enum Told {
 struct Corruption {
     name: &'static str,
     told: Told,
-    /// Checks that find it.
+    /// Checks that detect it.
     checks: &'static [&'static str],
     corrupt: fn(&mut Flight),
 }
 
-/// The same values on a clock that runs `by` of itself slower.
+/// The same values on a clock that runs slower by the fraction `by`.
 fn drifting<T: Clone>(stream: &Stream<T>, by: f64) -> Stream<T> {
     let start = stream.times().first().copied().unwrap_or(0.0);
     let mut drifted = Stream::default();
@@ -121,7 +121,7 @@ fn drifting<T: Clone>(stream: &Stream<T>, by: f64) -> Stream<T> {
     drifted
 }
 
-/// Each value until the next but `count`.
+/// Holds each value for `count` samples.
 fn held<T: Clone>(stream: &Stream<T>, count: usize) -> Stream<T> {
     let mut held = Stream::default();
     let values = stream.values();
@@ -131,7 +131,7 @@ fn held<T: Clone>(stream: &Stream<T>, count: usize) -> Stream<T> {
     held
 }
 
-/// The values of a second in the middle, from there on for three.
+/// Holds the value in the middle for three seconds.
 fn stale<T: Clone>(stream: &Stream<T>) -> Stream<T> {
     let values = stream.values();
     let middle = stream.len() / 2;
@@ -266,7 +266,7 @@ fn corruptions() -> Vec<Corruption> {
     ]
 }
 
-/// What is said of a flight that is as it was flown, and of each corruption of it.
+/// The findings for the flight as flown, and for each corruption of it.
 struct Outcome {
     clean: Vec<Finding>,
     corrupted: Vec<(&'static str, bool, String)>,
@@ -297,7 +297,7 @@ fn outcome(seed: u64) -> Outcome {
     Outcome { clean, corrupted }
 }
 
-/// Rates of what is found, by what was done, and of faults where nothing was.
+/// Detection rates by corruption, and the rate of faults on intact flights.
 fn rates(seeds: std::ops::Range<u64>) -> (BTreeMap<&'static str, Rate>, Rate, String) {
     let outcomes: Vec<(u64, Outcome)> =
         seeds.into_par_iter().map(|seed| (seed, outcome(seed))).collect();

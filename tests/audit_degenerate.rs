@@ -1,5 +1,5 @@
-//! The audit of motion that shows little: about one axis, along one line, constant, exact, held.
-//! It ends, says of nothing that it cannot see, and finds no fault between streams that fit.
+//! The audit of uninformative motion: about one axis, along one line, constant, exact or held. It
+//! terminates, reports nothing unobservable, and finds no fault between consistent streams.
 
 use std::sync::mpsc;
 use std::thread;
@@ -13,7 +13,7 @@ use vehicle::frame::{Attitude, Frd, Ned};
 const RATE_HZ: f64 = 100.0;
 const SECONDS: f64 = 12.0;
 const GRAVITY: f64 = 9.806_65;
-/// Checks of how two streams fit.
+/// Checks of the agreement between two streams.
 const PAIRS: [&str; 10] = [
     "axes",
     "frame",
@@ -59,7 +59,7 @@ struct Motion {
     angle: Profile,
     line: [f64; 3],
     way: Profile,
-    /// Every sample twice, as a logger that is faster than its sensor writes them.
+    /// Every sample twice, as written by a logger faster than its sensor.
     held: bool,
 }
 
@@ -92,11 +92,11 @@ fn flight(motion: Motion) -> Flight {
     flight
 }
 
-/// The audit, if it ends within the time that a user waits for a table of twelve seconds.
+/// The audit, which must end within the time that a user waits for a table of twelve seconds.
 fn audited(flight: Flight) -> Audit {
     let (done, result) = mpsc::channel();
     thread::spawn(move || {
-        // Where nobody waits any more, the test has failed already.
+        // If nobody waits any more, the test has already failed.
         done.send(Audit::of(&flight)).ok();
     });
     result.recv_timeout(Duration::from_secs(30)).expect("the audit ends")
@@ -188,8 +188,8 @@ fn reversed_stream_is_a_fault() {
     }
 }
 
-/// At one attitude the axes of the body are a turn of the world's: both fit to rounding, and which of
-/// the two fits better by rounding says nothing.
+/// At constant attitude the body axes are a fixed rotation of the world axes: both fit to rounding,
+/// and which fits better by rounding means nothing.
 #[test]
 fn line_at_constant_attitude_does_not_reveal_the_frame() {
     let line = [-0.3584472636188655, 0.897538830006485, 0.2567870865809597];

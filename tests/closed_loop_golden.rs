@@ -17,12 +17,13 @@ use serde::Deserialize;
 use vehicle::VehicleParams;
 use vehicle::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
 
-/// What two flights that are the same may differ by, in SI units; thrust as a fraction of weight.
+/// Tolerance between two identical flights, in SI units; thrust as a fraction of the weight.
 const TOLERANCE: f64 = 2e-6;
 
 #[derive(Deserialize)]
 struct Golden {
-    /// From the first sample of the trajectory to the next on-board tick, one at that time counted.
+    /// Time from the first sample of the trajectory to the next on-board tick, which may coincide
+    /// with it.
     pd_phase_ms: u64,
     vehicle: VehicleParams,
     feedback: ControlSettings,
@@ -66,7 +67,7 @@ fn ticks(
         control: feedback.clone(),
         ..settings(&golden.vehicle, toml_trajectory(&flight.trajectory))
     };
-    // What take-off left has died away when the trajectory begins.
+    // The transient of take-off has decayed when the trajectory begins.
     settings.offboard.guidance.settle_s = 20.0;
     let (end, records) = fly(settings, &golden.vehicle, effects, ideal(), 1);
     assert_eq!(end, End::Done);
@@ -125,13 +126,13 @@ fn flight_matches_rotorpy_under_an_independent_controller() {
         let worst = differences(&golden, flight, &ticks);
         println!("{}{worst:?}", flight.trajectory);
         assert!(worst.iter().all(|&difference| difference < TOLERANCE), "{worst:?}");
-        // The flights go somewhere: agreement at rest would mean nothing.
+        // The flights must move: agreement at rest would prove nothing.
         let farthest = ticks.iter().map(|tick| tick.state.position - ticks[0].state.position);
         assert!(farthest.map(Ned::norm).fold(0.0, f64::max) > 0.6);
     }
 }
 
-/// A comparison that passes whatever is compared is worth nothing.
+/// Proves that the comparison can fail.
 #[test]
 fn comparison_detects_small_gain_vehicle_and_timing_errors() {
     let golden = golden();

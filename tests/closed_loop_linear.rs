@@ -48,8 +48,8 @@ fn coast(vehicle: &HoverVehicle, s: &Errors, thrust: f64, moment: [f64; 3], h: f
     next
 }
 
-/// The errors at each sample after a step to `errors`, at a sample that comes `pd_phase_ms` before
-/// the next on-board tick.
+/// The errors at each sample after a step to `errors`, at a sample `pd_phase_ms` before the next
+/// on-board tick.
 fn response(
     vehicle: &HoverVehicle,
     pd: &AttitudePd,
@@ -59,7 +59,7 @@ fn response(
     samples: usize,
 ) -> Vec<Errors> {
     let mut rows = Vec::new();
-    // What was asked before the step: hover at the old yaw.
+    // The setpoint before the step: hover at the old yaw.
     let mut setpoint = SVector::<f64, 7>::zeros();
     setpoint[3] = errors[8];
     let (mut thrust, mut moment) = (0.0, [0.0; 3]);
@@ -106,7 +106,7 @@ fn small_steps_match_the_sampled_linear_loop() {
             );
             let mut settings = settings(&params, toml_trajectory(&text));
             settings.actuation = Actuation::IMMEDIATE;
-            // What take-off left has died away when the trajectory begins.
+            // The transient of take-off has decayed when the trajectory begins.
             settings.offboard.guidance.settle_s = 20.0;
             let (end, records) = fly(settings.clone(), &params, effects, ideal(), 1);
             assert_eq!(end, End::Done);

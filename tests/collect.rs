@@ -1,4 +1,4 @@
-//! `downwash collect` in simulation: the kinds of flight, the limits, resuming, equal bytes.
+//! `downwash collect` in simulation: kinds of flight, limits, resuming, reproducible bytes.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -10,7 +10,7 @@ use downwash::log::schema::TruthMessage;
 use downwash::plan::Trajectory;
 use serde_json::Value;
 
-/// A folder that is gone after the test.
+/// A folder that is removed after the test.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -74,7 +74,7 @@ fn all_kinds_are_flown_once_and_truncated_flights_again() {
     let samples = first["samples"].as_u64().expect("a count");
     assert!((6000..6020).contains(&samples), "{samples}");
 
-    // Neither order nor number of threads is seen in the logs.
+    // The logs do not depend on the order or the number of threads.
     assert!(collect(&one.0, &[&short[..], &["--jobs", "1"]].concat()).status.success());
     let logs = two.logs();
     assert_eq!(logs.len(), 5);
@@ -83,7 +83,7 @@ fn all_kinds_are_flown_once_and_truncated_flights_again() {
         keeps_to_the_box(&two.0.join(name));
     }
 
-    // A log that was cut short is replaced, the others are kept.
+    // A truncated log is replaced; the others are kept.
     let (name, bytes) = logs.iter().nth(3).expect("a log");
     fs::write(two.0.join(name), &bytes[..bytes.len() / 2]).expect("cut");
     let again = summary(&collect(&two.0, &short));
@@ -91,13 +91,13 @@ fn all_kinds_are_flown_once_and_truncated_flights_again() {
     assert_eq!(again["samples"], first["samples"]);
     assert!(two.logs() == logs, "the flight that was cut short is whole again");
 
-    // Another vehicle's truth is another programme: nothing of the first is touched.
+    // A different truth is a different programme: the first one's files stay untouched.
     let other = summary(&collect(&two.0, &["--seconds", "60", "--seed", "2"]));
     assert!(column(&other, "end").iter().all(|end| *end == "done"));
     assert_eq!(two.logs().len(), 10);
 }
 
-/// The vehicle stays near the box, upright and above the floor; on the trajectory and beside it.
+/// The vehicle stays near the box, upright and above the floor, on the trajectory and off it.
 fn keeps_to_the_box(log: &Path) {
     let mut reader = LogReader::open(log).expect("a log");
     let mut samples = 0;

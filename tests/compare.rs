@@ -1,5 +1,5 @@
-//! Flights side by side: a known difference is said with its interval, and flights that differ by
-//! chance alone are taken for different one time in twenty.
+//! Flights side by side: a known difference is reported with its interval, and chance alone counts
+//! as a difference one time in twenty.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -39,7 +39,7 @@ fn flights(folder: &Path, effect: Option<&str>, seeds: std::ops::Range<u64>) -> 
             let own = folder.join(seed.to_string());
             let (row, _) = Simulation::load(&inputs).unwrap().fly_logged(&own, |_| {}).unwrap();
             let flown = entry(&row.log.unwrap(), None).unwrap();
-            // A log is large, and what is compared is read.
+            // Logs are large, and the comparison has read what it needs.
             fs::remove_dir_all(&own).unwrap();
             flown
         })
@@ -67,7 +67,7 @@ fn known_effect_is_reported_with_interval_and_setting() {
     assert_eq!(first.metric, "position error, 3D, RMS");
     assert!(tested.interval[0] > 0.0 && tested.interval[1] < 10.0 * tested.difference);
     assert!(compared.facts.iter().any(|fact| fact.key == "effects" && !fact.varies_within));
-    // The other way round it is better, by as much.
+    // Compared the other way round it is better, by as much.
     let back = compare(&all(&b), &all(&a), Pairing::Auto);
     assert_eq!(back.outcome, Outcome::Better);
     assert!((back.differences[0].tested.unwrap().difference + tested.difference).abs() < 1e-12);
@@ -83,7 +83,7 @@ fn identical_flights_do_not_differ() {
     }
 }
 
-/// Forty-eight flights that differ by their seeds alone, parted by chance again and again.
+/// Forty-eight flights that differ only by their seeds, split at random again and again.
 #[test]
 #[ignore = "long: tests/run --all"]
 fn chance_alone_is_significant_one_time_in_twenty() {
@@ -112,7 +112,8 @@ fn chance_alone_is_significant_one_time_in_twenty() {
             covered += usize::from(low <= truth && truth <= high);
             found += usize::from(known.outcome != Outcome::NoDifference);
         }
-        // Wilson's interval takes the splits to be independent, which those of one pool nearly are.
+        // Wilson's interval assumes independent splits, which is nearly true for splits of one
+        // pool.
         let [least, most] = Rate::new(alarms, SPLITS).interval;
         let share = |count: usize| count as f64 / SPLITS as f64;
         let [alarms, found, covered] = [alarms, found, covered].map(share);

@@ -1,5 +1,5 @@
-//! Every control law, flown: along each family of trajectories in lockstep, and the recovery from
-//! nearly upside down.
+//! Every control law in flight: each family of trajectories in lockstep, and recovery from nearly
+//! upside down.
 
 use crate::lockstep::{
     NANO, QUAD, SLOW, VEHICLES, errors, fly, hover, ideal, params, settings, trajectory,
@@ -19,7 +19,8 @@ use vehicle::frame::{Euler, Ned};
 use vehicle::plant::Plant;
 use wire::dialect::AttitudeTargetTypemask;
 
-/// The shipped trajectories, one of each family, and how far feedback alone may leave each, m RMS.
+/// The shipped trajectories, one of each family, and the largest RMS error that feedback alone may
+/// leave, m.
 const FAMILIES: [(&str, f64); 9] = [
     ("hover.toml", 0.05),
     ("sinusoid-xy.toml", 0.6),
@@ -84,13 +85,13 @@ fn observer_compensates_unknown_weight_under_every_law() {
         let (without, with) = (flown(Use::Off), flown(Use::On));
         println!("{}: {without} m without, {with} m with", spec.id);
         let plain = *plain.get_or_insert(without);
-        // Two that learn the same share it, and settle later.
+        // Two estimators of the same error share it and settle later.
         let most = if without < 0.5 * plain { 0.3 } else { 0.1 };
         assert!(with < most * plain, "{}: {with} of {plain}", spec.id);
     }
 }
 
-/// Loops that are the autopilot's own take attitude and thrust alone.
+/// An autopilot's own loop takes only attitude and thrust.
 #[test]
 fn every_law_flies_px4_and_arducopter() {
     let params = params(QUAD);
@@ -107,7 +108,7 @@ fn every_law_flies_px4_and_arducopter() {
     }
 }
 
-/// The state after the fall from rest at a roll of 170 degrees, and how deep it went, m.
+/// The state after falling from rest at a roll of 170 degrees, and the depth of the fall, m.
 fn recovered(vehicle: &str, law: Law) -> (State, f64) {
     let params = params(vehicle);
     let config = ideal();

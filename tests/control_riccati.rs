@@ -1,4 +1,4 @@
-//! The Riccati solver against SciPy's solution of a bare hover model, where that data is at hand.
+//! The Riccati solver against SciPy's solution of a bare hover model, if that data is available.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! The loop closed on one command: hide an effect, find it, and fly better with what was found.
+//! The whole cycle in one command: hide an effect, identify it, and fly better with the result.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -51,7 +51,7 @@ fn hidden_law_is_written_and_improves_the_planned_flight() {
     let (folder, summary) = run("law", &["--hidden", hidden]);
     assert_eq!(summary["end"], "done");
     let law = &summary["found"]["law"]["found"];
-    // Over these speeds several forms are one curve.
+    // Over these speeds several forms give the same curve.
     assert!(law["force_x"].as_str().is_some_and(|text| text.contains("air_x")), "{law}");
     assert!(law["range"]["airspeed"][1].as_f64().is_some_and(|most| most > 0.5), "{law}");
     let (before, after) = (number(&summary["gap"]["before"]), number(&summary["gap"]["after"]));

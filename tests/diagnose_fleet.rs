@@ -1,5 +1,5 @@
-//! The diagnosis of a fleet, as a command: what all vehicles have, what one has, and that it goes on with
-//! what is done.
+//! The fleet diagnosis as a command: shared effects, individual effects, and resuming from finished
+//! work.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -85,14 +85,14 @@ fn shared_and_individual_effects_are_separated_with_any_thread_count() {
     }
     let file = fs::read_to_string(folder.join("type.toml")).expect("the file of the type");
     assert!(file.contains("spread_between_vehicles") && !file.contains("com_offset"));
-    // With rows that are there, and without by one worker, the answer is the same.
+    // The answer is the same with stored rows and without them on one thread.
     let rows = folder.join("rows/rows-1-of-1.jsonl");
     let lines = fs::read_to_string(&rows).expect("rows");
     let kept: Vec<&str> = lines.lines().take(9).collect();
     fs::write(&rows, kept.join("\n")).expect("some rows");
     assert_eq!(diagnose(&folder, "rows", 2).stdout, first.stdout);
     assert_eq!(diagnose(&folder, "other-rows", 1).stdout, first.stdout);
-    // Other logs are another fleet's.
+    // Other logs belong to another fleet.
     fs::remove_dir_all(folder.join("fleet/a")).expect("a folder");
     assert_eq!(diagnose(&folder, "rows", 2).status.code(), Some(2));
 }

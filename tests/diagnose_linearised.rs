@@ -1,5 +1,5 @@
-//! The linearised problem leaves what the flights leave: also of short flights, whose bands share
-//! their variances.
+//! The linearised problem leaves the same residuals as the flights, also for short flights whose
+//! bands share their variances.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! The flight that is suggested tells rival explanations apart, once it is flown.
+//! The suggested flight, once flown, distinguishes rival explanations.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use vehicle::effects::EffectSet;
 const NANO: &str = "crazyflie.toml";
 const QUAD: &str = "quad1200.toml";
 
-/// Pairs that a hover at one heading and a fresh pack cannot tell apart.
+/// Pairs that a hover at one heading with a fresh pack cannot distinguish.
 const PAIRS: [(&str, &str, &str); 11] = [
     (
         QUAD,
@@ -69,7 +69,7 @@ fn run(folder: &Path, arguments: &[&str]) -> Output {
     output
 }
 
-/// Flies a trajectory file in SITL with a hidden effect; the log.
+/// Flies a trajectory file in SITL with a hidden effect; returns the log.
 fn fly(folder: &Path, vehicle_file: &str, trajectory: &Path, effect: &str, seed: u64) -> PathBuf {
     let out = folder.join(format!("flown-{}", trajectory.file_stem().unwrap().to_string_lossy()));
     let (vehicle, seed) = (vehicle(vehicle_file), seed.to_string());
@@ -104,7 +104,7 @@ fn live(effect: &str) -> Live {
     Live { effects, probability: 0.5 }
 }
 
-/// The flight that is suggested for a pair.
+/// The suggested flight for a pair.
 fn suggested(vehicle_file: &str, pair: [&str; 2], seed: u64) -> NextFlight {
     let vehicle = VehicleParams::load(vehicle(vehicle_file)).expect("a vehicle");
     let pd = vehicle.attitude_pd.expect("attitude_pd");
@@ -139,8 +139,8 @@ fn id(effect: &str) -> &str {
     effect.split(':').next().expect("an id")
 }
 
-/// What a diagnosis makes of a hover at one heading and the suggested flight: whether it names the
-/// truth and leaves the rival out.
+/// Diagnoses a hover at one heading together with the suggested flight; returns whether the answer
+/// names the truth and excludes the rival.
 fn is_resolved(name: &str, vehicle_file: &str, truth: &str, rival: &str, seed: u64) -> bool {
     let folder = folder(name);
     let next = suggested(vehicle_file, [truth, rival], seed);
@@ -190,7 +190,7 @@ fn suggested_flight_distinguishes_wind_from_trim() {
     assert!(next.tried[0].least_nats > Some(60.0), "{:?}", next.tried);
 }
 
-/// Every pair, with either truth and two seeds; `--nocapture` shows what was found.
+/// Every pair, with either truth and two seeds; `--nocapture` prints the answers.
 #[test]
 #[ignore = "long: tests/run --all"]
 fn suggested_flight_resolves_ambiguous_pairs() {

@@ -1,4 +1,4 @@
-//! Flights held out, flown again in closed loop with what was found.
+//! Held-out flights, flown again in closed loop with the identified effects.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -29,7 +29,7 @@ fn downwash(folder: &Path) -> Command {
     command
 }
 
-/// Flies a programme of `seconds` with hidden effects; the logs in order.
+/// Flies a programme of `seconds` with hidden effects; returns the logs in order.
 fn fly(name: &str, vehicle_file: &str, seconds: u32, effects: &[&str]) -> Vec<PathBuf> {
     let folder = folder(name);
     let mut command = downwash(&folder);
@@ -87,7 +87,7 @@ fn drag_is_identified_and_the_improved_file_closes_the_gap() {
     let d_xy = answer["effects"][0]["parameters"]["d_xy"].as_f64().expect("d_xy");
     assert!((d_xy / 0.01 - 1.0).abs() < 0.05, "{d_xy}");
     assert!(answer["gap"]["closure"].as_f64().expect("a closure") > 0.9, "{}", answer["gap"]);
-    // Drag is a function of the state: a learner finds it as well, whatever it is called.
+    // Drag is a function of the state, so a learner finds it too.
     let gap = |key: &str| answer["gap"][key].as_f64().unwrap_or_else(|| panic!("no {key}"));
     let learner = gap("with_learner");
     assert!(gap("before") - learner > 0.5 * (gap("before") - gap("floor")), "{}", answer["gap"]);
@@ -97,7 +97,7 @@ fn drag_is_identified_and_the_improved_file_closes_the_gap() {
     assert!(written.is_some_and(|written| (written - d_xy).abs() < 1e-12));
 }
 
-/// No fit finds gusts: the diagnosis reads them off the force that is left over.
+/// No fit finds gusts: the diagnosis derives them from the residual force.
 #[test]
 #[ignore = "long: tests/run --all"]
 fn improved_file_contains_gusts() {
@@ -127,8 +127,9 @@ fn vehicle_without_effects_is_diagnosed_as_none() {
     assert!(named(&answer).is_empty());
 }
 
-/// Any delay between two ticks of the loop has the same setpoints in force: the fit's is as good as
-/// what the outputs tell, and twins of the wrong one would leave less than the flights do.
+/// Any delay between two ticks of the loop leaves the same setpoints in force, so the fitted delay
+/// is as good as the one from the outputs, and twins with the wrong one would leave smaller
+/// residuals than the flights.
 #[test]
 #[ignore = "long: tests/run --all"]
 fn delay_of_whole_ticks_is_identified() {
@@ -139,8 +140,8 @@ fn delay_of_whole_ticks_is_identified() {
     assert!((delay - 0.012).abs() < 1.5e-3, "{delay}");
 }
 
-/// Predictions from the flown state hardly show it, and gains of the loop stand in for it: they
-/// have the evidence, and close nothing.
+/// Predictions from the flown state hardly show the delay, and loop gains act as a proxy: they have
+/// the evidence but close no gap.
 #[test]
 #[ignore = "long: tests/run --all"]
 fn proxy_effect_that_closes_no_gap_is_not_named() {

@@ -1,4 +1,4 @@
-//! Twins of flights: simulated again, they leave what the flights leave.
+//! Twins of flights, simulated again, leave the same residuals as the flights.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -47,7 +47,7 @@ fn flights(vehicle: &Path) -> Vec<PathBuf> {
 /// Scale of the file tolerances of these flights: the files are exact, and the clocks add jitter.
 const FILE: f64 = 0.15;
 
-/// The catalogue with the delay that the flights tell.
+/// The catalogue with the delay measured in the flights.
 fn catalogue(vehicle: &VehicleParams, prepared: &[PreparedFlight], law: &OnboardLaw) -> Catalogue {
     let delay = Delay::of(prepared, law).expect("outputs that answer setpoints");
     Catalogue::at_scale(vehicle, true, FILE).with_delay(&delay)
@@ -57,7 +57,7 @@ fn search<'a>(observed: &'a Observed<'a>, catalogue: &'a Catalogue) -> Search<'a
     Search { fitted: observed, choosing: observed, catalogue, chance: Vec::new() }
 }
 
-/// The flights of a case, whose logs are in a state.
+/// The flights of a case, with its logs in a given condition.
 fn prepared(case: &Case, condition: Condition, folder: &str) -> Vec<PreparedFlight> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(folder);
     fs::create_dir_all(&folder).expect("a folder");
@@ -69,9 +69,9 @@ fn prepared(case: &Case, condition: Condition, folder: &str) -> Vec<PreparedFlig
     logs.map(|flight| PreparedFlight::new(flight, &case.nominal).expect("a flight")).collect()
 }
 
-/// What the fit of the nuisances to flights leaves over what it leaves of their twins, by channel:
-/// the exponential of the mean logarithm, each band weighed by how much it says. And the numbers of
-/// the vehicle that the twins are of, in tolerances off the file's.
+/// Residuals of the nuisance fit to the flights over those of their twins, by channel: the
+/// exponential of the mean logarithm, each band weighted by its information. Also the twin
+/// vehicle's numbers, as offsets from the file's in tolerances.
 fn ratios(
     vehicle: &VehicleParams,
     prepared: &[PreparedFlight],
@@ -79,7 +79,7 @@ fn ratios(
     ratios_up_to(f64::INFINITY, vehicle, prepared)
 }
 
-/// The same of what is left up to a frequency, Hz.
+/// The same for residuals up to a frequency, Hz.
 fn ratios_up_to(
     most_hz: f64,
     vehicle: &VehicleParams,
@@ -127,7 +127,7 @@ fn twin_residuals_match_flight_residuals() {
         .map(|log| import::open(log, None).expect("a log"))
         .map(|flight| PreparedFlight::new(flight, &vehicle).expect("a flight"))
         .collect();
-    // Off a hill: what is in the air has no floor at the log's zero.
+    // As if started on a hill: the flight has no floor at the log's zero.
     for [_, _, down] in prepared.iter_mut().flat_map(|flight| flight.position.values_mut()) {
         *down += 20.0;
     }
@@ -136,19 +136,19 @@ fn twin_residuals_match_flight_residuals() {
         ratios[channels].iter().all(|(_, ratio)| (1.0 / most..most).contains(ratio))
     };
     assert!(within(VELOCITY..COMMAND, 1.3), "{ratios:.2?}");
-    // Few setpoints come late enough to show in a command: their number scatters. Those of the yaw
-    // hardly change, and little is left of them.
+    // Few setpoints arrive late enough to show in a command, so their number scatters. Yaw
+    // setpoints hardly change, and their residuals are small.
     assert!(within(COMMAND..CHANNELS - 1, 1.5) && within(COMMAND..CHANNELS, 3.0), "{ratios:.2?}");
-    // What was flown is what is fitted: no number is off by more than its tolerance allows.
+    // The fit recovers the flown vehicle: no number is off by more than its tolerance allows.
     assert!(off.iter().all(|off| off.abs() < 4.0), "{off:.1?}");
-    // The noise that the ground's feedback puts into the setpoints is in the twins', too: a course
-    // that took some of it back out of them left a third less of the slow moments.
+    // The twins include the noise that ground feedback puts into the setpoints. A course that
+    // removed part of it lowered the slow moment residuals by a third.
     let (slow, _) = ratios_up_to(3.2, &vehicle, &prepared);
     assert!(slow[RATE..RATE + 2].iter().all(|(_, ratio)| *ratio < 1.17), "{slow:.2?}");
 }
 
-/// Half of the setpoints that the vehicle followed are in no log: twins that held the others for
-/// longer would leave a third of the moments.
+/// Half of the setpoints that the vehicle followed are in no log: twins that held the others longer
+/// would leave a third of the moments.
 #[test]
 #[ignore = "long: tests/run --all"]
 fn twin_residuals_match_a_thinned_log() {
@@ -161,9 +161,9 @@ fn twin_residuals_match_a_thinned_log() {
     assert!(moments.iter().all(|(_, ratio)| (0.6..1.6).contains(ratio)), "{ratios:.2?}");
 }
 
-/// A hover neither tilts nor turns, so that its outputs are the loop's answer to the gyro's noise,
-/// and the noise is in what they are to explain as well. A heavier body would seem to explain it:
-/// in twins as in the flights.
+/// A hover neither tilts nor turns, so its outputs are the loop's answer to the gyro noise, and the
+/// same noise is in the moments that they explain. A heavier body would seem to explain it, in
+/// twins as in the flights.
 #[test]
 fn hover_twins_reproduce_its_evidence_for_inertia() {
     let settings = Settings { flights: 2, ..Settings::default() };

@@ -1,5 +1,5 @@
-//! What is in the catalogue acts: on the simulated vehicle, in the physics that models are made of,
-//! and in the equations of the diagnosis.
+//! Every effect of the catalogue acts on the simulated vehicle, in the models' physics and in the
+//! equations of the diagnosis.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ use vehicle::VehicleParams;
 use vehicle::effects::{Chance, EffectId, EffectSet, Growth, Place};
 use vehicle::frame::{Euler, Frd, Ned};
 
-/// Along, up, and down faster than rotors like.
+/// Along, up, and down faster than the rotors tolerate.
 const COURSE: &str = "family = \"waypoints\"\npace = { speed_m_s = 1.5 }\npoints = [\
     { north_m = 0.0, east_m = 0.0, altitude_m = 1.0 },\
     { north_m = 1.0, east_m = 0.0, altitude_m = 2.5 },\
@@ -44,7 +44,7 @@ impl Chance for Middle {
     }
 }
 
-/// An effect at half of what a vehicle may sensibly have.
+/// An effect at half of its plausible size.
 fn strong(vehicle: &VehicleParams, id: EffectId) -> EffectSet {
     let mut growth = Growth::default();
     for slot in id.spec().slots() {
@@ -107,7 +107,7 @@ fn every_effect_on_forces_moves_the_models_physics() {
         })
     };
     let nominal = accelerations(EffectSet::new());
-    // A model sees no floor, and knows the rotors' lag beside the accelerations.
+    // A model sees no floor, and handles rotor lag separately from the accelerations.
     let beside = [EffectId::GroundEffect, EffectId::MotorLag];
     for id in EffectId::ALL.into_iter().filter(|id| id.place() != Place::Elsewhere) {
         let moved = accelerations(strong(&vehicle, id));
@@ -146,7 +146,7 @@ fn every_effect_moves_the_diagnosis_equations() {
     let nominal: Residuals = observed.residuals(&base).expect("a vehicle");
     let is_idle = |index: usize| {
         let (mut values, number) = (base.clone(), &catalogue.numbers[index]);
-        // Up, or down where that is out of bounds.
+        // Up, or down if up is out of bounds.
         let [low, high] = number.bounds;
         let up = base[index] + number.magnitude;
         values[index] = if up <= high { up } else { (base[index] - number.magnitude).max(low) };
@@ -156,9 +156,10 @@ fn every_effect_moves_the_diagnosis_equations() {
         .filter(|index| is_idle(*index))
         .map(|index| catalogue.numbers[index].target)
         .collect();
-    // This flight never sinks as fast as the wake.
+    // This flight never sinks as fast as the induced velocity.
     assert_eq!(idle, [Target::Effect(EffectId::VortexRing, 0)]);
-    // The diagnosis finds gusts in the residual force, not by a fit; every other effect has numbers.
+    // The diagnosis finds gusts in the residual force, not by a fit; every other effect has
+    // numbers.
     let is_there = |id: EffectId| {
         catalogue.numbers.iter().any(|number| match number.target {
             Target::Effect(of, _) => of == id,

@@ -1,5 +1,5 @@
-//! The blind exam, end to end on a handful of cases: what is committed to is what is opened, and
-//! each case is diagnosed and scored.
+//! The blind exam, end to end on a few cases: the opened key matches its commitment, and each case
+//! is diagnosed and scored.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -12,7 +12,7 @@ use downwash::exam::order::{Kind, Order, Settings};
 use downwash::exam::world::World;
 use serde_json::Value;
 
-/// A folder of the test's own that does not exist yet.
+/// A folder of the test's own, which does not exist yet.
 fn folder(name: &str) -> PathBuf {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("exam").join(name);
     let _ = fs::remove_dir_all(&path);
@@ -56,7 +56,7 @@ fn every_case_is_answered_and_the_key_matches_its_commitment() {
     assert_eq!(kinds.iter().filter(|kind| **kind == Kind::Single).count(), 2);
     let answers = ["case_000.json", "case_001.json", "case_002.json"].map(str::to_owned);
     assert_eq!(names(&out.join("answers")), BTreeSet::from(answers));
-    // Logs go when they are diagnosed.
+    // Logs are deleted once diagnosed.
     assert!(names(&out.join("cases")).is_empty());
     let rows = summary["cases"].as_array().expect("rows");
     assert_eq!(rows.len(), 3);
@@ -64,7 +64,7 @@ fn every_case_is_answered_and_the_key_matches_its_commitment() {
     let page = fs::read_to_string(out.join("report.html")).expect("the report");
     assert!(page.contains(&commitment(&fs::read(out.join("key.json")).expect("the key"))));
 
-    // Decided anew, the stored evidence gives the same verdicts.
+    // Deciding again from the stored evidence gives the same verdicts.
     let anew = decided(&out);
     let verdicts = |rows: &[Value]| -> Vec<Value> {
         rows.iter()
@@ -90,7 +90,7 @@ fn round_trip_identifies_its_effect() {
     assert!(kept.contains("vehicle.json") && kept.contains("flight_4.tlog"), "{kept:?}");
 }
 
-/// A script as a set of practice flights brings along.
+/// A scoring script as supplied with a set of practice flights.
 const SCRIPT: &str = r#"import json, os, sys
 answers, key, out = sys.argv[1], sys.argv[2], sys.argv[sys.argv.index("--json") + 1]
 with open(key) as f:

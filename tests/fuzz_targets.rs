@@ -1,4 +1,4 @@
-//! The fuzz targets' functions on random bytes, among them frames and logs that are nearly right.
+//! The fuzz targets' functions on random bytes, including nearly valid frames and logs.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -11,13 +11,13 @@ use wire::dialect::MavMessage;
 #[path = "../fuzz/src/lib.rs"]
 mod fuzz;
 
-/// The messages that the link reads, and some that it does not.
+/// The messages that the link decodes, and some that it does not.
 const IDS: &[u32] = &[
     0, 1, 22, 24, 26, 27, 30, 31, 32, 36, 77, 82, 83, 105, 111, 116, 129, 147, 148, 245, 253, 291,
     331, 375, 436,
 ];
 
-/// A frame with any payload: the values are as wild as the bytes.
+/// A frame with any payload, values included.
 fn any_frame() -> impl Strategy<Value = Vec<u8>> {
     let payload = prop_oneof![
         prop::collection::vec(any::<u8>(), 0..255),
@@ -32,7 +32,7 @@ fn any_frame() -> impl Strategy<Value = Vec<u8>> {
     })
 }
 
-/// A line of a parameter file: mostly a name that counts, with a number as wild as they come.
+/// A line of a parameter file: usually a known name, with any number.
 fn any_parameter() -> impl Strategy<Value = String> {
     use downwash::parameters::Autopilot;
     let names = |autopilot: Autopilot| prop::sample::select(autopilot.wanted());
@@ -44,7 +44,7 @@ fn any_parameter() -> impl Strategy<Value = String> {
     (name, value).prop_map(|(name, value)| format!("{name} {value}"))
 }
 
-/// A piece of a formula: mostly what belongs there.
+/// A token of a formula, usually a valid one.
 fn any_token() -> impl Strategy<Value = &'static str> {
     prop::sample::select(vec![
         "air_x", "airspeed", "rate_z", "heading", "thrust", "height", "tilt", "voltage", "time",
@@ -54,7 +54,7 @@ fn any_token() -> impl Strategy<Value = &'static str> {
     ])
 }
 
-/// Chunks with their control bytes, as the link's target reads them.
+/// Chunks with their control bytes, as the link target reads them.
 fn any_input() -> impl Strategy<Value = Vec<u8>> {
     let chunk = prop_oneof![
         4 => any_frame(),
@@ -73,7 +73,7 @@ fn any_input() -> impl Strategy<Value = Vec<u8>> {
     })
 }
 
-/// Entries of a telemetry log, some of their stamps wild.
+/// Entries of a telemetry log, some with extreme timestamps.
 fn any_stamped_frames() -> impl Strategy<Value = Vec<u8>> {
     let stamp = prop_oneof![
         4 => 1_700_000_000_000_000u64..1_700_000_100_000_000,
@@ -122,7 +122,7 @@ fn truncated_attachments_never_panic_the_flight_log() {
     }
 }
 
-/// A name that no mapping takes, and that is no text.
+/// A name that no mapping accepts and that is not text.
 #[test]
 fn control_characters_in_names_never_panic_the_proposal() {
     fuzz::table(b"t\t\x0E\n0\t1\n");

@@ -165,7 +165,7 @@ fn lap_after_learning_tracks_the_course_better() {
     let [first, second] = &flown.laps[..] else { panic!("{:?}", flown.said) };
     assert!(second.rms_m < 0.5 * first.rms_m, "{:?}", flown.said);
     assert!(flown.told("lap 2 now uses the model learned"), "{:?}", flown.said);
-    // The stated second, and the planner's lead.
+    // The stated second plus the planner's lead.
     assert!(flown.told("first setpoint 1."), "{:?}", flown.said);
 }
 
@@ -176,11 +176,11 @@ fn each_lap_tracks_the_course_at_least_as_well() {
     assert_eq!(flown.end, End::Done);
     let rms: Vec<f64> = flown.laps.iter().map(|lap| lap.rms_m).collect();
     assert_eq!(rms.len(), 4);
-    // Once noise limits the laps, they differ by it.
+    // Once noise limits the laps, they differ only by the noise.
     assert!(rms.windows(2).all(|pair| pair[1] < pair[0].max(0.02)), "{rms:?} {:?}", flown.said);
 }
 
-/// The readings of the motion are NaN.
+/// The motion readings are NaN.
 #[test]
 fn model_learned_from_nan_samples_is_discarded_in_flight() {
     let poison = |record: &Record| {
@@ -194,7 +194,7 @@ fn model_learned_from_nan_samples_is_discarded_in_flight() {
     assert_eq!(flown.laps.len(), 2);
 }
 
-/// A constant sensor error passes the judgement on held-out samples, but shows in the lap.
+/// A constant sensor error passes the check on held-out samples, but shows in the lap.
 #[test]
 fn model_whose_lap_strays_is_withdrawn_in_flight() {
     let wrong = |record: &Record| {

@@ -1,4 +1,4 @@
-//! What `train` and `plan` refuse before any work, by their arguments alone.
+//! What `train` and `plan` refuse by their arguments alone, before any work.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::learn;
 use crate::learn::{downwash, folder};
 
-/// Runs a command that must be refused as wrong usage; what it says.
+/// Runs a command that must be refused as wrong usage; returns its message.
 fn refused(folder: &Path, arguments: &[&Path]) -> String {
     let output = downwash(folder).args(arguments).output().expect("the command runs");
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();

@@ -1,5 +1,5 @@
-//! Logs that are damaged, foreign or too short, among sound ones: `train` refuses or counts what is
-//! wrong by name, and learns from the rest.
+//! Damaged, foreign or too short logs among sound ones: `train` refuses or counts each defect by
+//! name and learns from the rest.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -36,7 +36,7 @@ fn file(folder: &Path, name: &str, content: &[u8]) -> PathBuf {
     path
 }
 
-/// Why a log was refused whole.
+/// Why a log was refused as a whole.
 fn refusal<'a>(summary: &'a Value, name: &str) -> &'a str {
     let refused = summary["data"]["refused"].as_array().expect("refused logs");
     let found = refused.iter().find(|log| log["path"].as_str().expect("a path").ends_with(name));
@@ -44,7 +44,7 @@ fn refusal<'a>(summary: &'a Value, name: &str) -> &'a str {
     found["reason"].as_str().expect("a reason")
 }
 
-/// Why parts of a log were left out, and how much.
+/// Why parts of a log were excluded, and how much.
 fn left_out(summary: &Value, run: &str) -> String {
     let log = learn::logs(summary).iter().find(|log| log["run"] == run);
     log.unwrap_or_else(|| panic!("{run} is not used: {}", summary["data"]))["left_out"].to_string()
@@ -141,7 +141,7 @@ fn changed(folder: &Path, name: &str, change: impl FnOnce(&mut Flight)) -> PathB
     path
 }
 
-/// A flight whose gyro stands still for two seconds.
+/// A flight whose gyro freezes for two seconds.
 fn frozen(flight: &mut Flight) {
     let mut stood = Stream::default();
     let mut held = None;
@@ -156,14 +156,14 @@ fn frozen(flight: &mut Flight) {
     flight.body_rate = stood;
 }
 
-/// A narrow window finds too few samples wherever they come seldom.
+/// A narrow window finds too few samples where they are sparse.
 #[test]
 fn earlier_window_is_used_if_a_later_one_lacks_rows() {
     let folder = learn::folder("seldom");
     let mut flight = import::open(&SOUND[3], None).expect("a log");
     let mut thinned = Stream::default();
     for (index, (time, rate)) in flight.body_rate.iter().enumerate() {
-        // One of three, every other second.
+        // Every third sample, every other second.
         if time.rem_euclid(2.0) < 1.0 || index % 3 == 0 {
             thinned.push(time, *rate);
         }
@@ -174,7 +174,7 @@ fn earlier_window_is_used_if_a_later_one_lacks_rows() {
     let trained = |windows: &str| {
         let model = folder.join("model.safetensors");
         let _ = fs::remove_file(&model);
-        // A network that is no better than holding the state.
+        // A network no better than holding the state.
         let poor = ["--passes", "1", "--hidden", "1", "--regularization", "1e-5", "--json"];
         let output = learn::downwash(&folder)
             .args(["train", "--window", windows, "--vehicle"])

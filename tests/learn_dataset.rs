@@ -1,5 +1,5 @@
-//! What `train` finds in flights whose truth is known: delays, labels, inputs, a model; and that
-//! neither threads nor an interruption change a byte of it.
+//! What `train` finds in flights with known truth: delays, labels, inputs, a model. Neither threads
+//! nor interruptions change a byte.
 
 use std::fs;
 use std::path::PathBuf;
@@ -27,7 +27,7 @@ use vehicle::VehicleParams;
 
 static REALISTIC: LazyLock<Vec<PathBuf>> = LazyLock::new(|| learn::collect("realistic", 120, &[]));
 static SHORT: LazyLock<Vec<PathBuf>> = LazyLock::new(|| learn::collect("short", 32, &[]));
-/// A model of the short flights, by one thread.
+/// A model of the short flights, trained on one thread.
 static MODEL: LazyLock<PathBuf> = LazyLock::new(|| {
     let (output, model) = learn::train("one-thread", &SHORT, &["--threads", "1"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -40,7 +40,7 @@ static SUMMARY: LazyLock<Value> =
 #[test]
 fn rotor_response_is_identified() {
     let found = |name: &str| number(&SUMMARY, &format!("/actuation/{name}"));
-    // The delay from a setpoint's being sent, which the vehicle's loop of 250 Hz adds to.
+    // The delay counts from when a setpoint is sent; the vehicle's 250 Hz loop adds to it.
     assert!((found("delay_s") - 0.020).abs() < 0.003, "{}", found("delay_s"));
     assert!((found("lag_s") - 0.050).abs() < 0.004, "{}", found("lag_s"));
     assert!((found("voltage_exponent") - 1.4).abs() < 0.15, "{}", found("voltage_exponent"));
@@ -127,7 +127,7 @@ fn observed(flights: impl Iterator<Item = Flight>) -> Vec<ObservedFlight> {
     flights.map(|flight| observe(flight).expect("a flight")).collect()
 }
 
-/// The paper's own set-up: setpoints and a known law, and no motor outputs.
+/// The paper's setup: setpoints and a known law, without motor outputs.
 #[test]
 fn flights_without_motor_outputs_are_usable() {
     let without = flights(&SHORT).map(|flight| Flight {
@@ -245,7 +245,7 @@ fn interrupted_training_resumes_to_the_same_result() {
     let whole = done(run(&settings, None, usize::MAX));
     let mut progress = None;
     let mut interruptions = 0;
-    // As often as it takes, each time from what was written.
+    // Interrupted as often as needed, each time resumed from the checkpoint.
     let resumed = loop {
         match run(&settings, progress.take(), 21).expect("a training") {
             Outcome::Done(done) => break *done,

@@ -1,5 +1,5 @@
-//! Training of a network, from outside: what it learns, when it stops, and that neither threads
-//! nor an interruption change a bit.
+//! Training of a network, from outside: what it learns, when it stops; neither threads nor an
+//! interruption change a bit.
 
 use std::ops::ControlFlow;
 
@@ -103,7 +103,7 @@ fn seed_determines_the_training() {
     }
 }
 
-/// A training broken off after `passes`, and its checkpoint as read back from JSON.
+/// A training stopped after `passes`, and its checkpoint read back from JSON.
 fn interrupted(settings: &Settings, sets: &[Samples; 2], passes: usize) -> (Training, Checkpoint) {
     let mut written = String::new();
     let training = train(&sets[0], &sets[1], settings, None, |pass: &Pass, trainer| {
@@ -170,7 +170,7 @@ fn regularization_keeps_the_parameters_small() {
 
 #[test]
 fn training_stops_early_without_improvement() {
-    // Noise alone: what is learned from these rows is wrong on the others.
+    // Pure noise: what is learned from these rows is wrong for the others.
     let noise = |seed: u64| {
         let mut state = seed;
         let mut next = || {

@@ -16,7 +16,7 @@ use wire::{Decoder, Encoder};
 
 use crate::link_world::cleared;
 
-/// Bounds what waits for the system; nothing in these tests takes this long unless it hangs.
+/// Bounds every wait; a test takes this long only if it hangs.
 async fn soon<F: Future>(future: F) -> F::Output {
     tokio::time::timeout(Duration::from_secs(20), future).await.expect("the system answers")
 }
@@ -25,7 +25,7 @@ fn connection(endpoint: &str) -> Connection {
     Connection::new(endpoint.parse().expect("valid endpoint"))
 }
 
-/// The next input that is not a failure to open; and how many of those came first.
+/// The next input other than a failure to open, and the number of those before it.
 async fn next(connection: &mut Connection, buffer: &mut [u8]) -> (Input, usize) {
     let mut failures = 0;
     loop {
@@ -48,7 +48,7 @@ async fn expect_bytes(connection: &mut Connection, expected: &[u8]) {
     assert_eq!(received, expected);
 }
 
-/// Plugs a new device in: a pseudo-terminal under the name of the link. The other side is kept.
+/// Plugs in a new device: a pseudo-terminal under the name of the link. Returns the other side.
 fn plug(link: &Path) -> SerialStream {
     let (device, slave) = SerialStream::pair().expect("a pseudo-terminal");
     let path = slave.name().expect("has a path");
@@ -136,7 +136,7 @@ async fn connection_attempt_survives_a_dropped_future() {
     let server = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let mut connection = connection(&format!("tcp:{}", server.local_addr().unwrap()));
     let mut buffer = [0; 256];
-    // As a control loop does, whose deadlines come between.
+    // As in a control loop whose deadlines interrupt the wait.
     let opened = soon(async {
         loop {
             let wait = tokio::time::timeout(Duration::ZERO, connection.recv(&mut buffer));
@@ -150,7 +150,7 @@ async fn connection_attempt_survives_a_dropped_future() {
     soon(server.accept()).await.unwrap();
 }
 
-/// The messages of the next datagram at a vehicle's socket, and who sent it.
+/// The messages of the next datagram at a vehicle's socket, and their sender.
 async fn hear(vehicle: &UdpSocket) -> (Vec<MavMessage>, std::net::SocketAddr) {
     let mut buffer = [0; 512];
     let (len, from) = soon(vehicle.recv_from(&mut buffer)).await.unwrap();
@@ -169,7 +169,7 @@ async fn vehicle_over_udp_is_greeted_identified_and_sent_a_setpoint() {
     let mut buffer = [0; 512];
     assert!(matches!(next(&mut connection, &mut buffer).await, (Input::Opened, 0)));
 
-    // The daemon speaks first: a vehicle that listens knows nobody.
+    // The daemon sends first, because a listening vehicle knows no peer.
     session.poll(now);
     session.transmit(|to, frame| connection.send(to, frame));
     let (heard, daemon) = hear(&vehicle).await;

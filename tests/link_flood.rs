@@ -1,4 +1,4 @@
-//! A link among a crowd: garbage, a thousand peers, a thousand system ids; and a link that is signed.
+//! A link under load: garbage, a thousand peers, a thousand system ids; and a signed link.
 
 use std::time::Duration;
 
@@ -34,7 +34,8 @@ fn crowd_fills_bounded_tables_without_affecting_the_vehicle() {
         let peer = Peer::new(1000 + number % 1000);
         world.deliver(peer, &garbage);
         world.deliver(peer, &beat((number % 256) as u8, MavAutopilot::MAV_AUTOPILOT_PX4));
-        // The same by 32-bit system ids, which MAVLink 2 has room for, and by everything in pieces.
+        // The same with 32-bit system ids, which MAVLink 2 has room for, and with everything in
+        // pieces.
         world.deliver(peer, &garbage[..(number % 1400) as usize]);
         if number % 20 == 0 {
             world.run(&mut vehicle, STEP);
@@ -84,7 +85,7 @@ fn signed_session_accepts_only_its_key_and_reports_rejections() {
         if is_believed {
             assert_eq!(whys, [Refused::Unsigned]);
             assert!(world.session.is_signed() && world.session.profile().is_some());
-            // What is kept for the next run: who was heard, and how late it was.
+            // The state kept for the next run: the accepted streams and the newest timestamp.
             assert_eq!(ledger.get().streams.len(), 1);
             assert!(ledger.get().newest > stamp);
         } else {

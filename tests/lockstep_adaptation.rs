@@ -1,5 +1,5 @@
-//! Parameters that are adapted in flight: changes that nobody announces, around both laws, and what
-//! is left of the flight where adaptation is not to be believed.
+//! Parameter adaptation in flight: unannounced changes, under both laws, and flights in which
+//! adaptation must not be trusted.
 
 use crate::lockstep::{QUAD, fly, hover, params, settings, tracked};
 use downwash::control::{Law, Use};
@@ -21,7 +21,7 @@ fn with(law: Law, adaptive: bool, seconds: f64) -> StationSettings {
     settings
 }
 
-/// A hover in which the vehicle becomes another.
+/// A hover in which the vehicle changes.
 fn changed(settings: StationSettings, change: &Foreign, seed: u64) -> (End, Vec<Record>) {
     let config = SitlConfig::default();
     let mut vehicle =
@@ -40,7 +40,7 @@ fn changed(settings: StationSettings, change: &Foreign, seed: u64) -> (End, Vec<
     (end.expect("an end"), records)
 }
 
-/// Largest distance from the reference from so long after the change on, m.
+/// Largest distance from the reference from `after_s` after the change on, m.
 fn largest_m(records: &[Record], after_s: f64) -> f64 {
     let rows = tracked(records);
     let late = rows.iter().filter(|row| row.t > CHANGE_S + after_s);

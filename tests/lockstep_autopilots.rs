@@ -1,4 +1,4 @@
-//! Whole flights of the daemon's station with the simulated vehicle as each autopilot, in lockstep.
+//! Whole flights of the daemon's station with each simulated autopilot, in lockstep.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -13,8 +13,8 @@ use downwash::supervisor::FlightState;
 use sitl::autopilot::Mode;
 use sitl::config::{Autopilot, GpsGlitch, SitlConfig, Stall};
 
-/// The vehicle as an operator sets it up: a short time-out, and on ArduCopter thrust as thrust and a
-/// failsafe that listens to the station.
+/// The vehicle as set up by an operator: a short timeout, and on ArduCopter direct thrust and a
+/// failsafe that monitors the station.
 pub fn set_up(autopilot: Autopilot) -> SitlConfig {
     bench::set_up(autopilot, 1.0)
 }
@@ -84,8 +84,8 @@ fn clock_slip_shows_in_timesync_and_stall_in_arrivals() {
     assert!((0.4..0.45).contains(&longest_s), "nothing arrives for {longest_s} s");
 }
 
-/// ArduCopter's estimate after GPS that was wrong by 5.5 m for ten seconds: it jumps there at the
-/// end, and slides back within half a second while its velocity reads zero.
+/// ArduCopter's estimate after ten seconds of GPS that is wrong by 5.5 m: it jumps at the end, and
+/// slides back within half a second while its velocity reads zero.
 #[test]
 fn sliding_estimate_is_not_followed() {
     let params = params(QUAD);
@@ -105,13 +105,13 @@ fn sliding_estimate_is_not_followed() {
     }
     assert!(bench.told("position estimate drifted by"), "{:?}", bench.texts());
     assert!(!bench.told("from the reference"), "{:?}", bench.texts());
-    // What is no slide yet, 1 m, and what is left of one.
+    // The 1 m that is not yet a slide, and the remainder of one.
     assert!(farthest < 1.2, "{farthest} m in truth");
     bench.until(FlightState::Done, 30.0);
 }
 
-/// ArduCopter in LAND means to stop ahead of where it moves. Where the ground stops it before, it leans
-/// towards that place for ever and refuses to disarm: so it is brought to rest first.
+/// ArduCopter in LAND aims to stop ahead of its motion. If it touches the ground before, it leans
+/// towards that point for ever and refuses to disarm, so the controller brings it to rest first.
 #[test]
 fn moving_vehicle_brakes_before_landing() {
     let speed_into_landing = |land_brake_s: f64| {
@@ -137,8 +137,8 @@ fn moving_vehicle_brakes_before_landing() {
     assert!(braked < 0.5 && at_once > 0.8, "{braked} and {at_once} m/s");
 }
 
-/// Commands and setpoints do not arrive for two seconds, telemetry does: what the vehicle does
-/// meanwhile is no disturbance, and it is not thrown against one afterwards.
+/// For two seconds commands and setpoints do not arrive, but telemetry does: the observer must not
+/// take the vehicle's motion for a disturbance and counter it afterwards.
 #[test]
 fn observer_learns_nothing_while_setpoints_do_not_arrive() {
     let farthest_after = |observer: Use| {
@@ -161,8 +161,8 @@ fn observer_learns_nothing_while_setpoints_do_not_arrive() {
     assert!(observed < 1.1 * alone, "{observed} m, {alone} m without an observer");
 }
 
-/// ArduCopter's position control, which is at work in LAND and stands still in Guided, says nothing of
-/// its position estimate.
+/// ArduCopter's position control, active in LAND and idle in Guided, says nothing about its
+/// position estimate.
 #[test]
 fn vehicle_left_in_landing_mode_flies_again() {
     let params = params(QUAD);

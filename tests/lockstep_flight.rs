@@ -18,7 +18,7 @@ use nalgebra::SVector;
 use sitl::config::SitlConfig;
 use vehicle::frame::{Euler, Frd, Ned};
 
-/// What the vehicles have beyond what the feedback is designed on, taken away.
+/// Removes the effects that the feedback design does not model.
 const PROMPT: [&str; 2] = ["motor_lag:tau_s=0", "command_delay:delay_s=0"];
 
 const TRAJECTORIES: [&str; 11] = [
@@ -44,7 +44,7 @@ fn both_vehicles_fly_every_trajectory_to_landing() {
             let (end, records) = fly(settings, &params, &[], SitlConfig::default(), 1);
             assert_eq!(end, End::Done, "{vehicle} {name}");
             let (rmse, largest) = errors(&records);
-            // Feedback alone lags; a step is missed by its height, 0.5 m, at first.
+            // Feedback alone lags; a step is at first missed by its size, 0.5 m.
             let most = if name == "steps.toml" { 0.55 } else { 0.4 };
             assert!(rmse < 0.3 && largest < most, "{vehicle} {name}: {rmse} m, {largest} m");
             assert!(rmse > 1e-4, "{vehicle} {name}: {rmse} m is too good to be true");
@@ -234,8 +234,8 @@ fn small_steps_match_the_linear_model() {
             largest = largest.max((moved - (STEP_M + error[axis])).abs());
             error = model.state * error + model.input * (lqr.gain() * error);
         }
-        // The vehicle samples a state before the setpoint that answers it: some 6 ms later than the
-        // model, at up to 0.25 m/s; beside that, 3 % of the step.
+        // The vehicle samples its state some 6 ms before the setpoint that answers it acts, at up
+        // to 0.25 m/s; in addition, 3 % of the step.
         assert!(largest < 0.05 * STEP_M, "axis {axis}: {largest} m from the model");
     }
 }

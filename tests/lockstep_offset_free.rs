@@ -1,5 +1,5 @@
-//! Feedback that leaves no steady error: vehicles that are other than their file says, each flown
-//! with the paper's feedback and with disturbances taken out, as a PX4 is sent setpoints.
+//! Feedback without steady-state error: vehicles that differ from their file, each flown with the
+//! paper's feedback and with the disturbance observer, with setpoints as for a PX4.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ use sitl::autopilot::Mode;
 use sitl::config::{Autopilot, SitlConfig};
 use vehicle::VehicleParams;
 
-/// As of an autopilot that does not say that it hears attitude, rates and thrust together.
+/// For an autopilot that does not report accepting attitude, rates and thrust together.
 fn with(offset_free: Use, params: &VehicleParams, trajectory: Trajectory) -> StationSettings {
     let mut settings = settings(params, trajectory);
     settings.session.vehicle_has_attitude_pd = false;
@@ -31,7 +31,7 @@ fn with(offset_free: Use, params: &VehicleParams, trajectory: Trajectory) -> Sta
     settings
 }
 
-/// Root mean square distance from the reference from the eighth second on, m.
+/// RMS distance from the reference from the eighth second on, m.
 fn late_error_m(
     offset_free: Use,
     params: &VehicleParams,
@@ -47,7 +47,7 @@ fn late_error_m(
     (late.iter().map(|error| error * error).sum::<f64>() / late.len() as f64).sqrt()
 }
 
-/// What a vehicle may be beside what its file says.
+/// Ways in which a vehicle may differ from its file.
 fn disturbances(params: &VehicleParams) -> [String; 6] {
     [
         format!("mass:mass_kg={}", 1.2 * params.mass),
@@ -64,7 +64,7 @@ fn no_disturbance_leaves_a_steady_state_error() {
     for name in VEHICLES {
         let params = params(name);
         for effect in disturbances(&params) {
-            // The nano's file has no drag that a wind would act through.
+            // The nano's file has no drag for a wind to act on.
             if name == NANO && effect.starts_with("wind") {
                 continue;
             }
@@ -144,7 +144,7 @@ fn autopilot_with_its_own_loop_is_offset_free_by_default() {
 
 #[test]
 fn saturated_thrust_causes_no_windup() {
-    // Three metres up at once, with a thrust limit that leaves little to climb with, and down again.
+    // Three metres up at once with a thrust limit that leaves little for climbing, and down again.
     let steps = toml_trajectory(
         "family = \"waypoints\"\npace = { speed_m_s = 3.0, acceleration_m_s2 = 6.0 }\n\
          points = [{ north_m = 0, east_m = 0, altitude_m = 1, hold_s = 4 }, \
@@ -186,7 +186,7 @@ fn pilot_takeover_resets_the_disturbance_estimate() {
         last.expect("a setpoint")
     };
     assert!(tilt(&bench) > 0.05, "leans against a wind to the north: {}", tilt(&bench));
-    // The pilot holds it, and gives it back.
+    // The pilot holds position, then returns control.
     bench.pilot_mode(Mode::Position);
     bench.run(6.0);
     bench.records.clear();
@@ -206,7 +206,7 @@ fn pilot_takeover_resets_the_disturbance_estimate() {
     assert!(last.error_m < 0.05, "{} m", last.error_m);
 }
 
-/// What plans for the vehicle of a file by its own physics, and how it answers.
+/// A planner that uses the physics of the vehicle file, and the vehicle's response.
 fn nominal(params: &VehicleParams) -> (Planner, Answer) {
     let attitude_pd = params.attitude_pd.expect("a loop");
     let body = EffectiveVehicle::new(params).expect("a vehicle").body();

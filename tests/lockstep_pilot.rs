@@ -1,4 +1,4 @@
-//! The pilot's switch, and what a link may carry beside the vehicle's own frames.
+//! The pilot's switch, and traffic on the link besides the vehicle's own frames.
 
 use crate::lockstep::{Bench, NANO, hover, params, settings};
 use downwash::station::End;
@@ -58,7 +58,7 @@ fn pilot_switch_engages_takes_over_and_engages_again() {
 
 #[test]
 fn stop_request_does_not_hide_the_end_of_the_flight() {
-    // The pilot takes over while the vehicle lands because of the stop.
+    // The pilot takes over during the landing that the stop caused.
     let mut bench = waiting();
     engage(&mut bench);
     let now = bench.now();
@@ -68,7 +68,7 @@ fn stop_request_does_not_hide_the_end_of_the_flight() {
     bench.run(1.5);
     assert_eq!(bench.station.end(), Some(&End::PilotTookOver));
 
-    // The link is silent since the flight.
+    // The link has been silent since the flight.
     let mut bench = waiting();
     engage(&mut bench);
     bench.downlink = Box::new(|_, _| vec![]);
@@ -78,7 +78,7 @@ fn stop_request_does_not_hide_the_end_of_the_flight() {
     bench.station.land(now);
     assert!(matches!(bench.station.end(), Some(End::LinkLost(_))), "{:?}", bench.station.end());
 
-    // All that is history.
+    // The takeover is over, so the stop ends the flight.
     let mut bench = waiting();
     engage(&mut bench);
     bench.pilot_mode(Mode::Position);
@@ -128,13 +128,13 @@ fn vehicle_already_in_offboard_is_left_alone() {
     assert_eq!(bench.vehicle.flight().mode(), Mode::Offboard);
     bench.run(0.5);
     assert_eq!(bench.vehicle.flight().mode(), Mode::Land, "by the vehicle's own failsafe");
-    // The pilot's intended mode is OFFBOARD all along: nothing is streamed, or it would resume.
+    // The pilot's intended mode is OFFBOARD throughout: streaming would resume it.
     bench.run(15.0);
     assert_eq!(bench.setpoints_after(now_us), 0);
     assert!(!bench.phase().is_some_and(FlightState::is_in_control));
 }
 
-/// What arrives instead of `frame`, which came after the frame `before`.
+/// What arrives instead of `frame`, which followed the frame `before`.
 fn spoilt(kind: u8, bytes: &[u8], frame: &[u8], before: &[u8]) -> Vec<Vec<u8>> {
     let own = frame.to_vec();
     match kind {
@@ -143,7 +143,7 @@ fn spoilt(kind: u8, bytes: &[u8], frame: &[u8], before: &[u8]) -> Vec<Vec<u8>> {
         2 => vec![frame.get(..frame.len() / 2).unwrap_or_default().to_vec(), own],
         3 => vec![own, before.to_vec()],
         _ => {
-            // Another vehicle's, with the checksum wrong for it.
+            // A frame of another vehicle, with an invalid checksum.
             let mut foreign = own.clone();
             if let Some(system) = foreign.get_mut(5) {
                 *system = system.wrapping_add(7);

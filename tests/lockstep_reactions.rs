@@ -1,4 +1,4 @@
-//! What ends a flight early, each flown over the protocol: faults, silence, refusals.
+//! What ends a flight early, each case flown over the protocol: faults, silence, refusals.
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -16,7 +16,7 @@ use wire::Encoder;
 use wire::dialect::*;
 use wire::transport::Peer;
 
-/// Messages of which the state is made.
+/// Messages from which the state is built.
 const STATE_MESSAGES: [u32; 4] = [30, 31, 32, 331];
 
 fn in_track(mut bench: Bench) -> Bench {
@@ -25,7 +25,7 @@ fn in_track(mut bench: Bench) -> Bench {
     bench
 }
 
-/// The vehicle comes down and stops its motors, without a setpoint from now on.
+/// The vehicle lands and disarms without any further setpoint.
 fn comes_down_silently(bench: &mut Bench) {
     let now_us = bench.now_us();
     bench.until_disarmed(30.0);
@@ -82,7 +82,7 @@ fn restored_link_does_not_resume_setpoints() {
 fn search_times_out_without_messages_from_the_vehicle() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(30.0));
-    // Nobody switches: it stands and waits.
+    // The pilot does not switch: the vehicle stands and waits.
     settings.policy = EngagePolicy::PilotSwitch;
     settings.search_timeout_s = Some(8.0);
     let mut bench = Bench::new(settings, &params);
@@ -94,7 +94,7 @@ fn search_times_out_without_messages_from_the_vehicle() {
     assert!(matches!(bench.station.end(), Some(End::LinkLost(_))), "{:?}", bench.station.end());
 }
 
-/// Frames of the autopilot that it did not send, added to its own once.
+/// Injects a forged frame of the autopilot once.
 fn inject(bench: &mut Bench, message: MavMessage) {
     let mut encoder = Encoder::new(SYSTEM_ID, COMPONENT_ID);
     let mut forged = Vec::new();
@@ -203,7 +203,7 @@ fn vehicle_reboot_in_flight_ends_the_flight_permanently() {
     assert!(bench.station.end().is_some_and(|end| *end != End::Done), "{:?}", bench.texts());
 }
 
-/// Answers of the vehicle to a command, turned into a refusal.
+/// Turns the vehicle's answers to a command into refusals.
 fn refuse(bench: &mut Bench, command: MavCmd) -> Rc<Cell<u32>> {
     let refused = Rc::new(Cell::new(0));
     let count = Rc::clone(&refused);
@@ -248,7 +248,7 @@ fn refused_offboard_is_reported_and_nothing_flies() {
     settings.offboard.supervisor.engage_timeout_s = 3.0;
     let mut bench = Bench::new(settings, &params);
     bench.until(FlightState::Standby, 10.0);
-    // The request is lost on its way, the setpoints too, and the answer is a refusal.
+    // The request and the setpoints are lost, and the answer is a refusal.
     bench.uplink = false;
     let _refused = refuse(&mut bench, MavCmd::MAV_CMD_DO_SET_MODE);
     bench.until(FlightState::Abort, 20.0);
@@ -294,7 +294,7 @@ fn cut(bench: &mut Bench) {
 
 #[test]
 fn link_loss_takes_precedence_over_a_stop_request() {
-    // Silence after the request, and the request in the silence.
+    // Silence after the request, and the request during the silence.
     for stops_first in [true, false] {
         let mut bench = in_track(Bench::hovering(NANO, 30.0));
         if !stops_first {
@@ -321,7 +321,7 @@ fn link_is_lost_after_the_configured_silence() {
     assert!(matches!(bench.station.end(), Some(End::LinkLost(_))), "{:?}", bench.station.end());
 }
 
-/// Ticks after `us` of simulation: how many, how many of them with a setpoint, and the last height.
+/// Ticks after `us` of simulation: their number, the number with a setpoint, and the last height.
 fn recorded_after(bench: &Bench, us: u64) -> (usize, usize, f64) {
     let after = EPOCH + Duration::from_micros(us);
     let ticks = || {
@@ -334,7 +334,7 @@ fn recorded_after(bench: &Bench, us: u64) -> (usize, usize, f64) {
     (ticks().count(), ticks().filter(|tick| tick.setpoint.is_some()).count(), height_m)
 }
 
-/// A flight that tilts more than it may, and for which the stream stops then.
+/// A flight that exceeds its tilt limit, which stops the stream.
 fn stopped_in_flight() -> Bench {
     let params = params(NANO);
     let mut settings = settings(&params, lockstep::trajectory("steps.toml"));
@@ -395,13 +395,13 @@ fn recording_ends_with_a_normal_landing() {
     assert!(bench.station.is_over() && bench.station.end() == Some(&End::Done));
 }
 
-/// The vehicle starts again and does not tell its version, as a vehicle with another firmware.
+/// The vehicle reboots and does not report its version, like one with different firmware.
 #[test]
 fn different_vehicle_after_an_abort_is_not_flown() {
     let params = params(NANO);
     let mut bench = stopped_in_flight();
     let aborted_us = bench.now_us();
-    // Up in the air for long, so that the recording is not over before it is identified.
+    // High enough that the recording lasts until it is identified.
     bench.downlink = Box::new(|_, _| vec![]);
     bench.run(0.1);
     let fresh = Vehicle::new(params, effects(&[]), SitlConfig::default(), 2).expect("a vehicle");

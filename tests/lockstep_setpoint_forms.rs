@@ -14,11 +14,11 @@ use vehicle::VehicleParams;
 
 const MASKS: [u8; 3] = [0x00, 0x07, 0x80];
 
-/// What sends setpoints of the form `mask` to the vehicle, whose on-board loop is known.
+/// Settings that send setpoints of the form `mask` to a vehicle with a known on-board loop.
 fn sending(mask: u8, params: &VehicleParams, trajectory: Trajectory) -> StationSettings {
     let mut settings = settings(params, trajectory);
     match mask {
-        // As of an autopilot that does not say that it hears the three together.
+        // For an autopilot that does not report accepting all three together.
         0x07 => settings.session.vehicle_has_attitude_pd = false,
         0x80 => settings.session.form = FormChoice::RatesThrust { gain: [6.0, 6.0, 3.0] },
         _ => {}
@@ -112,7 +112,7 @@ fn unknown_loop_a_third_as_fast_still_flies() {
 #[test]
 fn feedback_is_designed_for_the_configured_response() {
     for vehicle in VEHICLES {
-        // A loop that is slower still, and one that is quicker than assumed.
+        // A loop slower still, and one faster than assumed.
         let (slow, largest) = unknown_loop(vehicle, Some(1.8), Some([1.8, 1.8, 0.9]));
         assert!(largest < 1.4, "{vehicle}: {slow} m, {largest} m");
         let (assumed, _) = unknown_loop(vehicle, Some(12.0), None);

@@ -1,5 +1,5 @@
-//! A setpoint is the answer to the newest sample, for the vehicle that it was made for, while the
-//! supervisor permits it: what else a read brings, nothing leaves.
+//! A setpoint answers the newest sample of the vehicle that it was made for, while the supervisor
+//! permits it. Whatever else a read brings, nothing leaves.
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -26,7 +26,7 @@ fn in_track(mut bench: Bench) -> Bench {
     bench
 }
 
-/// A frame of the vehicle that it did not send.
+/// A forged frame of the vehicle.
 fn forged(message: &MavMessage) -> Vec<u8> {
     let mut bytes = Vec::new();
     assert!(Encoder::new(SYSTEM_ID, COMPONENT_ID).encode(message, &mut bytes));
@@ -55,7 +55,7 @@ fn message(frame: &[u8]) -> Option<MavMessage> {
     decoder.next_frame()?.message().ok()
 }
 
-/// The vehicle's answer to TIMESYNC as if its clock were two seconds back.
+/// The vehicle's TIMESYNC answer with its clock two seconds back.
 fn set_back(frame: &[u8]) -> Vec<u8> {
     match message(frame) {
         Some(MavMessage::TIMESYNC(mut data)) if data.tc1 != 0 => {
@@ -66,8 +66,8 @@ fn set_back(frame: &[u8]) -> Vec<u8> {
     }
 }
 
-/// Another vehicle takes the place of the one that is flown: its clock is two seconds back, and
-/// its version is that of no vehicle that is known. It is identified in the read of a sample.
+/// Another vehicle replaces the flown one: its clock is two seconds back, and its version is
+/// unknown. The same read as a sample identifies it.
 fn exchanged() -> Downlink {
     let mut version = None;
     Box::new(move |_, frame| match message_id(frame) {
@@ -109,8 +109,8 @@ fn flight_ends_when_another_vehicle_replaces_the_flown_one() {
     assert_eq!(facts_and_flights(&bench), ["bundled", "begins", "ends"]);
 }
 
-/// A vehicle with another autopilot takes the place of the one that is flown. It was started with
-/// it, so that no clock tells the two apart.
+/// A vehicle with another autopilot replaces the flown one. Both booted together, so the clock does
+/// not distinguish them.
 fn exchanged_for(autopilot: MavAutopilot) -> Downlink {
     Box::new(move |_, frame| match message_id(frame) {
         Some(HEARTBEAT) => vec![heartbeat_of(autopilot, 0)],
@@ -193,8 +193,8 @@ fn unsupported_vehicle_is_waited_out_under_the_pilots_switch() {
     }
 }
 
-/// The first sample from now on comes in one read with a word of the mode behind it, and other
-/// words of it are lost. Gives when that was.
+/// The next sample arrives in the same read as a mode report after it, and other mode reports are
+/// lost. Returns the time of that read.
 fn read_with_mode(bench: &mut Bench, mode: Mode) -> Rc<Cell<Option<u64>>> {
     let taken_us = Rc::new(Cell::new(None));
     let taken = Rc::clone(&taken_us);
@@ -210,7 +210,7 @@ fn read_with_mode(bench: &mut Bench, mode: Mode) -> Rc<Cell<Option<u64>>> {
     taken_us
 }
 
-/// The sample comes first in a datagram, and what ends control behind it.
+/// In one datagram the sample comes first, and the message that ends control after it.
 #[test]
 fn sample_is_not_answered_if_the_same_read_ends_control() {
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
@@ -224,7 +224,7 @@ fn sample_is_not_answered_if_the_same_read_ends_control() {
 #[test]
 fn sample_is_not_answered_if_the_same_read_starts_landing() {
     let mut bench = Bench::hovering(NANO, 1.0);
-    // The vehicle never hears that it is to land, and control goes on for its while.
+    // The vehicle never receives the land command, and control continues for its grace period.
     bench.until(FlightState::Hold, 30.0);
     bench.run(1.9);
     bench.uplink = false;
@@ -239,7 +239,7 @@ fn sample_is_not_answered_if_the_same_read_starts_landing() {
     assert_eq!(bench.setpoints_after(taken_us - 1), 0);
 }
 
-/// Ticks in the log after `us` of simulation: how many, and how many of them with a setpoint.
+/// Ticks in the log after `us` of simulation: their number, and the number with a setpoint.
 fn ticks_after(bench: &Bench, us: u64) -> (usize, usize) {
     let after = EPOCH + Duration::from_micros(us);
     let ticks = bench.records.iter().filter_map(|record| match record {
@@ -251,7 +251,7 @@ fn ticks_after(bench: &Bench, us: u64) -> (usize, usize) {
     (told.len(), told.iter().filter(|(is_sent, _)| *is_sent).count())
 }
 
-/// Two samples come in one read.
+/// Two samples arrive in one read.
 fn in_pairs() -> Downlink {
     let mut first = None;
     Box::new(move |_, frame| match (message_id(frame), first.take()) {
@@ -267,7 +267,7 @@ fn in_pairs() -> Downlink {
     })
 }
 
-/// The vehicle may be another, and does not say which.
+/// The vehicle may be a different one and does not identify itself.
 fn unidentified() -> Downlink {
     Box::new(|_, frame| match message_id(frame) {
         Some(AUTOPILOT_VERSION) => vec![],
@@ -296,7 +296,7 @@ fn log_contains_exactly_the_setpoints_sent() {
     assert_eq!(bench.phase(), Some(FlightState::Track), "{:#?}", bench.texts());
 }
 
-/// How many frames were sent, by the log.
+/// Number of frames logged as sent.
 fn sent_frames(records: &[Record]) -> usize {
     let is_sent =
         |record: &&Record| matches!(record, Record::Frame(it) if it.direction == Direction::Tx);
@@ -325,7 +325,7 @@ fn setpoint_refused_by_the_transport_is_not_logged_as_sent() {
     assert!(dropped.is_some_and(|dropped| dropped >= ticks as u64), "{dropped:?}");
 }
 
-/// A stream that was permitted and does not leave is none.
+/// A permitted stream that does not leave does not count.
 #[test]
 fn offboard_is_not_requested_while_no_setpoint_leaves() {
     let mut bench = Bench::hovering(NANO, 30.0);
@@ -337,7 +337,7 @@ fn offboard_is_not_requested_while_no_setpoint_leaves() {
     assert!(!bench.told("refuses"), "{:#?}", bench.texts());
 }
 
-/// What the queue holds after a stall looks fresh to whoever reads it late.
+/// The backlog after a stall looks fresh to a late reader.
 #[test]
 fn nothing_is_sent_after_a_stall_until_a_newer_sample() {
     for stall_s in [0.06, 0.1, 0.25] {
@@ -354,7 +354,7 @@ fn nothing_is_sent_after_a_stall_until_a_newer_sample() {
         assert!(bench.told("this process stalled for"), "{:#?}", bench.texts());
         assert_eq!(bench.phase(), Some(FlightState::Track), "{stall_s}: {:#?}", bench.texts());
     }
-    // A short one is none.
+    // A short stall does not count.
     let mut bench = in_track(Bench::hovering(NANO, 30.0));
     let stopped_us = bench.now_us();
     bench.stall(0.04);

@@ -1,4 +1,4 @@
-//! Logs in a bad state: what was sent is found where it was.
+//! Logs in poor condition: setpoints are restored to their send times.
 
 use std::fs;
 use std::path::Path;
@@ -8,7 +8,7 @@ use downwash::exam::condition::Condition;
 use downwash::exam::order::{Kind, Order, Settings};
 use downwash::log::import::{self, Flight};
 
-/// A flight of a drawn vehicle, as its log says in each of the conditions.
+/// A flight of a drawn vehicle, as logged in each of the conditions.
 fn flown(name: &str, conditions: &[Condition]) -> Vec<Flight> {
     let settings = Settings { flights: 1, ..Settings::default() };
     let case = Case::fly(&settings, 11, 0, name, &Order::from(Kind::Null)).expect("a case");
@@ -33,10 +33,10 @@ fn rough_setpoint_timestamps_are_restored_to_send_times() {
     let off: Vec<f64> =
         plain.setpoint.times().iter().zip(rough.setpoint.times()).map(|(a, b)| b - a).collect();
     let mean = off.iter().sum::<f64>() / off.len() as f64;
-    // The stamps are up to 5 ms off; the ground's own have whole milliseconds.
+    // The timestamps are up to 5 ms off; those of the ground station have whole milliseconds.
     assert!(mean.abs() < 6e-4, "{mean}");
     assert!(off.iter().all(|off| (off - mean).abs() < 1.2e-3), "{off:?}");
-    // What the vehicle stamps is as it was.
+    // Data with vehicle timestamps are unchanged.
     assert_eq!(plain.attitude, rough.attitude);
 }
 
@@ -49,7 +49,7 @@ fn missing_setpoints_are_counted() {
     for thinned in [half, lost] {
         let missing: u32 = thinned.setpoints_missing.values().iter().sum();
         let lacks = plain.setpoint.len() - thinned.setpoint.len();
-        // Of those behind the last one nothing tells.
+        // Nothing reveals the missing setpoints after the last one.
         assert!((lacks as u32).abs_diff(missing) <= 2, "{missing} of {lacks}");
         let is_at_one = |time: &f64| thinned.setpoint.times().contains(time);
         assert!(thinned.setpoints_missing.times().iter().all(is_at_one));

@@ -1,4 +1,4 @@
-//! The flight log: what goes in comes out, and a damaged file still gives what is whole.
+//! The flight log: records round-trip, and a damaged file still yields its intact part.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -362,7 +362,7 @@ proptest! {
     }
 }
 
-/// Every signal that the shipped viewer layouts show exists in the log.
+/// Every signal in the shipped viewer layouts exists in the log.
 #[test]
 fn viewer_layouts_name_fields_of_the_log() {
     let path = write(&directory("layouts"), &records(1.0));

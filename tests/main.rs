@@ -1,5 +1,5 @@
-//! The package's integration tests in one binary: each binary links the whole daemon. The modules
-//! of the first block are what several tests share.
+//! The package's integration tests in one binary, because each binary links the whole daemon.
+//! Several tests share the modules of the first block.
 
 mod damage;
 mod import_support;

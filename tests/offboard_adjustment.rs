@@ -1,5 +1,5 @@
-//! What viewers change in flight: when it is heeded, where the vehicle then goes, and what becomes of
-//! it when the flight is over.
+//! Adjustments by viewers in flight: when they are accepted, where the vehicle then goes, and what
+//! remains of them after the flight.
 
 use std::collections::BTreeMap;
 
@@ -52,7 +52,7 @@ fn moved_goal_is_reached_held_and_landed_at() {
     assert_eq!(tick.phase, FlightState::Track);
     let off = (tick.state.position - start - MOVED).norm();
     assert!(off < 0.1, "{off} m off the goal");
-    // On the way the vehicle was led, not thrown.
+    // The vehicle was led smoothly to the goal.
     let worst = flight.ticks.iter().map(|tick| tick.tracking_error).fold(0.0, f64::max);
     let tilt = flight.ticks.iter().map(|tick| tick.state.attitude.tilt()).fold(0.0, f64::max);
     assert!(worst < 0.25 && tilt < 0.2, "{worst} m, {tilt} rad");
@@ -78,7 +78,7 @@ fn moved_goal_is_reached_held_and_landed_at() {
 #[test]
 fn adjustment_on_the_ground_sets_the_take_off_goal() {
     let mut flight = hovering(2.0);
-    // Once the vehicle says that it is on the ground.
+    // Once the vehicle reports that it is on the ground.
     while flight.offboard.adjusted() == Adjusted::default() {
         assert!(flight.offboard.flight_state().precedes_stream(), "{:?}", last_words(&flight));
         flight.run(0.002);
@@ -125,8 +125,7 @@ fn out_of_bounds_goal_is_refused_in_flight() {
     assert!((tick.state.position - Ned::new(0.0, 0.0, -1.0)).norm() < 0.05);
 }
 
-/// Root mean square of the distance from the reference, m, flown with this factor on the feedback from
-/// the trajectory's start on.
+/// RMS distance from the reference, m, with this feedback factor from the trajectory's start on.
 fn flown(vehicle_file: &str, law: Law, scale: f64) -> f64 {
     let params = params(vehicle_file);
     let mut settings = settings(&params, trajectory("figure-8.toml"));
@@ -160,8 +159,8 @@ fn flown(vehicle_file: &str, law: Law, scale: f64) -> f64 {
     f64::sqrt(sum / count)
 }
 
-/// With transport delay and rotor lag that the feedback is not designed for, at both ends of what may
-/// be asked for.
+/// With transport delay and rotor lag that the feedback design does not include, at both ends of
+/// the permitted range.
 #[test]
 fn every_law_flies_with_scaled_feedback() {
     for vehicle in VEHICLES {

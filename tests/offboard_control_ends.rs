@@ -1,4 +1,4 @@
-//! Control ends when it must, and does not come back by itself.
+//! Control ends when it must, and does not resume by itself.
 
 use message::{Battery, Inbound};
 
@@ -44,7 +44,7 @@ fn pilot_switch_engages_only_while_the_hold_is_streamed() {
     flight.vehicle.armed = true;
     flight.until(FlightState::Track, 30.0);
 
-    // Takeover: silent, and another mode must be seen for a second before the stream resumes.
+    // Takeover: no stream until another mode has been reported for a second.
     flight.switch(POSITION_MODE);
     let at = flight.vehicle.now();
     flight.run(0.9);
@@ -88,7 +88,7 @@ fn daemon_started_with_a_vehicle_in_offboard_stays_silent() {
 
 #[test]
 fn commanded_flight_takes_a_disarmed_vehicle_out_of_offboard() {
-    // Where the last flight left it.
+    // The state in which the last flight left it.
     let mut flight = flight(EngagePolicy::Command);
     flight.vehicle.mode = MODES.offboard;
     flight.until(FlightState::Standby, 10.0);

@@ -1,4 +1,5 @@
-//! The offboard controller flies: whole flights, with transport delay and rotor lag that its model lacks.
+//! Whole flights of the offboard controller, with transport delay and rotor lag that its model
+//! lacks.
 
 use std::f64::consts::TAU;
 

@@ -1,5 +1,5 @@
-//! What is known of the vehicle's mode, and what is done where it is not: the pilot wins after
-//! silence and pauses too, and an engage is the pilot's act.
+//! What the controller knows about the vehicle's mode, and what it does if the mode is unknown: the
+//! pilot wins even after silence and pauses, and only the pilot engages.
 
 use std::time::Duration;
 
@@ -53,7 +53,7 @@ fn told(flight: &Flight, words: &str) -> bool {
     flight.events.iter().any(|event| event.text.contains(words))
 }
 
-/// The vehicle flies on while nothing of it is heard and this process does not run.
+/// The vehicle flies on while no message arrives and this process does not run.
 fn pause(flight: &mut Flight, seconds: f64) {
     for _ in 0..(seconds * 1000.0) as u64 {
         flight.vehicle.step();
@@ -67,7 +67,7 @@ fn nothing_is_commanded_while_silence_hides_the_mode() {
     flight.run(2.0);
     assert_eq!(flight.offboard.flight_state(), FlightState::Land);
     assert!(flight.actions.is_empty(), "{:?}", flight.actions);
-    // The pilot took over meanwhile, and the link is back.
+    // The pilot took over in the meantime, and the link is back.
     flight.vehicle.mode = POSITION_MODE;
     flight.hears = |_| true;
     flight.run(0.5);
@@ -79,7 +79,7 @@ fn nothing_is_commanded_while_silence_hides_the_mode() {
 fn late_frame_of_another_kind_does_not_confirm_the_mode() {
     let mut flight = in_track(EngagePolicy::Command);
     flight.hears = |_| false;
-    // What was under way before the cut comes a little later than the state.
+    // Messages in transit before the cut arrive a little later than the state.
     for _ in 0..10 {
         flight.run(0.01);
         let message = Inbound::Battery(Battery::default());
@@ -109,7 +109,7 @@ fn landing_is_commanded_once_the_mode_is_reported_after_silence() {
 fn unread_mode_change_after_a_pause_is_the_pilots() {
     let mut flight = in_track(EngagePolicy::Command);
     pause(&mut flight, 2.4);
-    // What the socket kept: the mode before, then the pilot's.
+    // The socket's backlog: the earlier mode, then the pilot's.
     for mode in [MODES.offboard, HOLD_MODE] {
         let unread = heartbeat(&flight, mode);
         flight.offboard.catch_up(&unread);
@@ -125,7 +125,7 @@ fn unread_mode_change_after_a_pause_is_the_pilots() {
 
 #[test]
 fn mode_is_unknown_after_a_pause_until_reported_again() {
-    // The socket kept only the oldest of what came.
+    // The socket kept only the oldest messages.
     let paused = || {
         let mut flight = in_track(EngagePolicy::Command);
         pause(&mut flight, 2.4);
@@ -157,7 +157,8 @@ fn mode_is_unknown_after_a_pause_until_reported_again() {
 fn mode_restored_on_disarming_is_not_the_pilots_switch() {
     for heartbeat_first in [false, true] {
         let mut flight = in_track(EngagePolicy::PilotSwitch);
-        // The pilot takes over, lands and stands armed beside a stream that waits for the switch.
+        // The pilot takes over, lands, and leaves the vehicle armed beside a stream that waits for
+        // the switch.
         flight.switch(MODES.land);
         flight.vehicle.armed = true;
         for _ in 0..1000 {
@@ -171,7 +172,8 @@ fn mode_restored_on_disarming_is_not_the_pilots_switch() {
         flight.until(FlightState::Standby, 10.0);
         flight.run(1.0);
         let at = flight.vehicle.now();
-        // PX4 disarms and returns to OFFBOARD; CURRENT_MODE and HEARTBEAT tell it in either order.
+        // PX4 disarms and returns to OFFBOARD; CURRENT_MODE and HEARTBEAT report it in either
+        // order.
         if heartbeat_first {
             flight.vehicle.armed = false;
             let message = heartbeat(&flight, POSITION_MODE);
@@ -187,7 +189,7 @@ fn mode_restored_on_disarming_is_not_the_pilots_switch() {
         flight.run(3.0);
         assert_eq!(flight.offboard.flight_state(), FlightState::AwaitRelease, "{heartbeat_first}");
         assert!(told(&flight, "not the pilot's switch"), "{:#?}", flight.events);
-        // The next arming, by anyone, takes off nowhere.
+        // The next arming, by anyone, must not take off.
         let now = flight.vehicle.now();
         flight.vehicle.armed = true;
         flight.run(3.0);
@@ -214,7 +216,7 @@ fn offer_ends_if_the_pilot_leaves_offboard_before_engaging() {
     let mut flight = flight(EngagePolicy::PilotSwitch);
     flight.until(FlightState::Standby, 10.0);
     flight.run(0.2);
-    // CURRENT_MODE tells the switch before a HEARTBEAT tells whether the motors turn.
+    // CURRENT_MODE reports the switch before a HEARTBEAT reports whether the motors run.
     for mode in [MODES.offboard, POSITION_MODE] {
         flight.vehicle.mode = mode;
         let message = Inbound::CurrentMode { custom_mode: mode, intended_custom_mode: mode };
@@ -230,7 +232,7 @@ fn offer_ends_if_the_pilot_leaves_offboard_before_engaging() {
     let left = flight.vehicle.now();
     flight.run(0.5);
     assert_eq!(flight.streamed_since(left), 0);
-    // It is offered anew after the release, and the next switch is his word.
+    // The offer returns after the release, and the next switch engages.
     flight.until(FlightState::Standby, 5.0);
     flight.run(0.2);
     flight.switch(MODES.offboard);
@@ -255,7 +257,7 @@ fn nothing_is_offered_without_a_recent_mode_report() {
     assert_eq!(flight.offboard.flight_state(), FlightState::Standby);
 }
 
-/// Someone flies the vehicle at four metres when this program starts.
+/// Someone else flies the vehicle at four metres when this program starts.
 fn flown_by_others(policy: EngagePolicy, settings: OffboardSettings) -> Flight {
     let mut flight = flight_of(policy, settings);
     flight.vehicle.state.position = Ned::new(0.0, 0.0, -4.0);
@@ -305,7 +307,7 @@ fn nothing_is_streamed_while_the_arming_state_is_unknown() {
 #[test]
 fn failsafe_is_not_reported_as_the_pilot() {
     let mut flight = in_track(EngagePolicy::Command);
-    // CURRENT_MODE comes first; HEARTBEAT and the text say why within a second.
+    // CURRENT_MODE comes first; HEARTBEAT and the text give the reason within a second.
     flight.vehicle.mode = RETURN_MODE;
     flight.run(0.2);
     assert_eq!(flight.offboard.flight_state(), FlightState::PilotControl);
@@ -348,18 +350,18 @@ fn position_reported_unhealthy_is_not_followed() {
         flight.offboard.handle(&Received { host, vehicle: None, delay: None, message });
     };
     let mut flight = in_track(EngagePolicy::Command);
-    // A vehicle that never said so is not judged by it.
+    // A vehicle that never reported a healthy position is not judged by it.
     heard(&mut flight, 0, 0x4000);
     flight.run(1.0);
     assert_eq!(flight.offboard.flight_state(), FlightState::Track);
-    // Nor is one that does not use it any more, as ArduCopter, which told it in LAND, in Guided.
+    // Nor is one that no longer uses it, such as ArduCopter in Guided, which reports it in LAND.
     heard(&mut flight, 0x4000, 0x4000);
     heard(&mut flight, 0, 0);
     flight.run(1.0);
     heard(&mut flight, 0, 0x4000);
     flight.run(1.0);
     assert_eq!(flight.offboard.flight_state(), FlightState::Track);
-    // PX4 may not have it enabled while it is healthy.
+    // PX4 may report it as healthy without having it enabled.
     heard(&mut flight, 0x4000, 0);
     flight.run(0.2);
     heard(&mut flight, 0, 0x4000);
@@ -389,7 +391,7 @@ fn unreported_landing_ends_in_a_disarm_request() {
     let mut flight = in_track(EngagePolicy::Command);
     let now = flight.vehicle.now();
     flight.offboard.land(now);
-    // The vehicle comes down and goes on saying that it flies, with its motors on.
+    // The vehicle lands but keeps reporting flight, with its motors on.
     flight.hears = |message| !matches!(message, Inbound::LandedState(_));
     flight.vehicle.stays_armed = true;
     let message = Inbound::LandedState(LandedState::InAir);

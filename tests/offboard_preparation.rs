@@ -40,7 +40,7 @@ fn intermittent_telemetry_does_not_restart_the_wait() {
     let mut flight = flight();
     let limit_s = OffboardSettings::default().supervisor.ready_timeout_s;
     let mut waited_s = 0.0;
-    // A pack that is too low holds the flight in its checks while telemetry is there.
+    // While telemetry arrives, a low battery keeps the flight in its checks.
     while flight.offboard.flight_state() != FlightState::Abort && waited_s < 2.0 * limit_s {
         let message = Inbound::Battery(Battery { remaining: Some(0.2), ..Battery::default() });
         let host = flight.vehicle.now();

@@ -1,4 +1,5 @@
-//! A change in flight is told where it is, with its cause, and none where nothing changes.
+//! A change in flight is reported with its time and cause, and nothing is reported without a
+//! change.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,7 +18,7 @@ use vehicle::effects::Schedule;
 
 const TRAJECTORY: &str = "family = \"figure-8\"\naltitude_m = 1.2\nduration_s = 32.0\nlength_m = 2.0\nwidth_m = 1.0\nperiod_s = 8.0\n";
 
-/// A flight of the shipped vehicle with these effects, as seen from its log and live.
+/// A flight of the shipped vehicle with these effects, seen from its log and live.
 fn flown(name: &str, effects: &[&str]) -> (Seen, Vec<Change>) {
     let folder: PathBuf = Path::new(env!("CARGO_TARGET_TMPDIR")).join("onset").join(name);
     let _ = fs::remove_dir_all(&folder);

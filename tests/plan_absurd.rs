@@ -1,4 +1,4 @@
-//! What no vehicle can do: a status with the best there is, or an error that says what is wrong.
+//! Impossible requests: a status with the best available plan, or an error that says what is wrong.
 
 use std::cell::Cell;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use downwash::plan::planner::{KeepOutSetting, PlanSettings, Planner, PlannerErro
 use downwash::plan::scp::{Outcome, Status};
 use proptest::prelude::*;
 
-/// What every outcome must be, whatever was asked.
+/// What holds for every outcome, whatever the request.
 fn sound(outcome: &Outcome<7>, settings: &PlanSettings) {
     assert!(outcome.records.len() <= settings.subproblems_max);
     assert!(outcome.iterate.states.iter().flatten().all(|value| value.is_finite()));
@@ -51,7 +51,7 @@ fn non_finite_numbers_are_named_with_their_time() {
     let planner = planner(Arc::new(physics()), &settings);
     let good = planner.desire(&hasty(0.4)).expect("desired states");
     let start = rest(&good.states[0]);
-    // Past every check, the search itself must end.
+    // Even past every check, the search must end.
     let damages: [fn(&mut Desire); 3] = [
         |desire| desire.states[7][1] = f64::NAN,
         |desire| desire.inputs[3][2] = f64::NAN,
@@ -125,7 +125,7 @@ fn start_that_breaks_every_limit_ends_soundly() {
     let starts = [
         [5.0, 5.0, -5.0, 9.0, 0.0, 0.0, 1.2, -1.0, 0.0, 12.0, -12.0, 9.0],
         [0.0, 0.0, -1.0, 0.0, 0.0, 60.0, 3.1, 0.0, 0.0, 0.0, 0.0, 0.0],
-        // Pitch of 90 degrees: the Euler angles' own singularity.
+        // Pitch of 90 degrees, the singularity of the Euler angles.
         [0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, std::f64::consts::FRAC_PI_2, 0.0, 3.0, 3.0, 3.0],
     ];
     for start in starts {
@@ -145,7 +145,7 @@ fn immediate_stop_returns_the_guess() {
     assert_eq!((outcome.status, outcome.records.len()), (Status::Stopped, 0));
     sound(&outcome, &settings);
     assert_eq!(outcome.iterate.states[1..], desire.states[1..]);
-    // It is no plan, and its violation says so.
+    // It is not a plan, and its violation says so.
     assert!(outcome.violation.defect > 1e-3);
 
     let seen = Cell::new(0);
@@ -226,7 +226,7 @@ fn non_finite_model_ends_the_search() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
-    /// Whatever is asked: an end, within the bounds of the inputs.
+    /// Every request ends within the bounds of the inputs.
     #[test]
     fn every_search_terminates_within_input_bounds(
         amplitude in 0.01_f64..30.0,

@@ -1,4 +1,4 @@
-//! The steps' derivatives against finite differences.
+//! The derivatives of the steps against finite differences.
 
 use crate::planning;
 use downwash::model::Model;
@@ -9,7 +9,7 @@ use proptest::prelude::*;
 use proptest::test_runner::TestCaseError;
 
 const PERIOD: f64 = 0.01;
-/// Steps of the differences, in the sizes of the variables.
+/// Steps of the finite differences, scaled to the variables.
 const STEP: f64 = 1e-6;
 /// How far from zero positions, velocities, angles and rates are drawn.
 const STATE_SIZE: [f64; STATES] = [3.0, 3.0, 3.0, 2.0, 2.0, 2.0, 0.6, 0.6, 3.0, 4.0, 4.0, 4.0];
@@ -19,8 +19,8 @@ fn state() -> impl Strategy<Value = [f64; STATES]> {
         .prop_map(|share| std::array::from_fn(|i| share[i] * STATE_SIZE[i]))
 }
 
-/// Compares columns of A and B, `size` of an input's step each, with differences of the step.
-/// Points with a kink between the differences are passed over.
+/// Compares columns of A and B, one step of each input in `size`, with differences of the step.
+/// Skips points with a kink between the differences.
 fn check<const INPUTS: usize>(
     dynamics: &impl Dynamics<INPUTS>,
     state: [f64; STATES],

@@ -1,4 +1,4 @@
-//! The plan's file: what was written is read, and nothing else is.
+//! The plan file: written plans are read back, and anything else is refused.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -33,7 +33,7 @@ fn a_plan() -> Plan {
     Plan::new(found, outcome)
 }
 
-/// A file of its own for a test.
+/// A file for one test.
 struct Kept(PathBuf);
 
 impl Kept {
@@ -87,7 +87,8 @@ fn damaged_plan_is_refused_with_the_reason() {
         ("null", changed("\"lag_s\":0.04", "\"lag_s\":null"), "null"),
         ("huge", changed("\"kp\":[", "\"kp\":[1e999,"), "line 1"),
         ("other", "{\"schema\":\"downwash.fly\"}".to_owned(), "missing"),
-        // Of a time before it was looked at: that nothing is said is not that nothing is there.
+        // From a version without this check: a missing statement does not mean that nothing is
+        // there.
         ("silent", text.replace(",\"trespass_m\":0.0", ""), "trespass_m"),
     ];
     for (name, text, reason) in cases {
@@ -144,7 +145,7 @@ fn reference_passes_through_the_plan() {
             assert!((position[i] - state[i]).abs() < 1e-9);
         }
     }
-    // Before the beginning and after the end it holds.
+    // The reference holds before the beginning and after the end.
     assert_eq!(reference.sample(-1.0), reference.sample(0.0));
     assert_eq!(reference.sample(99.0), reference.sample(plan.duration()));
 }

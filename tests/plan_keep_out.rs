@@ -1,4 +1,4 @@
-//! Regions to keep out of: the plan goes round them, or as near as it can.
+//! Keep-out regions: the plan avoids them, or comes as near to its goal as it can.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ fn goes_round(regions: &[KeepOutSetting]) -> Outcome<7> {
     let outcome = plan(&straight(), &settings(regions));
     let text = format!("{regions:?}: {:?} {:?}", outcome.status, outcome.violation);
     assert_ne!(outcome.status, Status::Failed, "{text}");
-    // Between two states corners are cut by less than what may be flown.
+    // Between two states a corner is cut by less than the flyable tolerance.
     assert!(outcome.violation.overrun <= 5e-4 && outcome.violation.defect <= 1e-6, "{text}");
     for state in &outcome.iterate.states {
         for region in regions {
@@ -69,7 +69,7 @@ fn box_on_the_path_is_avoided() {
     goes_round(&[block([0.9, -0.3, -2.0], [1.1, 0.3, 0.0])]);
 }
 
-/// A step is longer than the wall is thick: a plan that leads through says so, and by how much.
+/// A step is longer than the wall is thick: a plan through the wall reports that, with the depth.
 #[test]
 fn thin_wall_violation_is_reported_with_its_depth() {
     let wall = block([1.0, -0.3, -2.0], [1.004, 0.3, 0.0]);
@@ -113,7 +113,7 @@ fn goal_inside_a_region_is_approached() {
     assert!((-0.1..=1e-4).contains(&depth), "{depth} m inside at the end; {text}");
 }
 
-/// What cannot be is left as soon as the vehicle can, and is said.
+/// An impossible start is left as soon as the vehicle can, and reported.
 #[test]
 fn start_inside_a_region_is_left() {
     let region = ball([0.0, 0.0, -1.0], 0.3);

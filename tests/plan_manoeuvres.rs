@@ -1,11 +1,11 @@
-//! The library of manoeuvres: what it holds, and that it keeps to its room.
+//! The library of manoeuvres: its contents, and that they stay within their room.
 
 use downwash::plan::FlightEnvelope;
 use downwash::plan::manoeuvres::{Room, library};
 use downwash::plan::programme::{Capability, ProgrammeSettings};
 use proptest::prelude::*;
 
-/// What waypoints are rounded to, m.
+/// Rounding of waypoints, m.
 const MILLIMETRE: f64 = 1e-3;
 
 fn capability(thrust_to_weight: f64) -> Capability {

@@ -1,4 +1,4 @@
-//! Whole searches: the solvers agree, plans obey their model and bounds, and turn with the world.
+//! Whole searches: solvers agree, plans satisfy their model and bounds, and rotate with the world.
 
 use std::sync::Arc;
 
@@ -25,7 +25,7 @@ const PERIOD: f64 = 0.01;
 /// Of a turn of 1 m in 5 s, m/s.
 const SPEED: f64 = std::f64::consts::TAU / 5.0;
 
-/// The sinusoid with yaw, a second of it, without attitude in what is desired.
+/// One second of the sinusoid with yaw, without attitude in the desired states.
 fn wrench_problem() -> Problem<4> {
     let point = |n: usize| -> StateVector {
         let (sin, cos) = (SPEED * n as f64 * PERIOD).sin_cos();
@@ -42,7 +42,7 @@ fn wrench_problem() -> Problem<4> {
         desired: (1..=100).map(point).collect(),
         state_weight: [1.0; STATES],
         knee: 0.0,
-        // Within what the rotors give together, so that none of them saturates.
+        // Within what the rotors provide together, so that none saturates.
         inputs: InputBounds {
             lower: [0.1, -0.001, -0.001, -0.0002],
             upper: [0.45, 0.001, 0.001, 0.0002],
@@ -141,7 +141,7 @@ fn plan_states_follow_from_its_model_and_inputs() {
             }
             assert_eq!(problem.inputs.clamp(*input), *input, "{name}");
         }
-        // The first state that may be moved is the second; the search has followed the rest.
+        // The first state that may move is the second; the search has followed the rest.
         let guess = Iterate { states: desire.states.clone(), inputs: desire.inputs.clone() };
         let open: f64 = {
             let mut state = start;
@@ -156,7 +156,7 @@ fn plan_states_follow_from_its_model_and_inputs() {
     }
 }
 
-/// A state seen from a world turned about down.
+/// A state seen from a world rotated about down.
 fn turned(state: &StateVector, angle: f64) -> StateVector {
     let (sin, cos) = angle.sin_cos();
     let mut turned = *state;
@@ -226,7 +226,7 @@ fn tilt_rate_and_box_limits_are_respected() {
         north = north.max(state[0]);
     }
     assert!(tilt <= 0.1502 && rate <= 1.0002 && north <= 0.2502, "{tilt} {rate} {north}");
-    // And they are what kept it.
+    // The limits are active.
     assert!(tilt > 0.14 && north > 0.24, "{tilt} {rate} {north}");
 }
 

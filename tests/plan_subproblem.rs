@@ -19,11 +19,11 @@ use proptest::prelude::*;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// What is drawn.
+/// Parameters of a random subproblem.
 #[derive(Clone, Copy, Debug)]
 struct Kind {
     stages: usize,
-    /// Size of A's eigenvalues: above 1 the states run away.
+    /// Size of A's eigenvalues: above 1 the states diverge.
     growth: f64,
     /// Size of the errors at each stage.
     error: f64,
@@ -49,7 +49,7 @@ fn subproblem<const INPUTS: usize>(kind: Kind, seed: u64) -> Subproblem<INPUTS> 
                 }
                 row[i] += kind.growth;
             }
-            // Some inputs lie at a bound already.
+            // Some inputs are already at a bound.
             let mut room = || if one() > 0.4 { 0.0 } else { kind.trust };
             let (lower, upper): ([f64; INPUTS], [f64; INPUTS]) =
                 (std::array::from_fn(|_| -room()), std::array::from_fn(|_| room()));
@@ -83,7 +83,7 @@ fn subproblem<const INPUTS: usize>(kind: Kind, seed: u64) -> Subproblem<INPUTS> 
     }
 }
 
-/// The norm to second order, everything else as it is.
+/// The norm to second order, everything else unchanged.
 fn quadratic_objective<const INPUTS: usize>(
     problem: &Subproblem<INPUTS>,
     states: &[[f64; STATES]],
@@ -108,7 +108,7 @@ fn quadratic_objective<const INPUTS: usize>(
     sum
 }
 
-/// The same quadratic program by Clarabel, put together densely: states, inputs, optimum.
+/// The same quadratic program in dense form, solved by Clarabel: states, inputs.
 fn oracle<const INPUTS: usize>(
     problem: &Subproblem<INPUTS>,
 ) -> (Vec<[f64; STATES]>, Vec<[f64; INPUTS]>) {
@@ -247,7 +247,7 @@ proptest! {
         compare(&subproblem::<7>(kind, seed))?;
     }
 
-    /// Bounds that are out of reach cost no iterations, and those that are not are found.
+    /// Bounds out of reach cost no iterations, and reachable ones are found.
     #[test]
     fn inactive_bounds_cost_only_one_sweep(kind in kinds(), seed in any::<u64>()) {
         let kind = Kind { growth: kind.growth.min(1.0), curvature: 0.1 + kind.curvature, ..kind };
@@ -260,7 +260,7 @@ proptest! {
         solver.solve(&problem, &mut solution).expect("a solution");
         prop_assert_eq!(solution.iterations, 1);
         compare(&problem)?;
-        // The same solver, of a problem whose bounds are nearer than that solution.
+        // The same solver on a problem whose bounds are tighter than that solution.
         let most = solution.inputs.iter().flatten().fold(0.0_f64, |most, w| most.max(w.abs()));
         for stage in &mut problem.stages {
             (stage.lower, stage.upper) = ([-0.5 * most; 7], [0.5 * most; 7]);
@@ -272,7 +272,7 @@ proptest! {
         prop_assert!(solution.inputs.iter().flatten().all(within));
     }
 
-    /// Where the step is small against the errors, the norm and its second order are one.
+    /// Where the step is small compared to the errors, the norm equals its second-order form.
     #[test]
     fn interior_point_agrees_with_cones_for_small_steps(kind in kinds(), seed in any::<u64>()) {
         let kind = Kind { error: 2e3, trust: 0.1 * kind.trust, rows: kind.rows.min(1), ..kind };
@@ -280,10 +280,10 @@ proptest! {
         problem.tolerance = 1e-8;
         let ours = solved(&problem);
         let mut theirs = Solution::default();
-        // Of errors so large the reference itself gives up now and then.
+        // With errors this large the reference solver fails now and then.
         prop_assume!(Conic::equations().solve(&problem, &mut theirs).is_ok());
         let (ours, theirs) = (problem.change(&ours), problem.change(&theirs));
-        // Errors of 2e3 leave 1e-8 of themselves in the cones' objective.
+        // Errors of 2e3 leave 1e-8 relative in the cones' objective.
         let scale = 2e3 * kind.stages as f64;
         prop_assert!((ours - theirs).abs() < 1e-7 * scale, "{ours} against {theirs}");
     }
@@ -326,7 +326,7 @@ fn updating_in_place_matches_a_new_setup() {
     let mut kept = Conic::equations();
     for seed in 0..4 {
         let mut problem = subproblem::<4>(kind, seed);
-        // Rows come and go.
+        // Rows appear and disappear.
         for stage in problem.stages.iter_mut().skip(seed as usize) {
             stage.rows.truncate(1);
         }

@@ -1,5 +1,5 @@
-//! Plans of least time: closed forms, limits by a judge that knows nothing of the planner, gates,
-//! regions, and what is refused.
+//! Time-optimal plans: closed forms, limits checked by an independent judge, gates, regions, and
+//! refusals.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -52,7 +52,7 @@ fn judged(
     judge(&states, &inputs, &judged_limits(vehicle, limits), &judged_passages(course))
 }
 
-/// Whether the judge finds limits and passages held to 1e-3, and the finish to a millimetre.
+/// Checks that the judge finds limits and passages held to 1e-3, and the finish to a millimetre.
 fn check(found: &TimeOptimal, course: &Course, vehicle: &VehicleParams, limits: &Limits) {
     assert_eq!(found.status, Status::Converged);
     let verdict = judged(found, course, vehicle, limits);
@@ -146,7 +146,7 @@ fn sixty_waypoint_course_is_planned() {
 fn gates_are_passed_in_order_and_direction() {
     let vehicle = vehicle();
     let limits = limits(RATES);
-    // Out and back through one opening: the second passage is the other way.
+    // Out and back through one opening: the second passage is in the opposite direction.
     let middle = Ned::new(5.0, 0.0, -2.0);
     let opening = [0.8, 0.8];
     let gates = [
@@ -174,7 +174,7 @@ fn regions_are_avoided_between_states_too() {
     let found = planned(&course, &vehicle, &limits);
     check(&found, &course, &vehicle, &limits);
     assert!(found.violation.trespass_m <= 1e-3, "{:?}", found.violation);
-    // By what the judge sees, every millisecond.
+    // As seen by the judge, every millisecond.
     let (start, inputs) = judged_flight(&vehicle, &found.knots);
     for state in fly(&judged_vehicle(&vehicle), start, &inputs) {
         let [x, y, z] = state.place;
@@ -191,7 +191,7 @@ fn time_scales_with_the_square_root_of_size() {
     let vehicle = vehicle();
     let course = course(2, true);
     let time = planned(&course, &vehicle, &limits(RATES)).knots.duration_s();
-    // Everything four times as long, as heavy: moments of inertia 16 times, rates half.
+    // Everything four times as long, with the same mass: moments of inertia 16 times, rates half.
     let mut large = vehicle.clone();
     large.inertia = large.inertia.map(|moment| 16.0 * moment);
     for rotor in &mut large.rotors {
@@ -228,7 +228,7 @@ fn stopped_search_returns_its_best() {
     assert!(found.records.len() <= 12 + 60, "{}", found.records.len());
     assert!(found.knots.duration_s() > whole.knots.duration_s() - 1e-2);
     assert!(found.violation.defect < 1e-6, "{:?}", found.violation);
-    // Told to end at once, it says what it misses.
+    // Stopped at once, it reports what it violates.
     let stop = Stop { search: &|_| true, closing: &|_| true };
     let found = plan(&course, &physics(&vehicle), &limits, &Settings::default(), stop);
     assert!(found.records.is_empty() && found.violation.defect > 1e-3, "{:?}", found.violation);
@@ -293,7 +293,7 @@ fn shipped_course_gives_a_flyable_plan() {
         .check_plan(&plan, vehicle.mass, vehicle.gravity)
         .expect("within the envelope");
     assert!((plan.duration() - knots.duration_s()).abs() < 0.011);
-    // It ends where it should, hovering.
+    // It ends at the finish, hovering.
     let last = plan.states.last().expect("states");
     let off: f64 = last[..3].iter().zip([0.0, 0.0, -1.0]).map(|(a, b)| (a - b).abs()).sum();
     assert!(off < 1e-2 && last[3..6].iter().all(|v| v.abs() < 0.1), "{last:?}");
@@ -332,7 +332,7 @@ fn shipped_course_is_flown_through_its_gates() {
         })
         .collect();
     let course = task.course(Vec::new(), None).expect("a course");
-    // Within the openings less their clearances, and the balls, to what feedback leaves.
+    // Within the openings less their clearances, and the spheres, except for the tracking error.
     let verdict = judge(
         &states,
         &[],
@@ -392,7 +392,7 @@ fn invalid_course_files_are_refused_by_file_and_key() {
     let narrow = "[[passages]]\ngate = { north_m = 1.0, east_m = 0.0, altitude_m = 1.0, \
                   heading_deg = 0.0, width_m = 0.4, height_m = 1.0, clearance_m = 0.2 }\n";
     assert!(refused(&text(narrow)).contains("width_m: expected more than twice the clearance_m"));
-    // A course without passages is a way from its start to its finish.
+    // A course without passages leads from its start to its finish.
     assert!(TrajectoryFile::parse(&text(""), Path::new("course.toml")).is_ok());
 }
 

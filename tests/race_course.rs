@@ -33,7 +33,7 @@ const LAP: [[f64; 3]; 7] = [
     [-2.8, 6.8, 1.2],
 ];
 
-/// The first so many waypoints of the course, x, y, z (up), m; it has 19.
+/// The first `count` of the course's 19 waypoints, x, y, z (up), m.
 pub fn waypoints(count: usize) -> impl Iterator<Item = [f64; 3]> {
     LAP.into_iter().cycle().take(count)
 }
@@ -91,7 +91,7 @@ fn up(vector: Ned) -> [f64; 3] {
     [n, -e, -d]
 }
 
-/// A course from rest to rest through the first so many waypoints.
+/// A course from rest to rest through the first `count` waypoints.
 pub fn course(count: usize, is_level: bool) -> Course {
     Course {
         start: Start { position: ned(START), velocity: Ned::zero(), yaw: 0.0 },
@@ -104,7 +104,7 @@ pub fn course(count: usize, is_level: bool) -> Course {
     }
 }
 
-/// A vehicle as the judge has it.
+/// The vehicle in the judge's form.
 pub fn judged_vehicle(vehicle: &VehicleParams) -> JudgedVehicle {
     let rotors = &vehicle.rotors;
     JudgedVehicle {
@@ -118,13 +118,13 @@ pub fn judged_vehicle(vehicle: &VehicleParams) -> JudgedVehicle {
     }
 }
 
-/// What the judge allows a vehicle.
+/// The limits in the judge's form.
 pub fn judged_limits(vehicle: &VehicleParams, limits: &Limits) -> JudgedLimits {
     let most = vehicle.rotors[0].thrust_max_n;
     JudgedLimits { thrust: limits.rotor.map(|share| share * most), rate: limits.body_rate_rad_s }
 }
 
-/// A course's passages as the judge has them.
+/// The course's passages in the judge's form.
 pub fn judged_passages(course: &Course) -> Vec<JudgedPassage> {
     let passage = |passage: &Passage| match passage {
         Passage::Waypoint { centre, tolerance_m } => {
@@ -140,7 +140,7 @@ pub fn judged_passages(course: &Course) -> Vec<JudgedPassage> {
     course.passages.iter().map(passage).collect()
 }
 
-/// A plan's start and its inputs as the judge has them.
+/// A plan's start and inputs in the judge's form.
 pub fn judged_flight(vehicle: &VehicleParams, knots: &Knots) -> (JudgedState, Vec<JudgedInput>) {
     let first = knots.states[0];
     let Attitude { w, x, y, z } = first.attitude;

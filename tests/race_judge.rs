@@ -1,6 +1,5 @@
-//! A judge of flights through courses that knows nothing of what planned them: a rigid body of its
-//! own, in axes of its own (x, y level, z up; body front, left, up), integrated from the rotors'
-//! thrusts at 1 kHz.
+//! A judge of course flights that is independent of the planner: its own rigid body in its own axes
+//! (x, y level, z up; body front, left, up), integrated from the rotor thrusts at 1 kHz.
 
 /// The rigid body and its rotors.
 #[derive(Clone, Copy, Debug)]
@@ -17,7 +16,7 @@ pub struct JudgedVehicle {
     pub yaw: [f64; 4],
 }
 
-/// What is allowed.
+/// The limits.
 #[derive(Clone, Copy, Debug)]
 pub struct JudgedLimits {
     /// N, each rotor.
@@ -44,28 +43,28 @@ pub struct JudgedInput {
     pub held: f64,
 }
 
-/// What is passed, in order.
+/// The passages, in order.
 #[derive(Clone, Copy, Debug)]
 pub enum JudgedPassage {
     /// A ball.
     Ball { centre: [f64; 3], radius: f64 },
-    /// A rectangle that is crossed along its normal: unit vectors and half sizes.
+    /// A rectangle crossed along its normal: unit vectors and half sizes.
     Gate { centre: [f64; 3], normal: [f64; 3], side: [f64; 3], half: [f64; 2] },
 }
 
-/// What the judge says.
+/// The verdict.
 #[derive(Clone, Debug, Default)]
 pub struct Verdict {
     /// s
     pub duration: f64,
-    /// How far a thrust is beyond its limits at most, N.
+    /// Largest violation of the thrust limits, N.
     pub thrust_excess: f64,
-    /// How far a rate is beyond its limit at most, rad/s.
+    /// Largest violation of the rate limits, rad/s.
     pub rate_excess: f64,
-    /// How far beyond each passage's room the flight passes, in order, m; infinite where a gate is
-    /// not crossed.
+    /// How far outside each passage the flight passes, in order, m; infinite for a gate that is not
+    /// crossed.
     pub misses: Vec<f64>,
-    /// When each is passed, s.
+    /// Time of each passage, s.
     pub times: Vec<f64>,
     /// The last state.
     pub end: Option<JudgedState>,
@@ -184,7 +183,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Judges states in the order of time, with the thrusts that were held.
+/// Judges states in order of time, with the thrusts held between them.
 pub fn judge(
     states: &[JudgedState],
     inputs: &[JudgedInput],
@@ -218,8 +217,8 @@ pub fn judge(
     verdict
 }
 
-/// The nearest place of the first approach to within half a metre of the ball, on the straight ways
-/// between states.
+/// The nearest point of the first approach to within half a metre of the sphere, on the straight
+/// segments between states.
 fn touch(states: &[JudgedState], from: usize, centre: [f64; 3], radius: f64) -> (usize, f64) {
     let distance = |n: usize| {
         let a = off(states[n].place, centre);
@@ -230,7 +229,7 @@ fn touch(states: &[JudgedState], from: usize, centre: [f64; 3], radius: f64) -> 
     };
     let near = (from..states.len()).find(|n| distance(*n) < 0.5).unwrap_or(from);
     let gone = (near..states.len()).find(|n| distance(*n) > 0.5).unwrap_or(states.len());
-    // The first that is in the ball: the next passage may be the way back.
+    // The first state inside the sphere: the next passage may lead back.
     if let Some(first) = (near..gone).find(|n| distance(*n) <= 0.0) {
         return (first, 0.0);
     }
@@ -238,8 +237,8 @@ fn touch(states: &[JudgedState], from: usize, centre: [f64; 3], radius: f64) -> 
     nearest.map_or((from, f64::INFINITY), |n| (n, distance(n)))
 }
 
-/// The first crossing of the gate's plane through its opening, along its normal; where there is
-/// none, the miss is infinite.
+/// The first crossing of the gate's plane through its opening along the normal; without one, the
+/// miss is infinite.
 fn crossing(
     states: &[JudgedState],
     from: usize,

@@ -1,4 +1,4 @@
-//! Plans that are made anew in flight: disturbances, moved goals, planners that are late or fail.
+//! Replanning in flight: disturbances, moved goals, planners that are late or fail.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -41,7 +41,7 @@ fn hover_at(north_m: f64) -> Trajectory {
     Trajectory::parse(&text, Path::new("hover.toml")).expect("a trajectory")
 }
 
-/// A planner for the built-in vehicle through `model`, and a vehicle that answers at once.
+/// A planner for the built-in vehicle through `model`, and a vehicle that responds at once.
 fn planner(model: Arc<dyn Model>) -> (Planner, Answer) {
     let params = vehicle();
     let attitude_pd = params.attitude_pd.expect("a loop");
@@ -63,12 +63,12 @@ fn state_of(s: &StateVector) -> State {
     }
 }
 
-/// Follows the reference's inputs alone, without any feedback, through the physics it plans with.
+/// Follows the reference's inputs alone, without feedback, through the physics that it plans with.
 struct Follower {
     model: Arc<dyn Model>,
     state: StateVector,
     tick: usize,
-    /// Ticks from a setpoint's sending to its use, and those that are on their way.
+    /// Ticks from sending a setpoint to its use, and the setpoints in transit.
     delay: usize,
     sent: VecDeque<CommandedInput>,
 }
@@ -88,7 +88,7 @@ impl Follower {
         self.follow_seen(reference, seconds, |state| *state);
     }
 
-    /// The same where `seen` is what an estimator makes of the state.
+    /// The same, where `seen` gives the estimator's view of the state.
     fn follow_seen(
         &mut self,
         reference: &RecedingReference,
@@ -104,7 +104,7 @@ impl Follower {
             let Euler { roll, pitch, yaw } = sent.attitude;
             let [p, q, r] = sent.body_rate.to_array();
             self.sent.push_back([sent.thrust_n, roll, pitch, yaw, p, q, r]);
-            // Those that are on their way act later.
+            // Setpoints in transit act later.
             if self.sent.len() > self.delay {
                 let acting = self.sent.pop_front().expect("a setpoint");
                 self.state = dynamics.step(&self.state, &acting);
@@ -118,14 +118,14 @@ fn inline(goal: Trajectory) -> RecedingReference {
     late(goal, 0.0)
 }
 
-/// Of a vehicle that answers `delay_s` later.
+/// For a vehicle that responds `delay_s` later.
 fn late(goal: Trajectory, delay_s: f64) -> RecedingReference {
     let (planner, answer) = planner(physics());
     let answer = Answer { delay_s, ..answer };
     RecedingReference::inline(goal, planner, answer, RecedingSettings::default())
 }
 
-/// As for a loop that is an autopilot's own.
+/// As for an autopilot's own loop.
 fn cautious(goal: Trajectory) -> RecedingReference {
     let (planner, answer) = planner(physics());
     let settings = RecedingSettings::default().for_loop(true);
@@ -140,13 +140,13 @@ fn replanning_recovers_from_a_kick() {
     assert!(follower.state[0].abs() < 1e-2, "{:?}", follower.state);
     follower.state[3] += 0.6;
     follower.state[6] += 0.2;
-    // The next plan begins where the vehicle then is.
+    // The next plan begins at the vehicle's current state.
     follower.follow(&reference, 0.2);
     let now = reference.sample(follower.time());
     let here = state_of(&follower.state);
     assert!((now.position - here.position).norm() < 0.03, "{now:?} {here:?}");
     assert!((now.velocity - here.velocity).norm() < 0.3, "{now:?} {here:?}");
-    // Inputs alone lead back: every plan starts from what is seen.
+    // Inputs alone lead back, because every plan starts from the observed state.
     follower.follow(&reference, 3.0);
     let s = &follower.state;
     assert!(s[0].hypot(s[1]) < 0.03 && (s[2] + 1.0).abs() < 0.03, "{s:?}");
@@ -160,7 +160,7 @@ fn lagging_vehicle_returns_without_oscillation() {
         follower.follow(&reference, 1.0);
         follower.state[3] += 0.6;
         follower.follow(&reference, 3.0);
-        // What was on its way when each plan was made is counted in it, so it has ended.
+        // Each plan accounts for the setpoints in transit, so the oscillation has ended.
         for _ in 0..10 {
             follower.follow(&reference, 0.1);
             let s = &follower.state;
@@ -191,7 +191,7 @@ fn estimator_noise_is_hardly_followed() {
     }
     let tilt = (squares / count).sqrt();
     assert!(tilt < 0.1, "{tilt} rad are asked for");
-    // No feedback holds it here, and plans leave it what is within the knee.
+    // No feedback holds the vehicle here, and plans leave errors within the knee to feedback.
     assert!(most < 0.25, "{most} m from the goal");
 }
 
@@ -236,7 +236,7 @@ fn moved_goal_is_followed_within_a_fraction_of_a_second() {
     assert!((s[0] - 0.5).abs() < 0.03 && s[1].abs() < 0.03, "{s:?}");
 }
 
-/// A model that answers only after it was let.
+/// A model that answers only once the gate is open.
 struct Held {
     model: Arc<dyn Model>,
     gate: Mutex<Receiver<()>>,
@@ -246,7 +246,7 @@ struct Held {
 impl Held {
     fn wait(&self) {
         let _ = self.entered.send(());
-        // Open once the test drops the sender.
+        // Opens once the test drops the sender.
         let _ = self.gate.lock().map(|gate| gate.recv());
     }
 }
@@ -275,7 +275,7 @@ fn late_planner_falls_back_to_the_goal_without_blocking() {
     let hover = state_of(&Follower::hovering().state);
     reference.observe(0.0, &hover);
     planning.recv().expect("the planner is at work");
-    // It is now held; ticks go on, one observation waits, and more are dropped.
+    // The planner is blocked: ticks continue, one observation waits, and more are dropped.
     for tick in 0..200 {
         let t = f64::from(tick) * PERIOD_S;
         reference.observe(t, &hover);
@@ -286,7 +286,7 @@ fn late_planner_falls_back_to_the_goal_without_blocking() {
     drop(open);
 }
 
-/// A model that broke.
+/// A model that fails.
 struct Broken;
 
 impl Model for Broken {
@@ -322,14 +322,14 @@ fn new_flight_starts_without_old_plans() {
     let mut again = Follower::hovering();
     again.state[0] = 0.4;
     again.follow(&reference, 0.02);
-    // Nothing of the first flight reaches into this one: its own plan begins after the lead.
+    // Nothing of the first flight carries over: this flight's first plan begins after the lead.
     assert_eq!(reference.sample(0.0).position, Ned::new(0.0, 0.0, -1.0));
     again.follow(&reference, 3.0);
     assert!(again.state[0].abs() < 0.03, "{:?}", again.state);
 }
 
-/// The vehicle is where it is to be, and its estimate says that it falls: a first plan, which has none
-/// before it, gives all the thrust there is to be rid of that, unless it is cautious.
+/// The vehicle is at its goal, but its estimate says that it falls. A first plan, which has no
+/// predecessor, would use full thrust to correct that, unless it is cautious.
 #[test]
 fn first_cautious_plan_leaves_small_errors_to_feedback() {
     let most = |receding: RecedingSettings| {

@@ -1,4 +1,4 @@
-//! The flight report: what it says agrees with the log, whatever state the log is in.
+//! The flight report agrees with the log, whatever condition the log is in.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ fn report(path: &Path) -> FlightReport {
     FlightReport::read(&mut LogReader::open(path).unwrap()).unwrap()
 }
 
-/// What is to be read: all but the script.
+/// The readable part of the page: everything except the script.
 fn drawn(html: &str) -> &str {
     html.split("<script>").next().unwrap()
 }
@@ -34,7 +34,7 @@ fn report_is_self_contained() {
     for outside in ["http:", "https:", "src=", "@import", "url(", "fetch(", "import("] {
         assert!(!html.contains(outside), "{outside}");
     }
-    // Links lead to parts of the page that are there.
+    // Links lead to existing parts of the page.
     for link in html.split("href=\"").skip(1).map(|rest| rest.split('"').next().unwrap()) {
         let part = link.strip_prefix('#').expect("a part of the page");
         assert!(html.contains(&format!("id=\"{part}\"")), "{link}");

@@ -1,4 +1,4 @@
-//! Which message fires a control tick, and what of telemetry is believed.
+//! Which message triggers a control tick, and which telemetry is accepted.
 
 use std::time::Duration;
 
@@ -40,10 +40,10 @@ fn position(us: u64) -> Received {
     received(us, Inbound::LocalPosition { position, velocity })
 }
 
-/// A period in us, and the message at a stamp.
+/// A period in us, and the message at a timestamp.
 type Stream = (u64, fn(u64) -> Received);
 
-/// Feeds what `streams` send at their periods (us) until `end_us`, in order of their stamps.
+/// Feeds what `streams` send at their periods (us) until `end_us`, in order of timestamps.
 fn run(telemetry: &mut Telemetry, streams: &[Stream], end_us: u64) -> Vec<Sample> {
     let mut messages: Vec<_> = streams
         .iter()
@@ -102,7 +102,7 @@ fn slow_odometry_yields_to_attitude_and_position() {
 /// Samples before a stream's rate is known.
 const UNMEASURED: usize = 5;
 
-/// The ticks that fire at `rate_hz` on ODOMETRY of these stamps, us, each with its delay, us.
+/// The ticks triggered at `rate_hz` by ODOMETRY with these timestamps, us, each with its delay, us.
 fn ticks_of(rate_hz: f64, stamps: impl IntoIterator<Item = (u64, u64)>) -> Vec<u64> {
     let mut telemetry = Telemetry::new(TelemetrySettings { rate_hz, ..Default::default() });
     let mut ticks = Vec::new();
@@ -125,7 +125,7 @@ fn noise(k: u64) -> f64 {
 fn every_sample_is_answered_at_the_control_rate_despite_jitter() {
     for rate_hz in [100.0, 500.0] {
         let period_us = 1e6 / rate_hz;
-        // Each stamp off by up to a fifth of a period, each arrival by up to two periods.
+        // Each timestamp is off by up to a fifth of a period, each arrival by up to two periods.
         let stamps = (1..20_000).map(|k| {
             let us = (k as f64 + 0.4 * (noise(k) - 0.5)) * period_us;
             (us as u64, (2.0 * noise(k * k) * period_us) as u64)
@@ -147,7 +147,7 @@ fn vehicle_pause_loses_no_later_tick() {
 
 #[test]
 fn faster_odometry_is_decimated_to_the_rate_on_average() {
-    // 4 ms, and 7.5 ms in turns of 7 and 8.
+    // 4 ms, and 7.5 ms as alternating 7 and 8.
     let even = (1..=2_500).map(|k| (k * 4_000, 0));
     let uneven = (1..=1_333).map(|k| (k * 7_500 / 1000 * 1000, 0));
     for ticks in [ticks_of(100.0, even), ticks_of(100.0, uneven)] {
@@ -228,7 +228,7 @@ fn reset_restart_and_repeat_are_distinguished() {
     assert!(telemetry.last_sample().is_none(), "nothing of before the restart is left");
 }
 
-/// A vehicle's messages as the link hands them on, each with its delay.
+/// A vehicle's messages as the link forwards them, each with its delay.
 #[derive(Default)]
 struct Link {
     clock: VehicleClock,
@@ -274,8 +274,8 @@ fn late_message_is_rejected_and_reported() {
 fn queue_overflow_is_not_a_clock_jump() {
     let (mut telemetry, mut link) = (telemetry(), Link::default());
     link.second(&mut telemetry);
-    // Nothing is read for 1.5 s. What is old then comes at once; what the queue could not hold is
-    // missing; and the newest follows.
+    // Nothing is read for 1.5 s. Old messages then arrive at once, those that the queue could not
+    // hold are missing, and the newest follows.
     let read = START + Duration::from_micros(2_500_000);
     for us in (1_010_000..1_100_000).step_by(10_000) {
         let late = link.hear(&mut telemetry, read, odometry(us));
@@ -302,8 +302,8 @@ fn forward_clock_step_is_reported_once() {
 }
 
 proptest! {
-    /// Whatever is sent, ticks are never closer than half the period, stamps rise,
-    /// and states are finite.
+    /// Whatever is sent, ticks are never closer than half the period, timestamps increase, and
+    /// states are finite.
     #[test]
     fn ticks_keep_their_minimum_spacing(gaps in prop::collection::vec((1u64..30_000, 0u8..4, any::<bool>()), 1..400)) {
         let mut telemetry = telemetry();

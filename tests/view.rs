@@ -1,4 +1,4 @@
-//! The live view over real sockets, by a client of the protocol.
+//! The live view over real sockets, seen by a protocol client.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -31,7 +31,7 @@ fn hear_all(feed: &mut LiveFeed, records: &[Record]) {
     records.iter().for_each(|record| feed.hear(record));
 }
 
-/// A marker that is the last message of what was heard before it.
+/// A marker event that ends what was published before it.
 fn event(text: &str) -> Record {
     let mut event = records(0.01).remove(0);
     if let Record::Event { text: words, .. } = &mut event {
@@ -101,7 +101,7 @@ fn viewer_receives_server_info_schemas_time_and_parameters() {
     viewer.send(json!({"op": "getParameters", "id": "all", "parameterNames": []}));
     let Heard::Json(answer) = viewer.hear() else { panic!("no parameters") };
     assert_eq!(answer["parameters"][0], json!({"name": "control.law", "value": "lqr"}));
-    // What is set from outside stays as it is.
+    // A parameter set from outside keeps its value.
     let set = json!({"name": "control.rate_hz", "value": 5.0, "type": "float64"});
     viewer.send(json!({"op": "setParameters", "id": "set", "parameters": [set]}));
     let Heard::Json(answer) = viewer.hear() else { panic!("no answer") };
@@ -176,7 +176,7 @@ fn stalled_viewer_loses_messages_without_blocking_others() {
     assert!(seen.len() > 500, "{}", seen.len());
 }
 
-/// A million bytes that mean nothing (xorshift64).
+/// A million bytes of garbage (xorshift64).
 fn garbage() -> Vec<u8> {
     let mut state = 0x9E37_79B9_7F4A_7C15_u64;
     let next = || {
@@ -194,7 +194,7 @@ fn garbage_ends_only_its_own_connection() {
     let mut watching = Viewer::ready(view.address(), "/status");
     watching.subscribe(&["/log"]);
     let garbage = garbage();
-    // As they are, behind a handshake, and as messages.
+    // Raw, after a handshake, and as messages.
     let mut raw = TcpStream::connect(view.address()).expect("connects");
     let _ = raw.write_all(&garbage);
     let mut upgraded = TcpStream::connect(view.address()).expect("connects");
@@ -256,7 +256,7 @@ fn connections_are_limited_and_slots_are_freed() {
     let mut byte = [0];
     assert!(!matches!(turned_away.read(&mut byte), Ok(1..)));
     drop(idle);
-    // The server sees them go in its own time.
+    // The server notices later that they have gone.
     let is_served = (0..).any(|_| {
         let mut stream = TcpStream::connect(view.address()).expect("connects");
         let _ = stream.write_all(b"GET / HTTP/1.1\r\n\r\n");

@@ -1,4 +1,4 @@
-//! A log that is played to viewers, over real sockets.
+//! Playback of a log to viewers, over real sockets.
 
 use downwash::log::LogReader;
 use downwash::view::{Playback, Recording, ViewSettings};
@@ -13,7 +13,7 @@ const PLAYING: u8 = 0;
 const PAUSED: u8 = 1;
 const ENDED: u8 = 3;
 
-/// A log of three seconds, played or waiting.
+/// A log of three seconds, playing or paused.
 fn play(name: &str, is_paused: bool) -> (Playback, Vec<Data>) {
     let folder = std::env::temp_dir().join(format!("downwash-{name}-{}", std::process::id()));
     let log = write(&folder, &records(3.0));
@@ -29,7 +29,7 @@ fn play(name: &str, is_paused: bool) -> (Playback, Vec<Data>) {
     (Playback::start(settings, recording, is_paused).expect("a playback"), logged)
 }
 
-/// A request as Foxglove's protocol has it, at a speed, to a time in s of the log.
+/// A request in Foxglove's protocol, with a speed and a time to seek to, in s of the log.
 fn request(viewer: &mut Viewer, command: u8, speed: f32, seek: Option<f64>) {
     let mut bytes = vec![3, command];
     bytes.extend(speed.to_le_bytes());
@@ -44,7 +44,7 @@ fn ns(s: f64) -> u64 {
     START.as_ns() + (s * 1e9).round() as u64
 }
 
-/// What comes up to a state of the playback, and that state.
+/// Everything up to a state of the playback, and that state.
 fn until(viewer: &mut Viewer, status: u8) -> (Vec<Data>, (u64, f32, bool)) {
     let mut found = Vec::new();
     loop {
@@ -72,11 +72,11 @@ fn log_is_played_to_its_end_without_a_gap() {
     request(&mut viewer, PLAY, 4.0, None);
     let (mut seen, (time, speed, _)) = until(&mut viewer, ENDED);
     assert_eq!((time, speed), (ns(3.0), 4.0));
-    // What stands at the instant where it waited was given out before anybody came.
+    // The messages at the instant where it was paused were sent before any viewer connected.
     let is_wanted =
         |d: &Data| ["/state", "/control"].contains(&d.topic.as_str()) && d.time > START.as_ns();
     let wanted: Vec<_> = logged.into_iter().filter(is_wanted).collect();
-    // The state overtakes what waits.
+    // The state message overtakes queued messages.
     while seen.len() < wanted.len() {
         seen.push(viewer.data());
     }
@@ -92,7 +92,7 @@ fn seek_shows_the_state_there_and_playback_continues() {
     request(&mut viewer, PAUSE, 1.0, Some(2.0));
     let (_, (time, _, has_sought)) = until(&mut viewer, PAUSED);
     assert_eq!((time, has_sought), (ns(2.0), true));
-    // The vehicle's shape, the events before, the trail and the plan, though nothing plays.
+    // The vehicle's shape, earlier events, the trail and the plan, although nothing plays.
     let mut missing = vec!["base_link_ref", "trail", "plan", "armed"];
     while !missing.is_empty() {
         let data = viewer.data();
@@ -116,7 +116,7 @@ fn paused_log_stands_still_and_exposes_its_facts() {
     viewer.subscribe(&["/state"]);
     request(&mut viewer, PAUSE, 1.0, None);
     let (_, (time, ..)) = until(&mut viewer, PAUSED);
-    // Times that are told from then on are that one.
+    // Times published from then on are the same.
     let mut told = 0;
     while told < 3 {
         if let Heard::Time(now) = viewer.hear() {

@@ -1,5 +1,5 @@
-//! Viewers that may change something, over real sockets: what is on the list, who is let in, and what
-//! all are shown.
+//! Viewers that may change parameters, over real sockets: which parameters, which origins, and what
+//! all viewers see.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -24,7 +24,7 @@ fn start(is_writable: bool) -> (LiveView, LiveFeed) {
     LiveView::start(settings, &[], CoursePath::default()).expect("a view")
 }
 
-/// The server's first words.
+/// The server's first message.
 fn server_info(view: &LiveView) -> Value {
     match Viewer::connect(view.address()).hear() {
         Heard::Json(info) => info,
@@ -32,7 +32,7 @@ fn server_info(view: &LiveView) -> Value {
     }
 }
 
-/// What the parameters are said to be, by the next message that says so.
+/// The parameter values in the next message that reports them.
 fn values(viewer: &mut Viewer) -> BTreeMap<String, f64> {
     loop {
         if let Heard::Json(said) = viewer.hear()
@@ -49,7 +49,7 @@ fn values(viewer: &mut Viewer) -> BTreeMap<String, f64> {
     }
 }
 
-/// Sets parameters; what the server answers, which comes after it has taken them.
+/// Sets parameters; returns the server's answer, which follows their acceptance.
 fn set(viewer: &mut Viewer, parameters: Value) -> BTreeMap<String, f64> {
     viewer.send(json!({"op": "setParameters", "id": "set", "parameters": parameters}));
     values(viewer)
@@ -81,7 +81,7 @@ fn change_is_forwarded_whole_and_shown_to_all_viewers() {
         viewer.send(json!({"op": "getParameters", "id": "now", "parameterNames": NAMES}));
         assert_eq!(values(viewer)["flight.feedback_scale"], 1.0);
     }
-    // An integer without a type is a number too.
+    // An untyped integer is a number too.
     let up = json!({"name": "flight.goal_up_m", "value": 1});
     let said = set(&mut asking, json!([number("flight.goal_north_m", 0.5), up]));
     assert_eq!(said["flight.goal_north_m"], 0.0, "what holds, not what is asked for");
@@ -129,7 +129,7 @@ fn repeated_changes_are_bounded() {
     assert_eq!(taken, 4);
 }
 
-/// Asks for a WebSocket as a page from `origin` does; the answer's first line.
+/// Requests a WebSocket like a page from `origin`; returns the first line of the answer.
 fn knock(at: SocketAddr, origin: &str) -> (TcpStream, String) {
     let mut stream = TcpStream::connect(at).expect("connects");
     write!(

@@ -1,4 +1,4 @@
-//! Flights of the bundled vehicle to learn from, and `train` on them.
+//! Flights of the bundled vehicle for learning, and `train` on them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-/// What differs from the vehicle file, as on a real vehicle.
+/// Differences from the vehicle file, as on a real vehicle.
 pub const REALISTIC: [&str; 4] = [
     "rotor_drag:d_xy=0.012,d_z=0.008",
     "motor_lag:tau_s=0.05",
@@ -33,7 +33,7 @@ pub fn downwash(folder: &Path) -> Command {
     command
 }
 
-/// Flies a programme of `seconds` with the realistic effects and `more`; the logs in order.
+/// Flies a programme of `seconds` with the realistic effects and `more`; returns the logs in order.
 pub fn collect(name: &str, seconds: u32, more: &[&str]) -> Vec<PathBuf> {
     let folder = folder(name);
     let mut command = downwash(&folder);
@@ -49,7 +49,7 @@ pub fn collect(name: &str, seconds: u32, more: &[&str]) -> Vec<PathBuf> {
     logs
 }
 
-/// A training of small networks, and the model file that it writes.
+/// Trains small networks; returns the output and the model file.
 pub fn train(name: &str, logs: &[PathBuf], more: &[&str]) -> (Output, PathBuf) {
     let folder = folder(name);
     let model = folder.join("model.safetensors");
@@ -67,7 +67,7 @@ pub fn train(name: &str, logs: &[PathBuf], more: &[&str]) -> (Output, PathBuf) {
     (output, model)
 }
 
-/// What a training that succeeded says.
+/// The summary of a successful training.
 pub fn summary(output: &Output) -> Value {
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{errors}");

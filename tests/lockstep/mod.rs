@@ -1,5 +1,5 @@
-//! A station and the simulated vehicle on one virtual clock, with a link between them that a test
-//! can cut, delay or spoil, and a pilot with a ground station of his own.
+//! A station and the simulated vehicle on one virtual clock, over a link that a test can cut, delay
+//! or corrupt, and a pilot with a separate ground station.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,12 +29,12 @@ pub const NANO: &str = "crazyflie.toml";
 pub const QUAD: &str = "quad1200.toml";
 pub const VEHICLES: [&str; 2] = [NANO, QUAD];
 
-/// Transport delay and rotor lag that both vehicles are to be flown with.
+/// Transport delay and rotor lag that both vehicles must tolerate.
 pub const SLOW: [&str; 2] = ["command_delay:delay_s=0.02", "motor_lag:tau_s=0.06"];
 
 /// The message that carries setpoints.
 const SET_ATTITUDE_TARGET: u32 = 82;
-/// The station's number for the vehicle, the vehicle's for the station and for the pilot.
+/// The station's peer number for the vehicle, and the vehicle's for the station and for the pilot.
 const VEHICLE: Peer = Peer::new(0);
 const STATION: autopilot::Peer = autopilot::Peer(0);
 const PILOT: autopilot::Peer = autopilot::Peer(1);
@@ -68,7 +68,7 @@ pub fn effects(arguments: &[&str]) -> EffectSet {
     effects
 }
 
-/// What the daemon makes of a vehicle file and a trajectory with default settings.
+/// The daemon's settings for a vehicle file and a trajectory, with defaults.
 pub fn settings(params: &VehicleParams, trajectory: Trajectory) -> StationSettings {
     let physics = Physics::new(params, &EffectSet::new()).expect("sound numbers");
     let constants = physics.constants();
@@ -106,7 +106,7 @@ pub fn ideal() -> SitlConfig {
     SitlConfig { sensors: SensorConfig::IDEAL, ..SitlConfig::default() }
 }
 
-/// A whole flight: how it ended and all that was logged.
+/// A whole flight: its end and all records.
 pub fn fly(
     settings: StationSettings,
     params: &VehicleParams,
@@ -175,7 +175,7 @@ pub fn masks(records: &[Record]) -> Vec<u8> {
     masks
 }
 
-/// What the link does to one frame on its way to the station: the datagrams that arrive instead.
+/// Maps one frame on its way to the station to the datagrams that arrive instead.
 pub type Downlink = Box<dyn FnMut(u64, &[u8]) -> Vec<Vec<u8>>>;
 
 /// Station, vehicle, link and pilot.
@@ -185,13 +185,13 @@ pub struct Bench {
     pub records: Vec<Record>,
     /// Times at which a setpoint left the station, us of simulation.
     pub setpoints_us: Vec<u64>,
-    /// What happens to frames for the station.
+    /// What happens to frames on their way to the station.
     pub downlink: Downlink,
     /// Whether frames reach the vehicle.
     pub uplink: bool,
     /// Whether the transport takes no frames.
     pub is_jammed: bool,
-    /// Time of simulation before the vehicle's last boot, and now, us.
+    /// Simulated time before the vehicle's last boot, and now, us.
     booted_us: u64,
     simulated_us: u64,
     pilot: Encoder,
@@ -240,7 +240,7 @@ impl Bench {
         lockstep::EPOCH + Duration::from_micros(self.now_us())
     }
 
-    /// One turn of the loop that `lockstep::fly` is.
+    /// One turn of the loop in `lockstep::fly`.
     fn turn(&mut self, until_us: u64) {
         let (now, now_us) = (self.now(), self.now_us());
         let Self { vehicle, station, downlink, .. } = self;
@@ -282,8 +282,8 @@ impl Bench {
         self.vehicle.advance_to(vehicle_us);
     }
 
-    /// The station's process stands still while the vehicle goes on, then reads one by one what lay
-    /// unread, and answers as it reads.
+    /// The station's process stalls while the vehicle continues, then reads the backlog one by one
+    /// and answers as it reads.
     pub fn stall(&mut self, seconds: f64) {
         let until_us = self.now_us() + (seconds * 1e6) as u64;
         let mut unread = Vec::new();
@@ -336,7 +336,7 @@ impl Bench {
         }
     }
 
-    /// Runs until nothing more is to be recorded, at most `seconds`.
+    /// Runs until recording ends, at most `seconds`.
     pub fn until_over(&mut self, seconds: f64) {
         let limit_us = self.now_us() + (seconds * 1e6) as u64;
         while !self.station.is_over() {
@@ -345,7 +345,7 @@ impl Bench {
         }
     }
 
-    /// Whether sinks were told that the flight is over.
+    /// Whether the sinks were notified that the flight is over.
     pub fn told_end(&self) -> bool {
         self.records.iter().any(|record| matches!(record, Record::FlightEnds))
     }
@@ -369,7 +369,7 @@ impl Bench {
         self.texts().iter().any(|text| text.contains(words))
     }
 
-    /// Setpoints that left after `us` of simulation.
+    /// Number of setpoints that left after `us` of simulation.
     pub fn setpoints_after(&self, us: u64) -> usize {
         self.setpoints_us.iter().filter(|at| **at > us).count()
     }
@@ -390,7 +390,7 @@ impl Bench {
         self.vehicle.receive(PILOT, &bytes);
     }
 
-    /// The pilot asks for a mode. Whether that succeeds is the vehicle's business.
+    /// The pilot requests a mode; the vehicle may refuse.
     pub fn pilot_mode(&mut self, mode: Mode) {
         let [main, sub] = self.vehicle.mode_command(mode);
         self.command(MavCmd::MAV_CMD_DO_SET_MODE, [1.0, main.into(), sub.into()]);
@@ -401,14 +401,14 @@ impl Bench {
         self.command(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, [1.0, 0.0, 0.0]);
     }
 
-    /// The vehicle starts again, on the ground, its clock at 0.
+    /// The vehicle reboots on the ground with its clock at 0.
     pub fn reboot(&mut self, vehicle: Vehicle) {
         self.booted_us = self.now_us();
         self.vehicle = vehicle;
         self.vehicle.connect(STATION, LinkKind::Datagrams);
     }
 
-    /// The daemon starts again.
+    /// The daemon restarts.
     pub fn restart(&mut self, settings: StationSettings) {
         self.station = Station::new(settings, self.now());
     }

@@ -1,5 +1,5 @@
-//! A made-up flight with the streams, rates and sizes of a real one: take-off, a sinusoid in x and
-//! y with turning yaw, landing. The vehicle follows the reference with a lag and some noise.
+//! A synthetic flight with the streams, rates and sizes of a real one: take-off, a sinusoid in x
+//! and y with turning yaw, landing. The vehicle follows the reference with a lag and some noise.
 
 use std::time::{Duration, Instant};
 
@@ -67,14 +67,14 @@ fn frame(
     noise: &mut Noise,
 ) -> Record {
     let mut bytes = vec![0xFD, payload as u8, 0, 0, 0, 1, 1, id, 0, 0];
-    // Like floats that change slowly: the high half stays.
+    // Like slowly changing floats: the high half stays the same.
     let body =
         (0..payload + 2).map(|i| if i % 4 < 2 { (noise.next() * 127.0) as u8 } else { 0x3E });
     bytes.extend(body);
     Record::Frame(FrameRecord::from_bytes(direction, host, &bytes).expect("a whole frame"))
 }
 
-/// Every record of a flight of `duration` seconds, in the order of time.
+/// Every record of a flight of `duration` seconds, in order of time.
 pub fn records(duration: f64) -> Vec<Record> {
     let mut noise = Noise(0x9E37_79B9_7F4A_7C15);
     let mut out = Vec::new();

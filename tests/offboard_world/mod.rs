@@ -1,5 +1,6 @@
-//! A vehicle for the offboard controller to fly: rigid body, PD on board, first-order rotors, transport delay,
-//! modes and arming. Equations of its own, so that it shares no mistake with the model.
+//! A vehicle for the offboard controller: rigid body, on-board PD, first-order rotors, transport
+//! delay, modes and arming. Its equations are independent of the model, so that they share no
+//! mistakes.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -69,7 +70,7 @@ pub fn lqr(numbers: &Numbers) -> Lqr {
 pub struct Vehicle {
     numbers: Numbers,
     pub state: State,
-    /// Thrust and moments, lagging.
+    /// Thrust and moments, after the lag.
     wrench: [f64; 4],
     lag_s: f64,
     delay_ms: u64,
@@ -78,7 +79,7 @@ pub struct Vehicle {
     pub armed: bool,
     pub mode: u32,
     pub system: SystemState,
-    /// Its land detector fails.
+    /// Whether its land detector fails.
     pub stays_armed: bool,
     pub ms: u64,
 }
@@ -139,7 +140,7 @@ impl Vehicle {
         }
     }
 
-    /// The PD and the rotors' command.
+    /// The PD and the rotor commands.
     fn board(&mut self) {
         let zeta = self.state.attitude.euler();
         let mut wanted = self.setpoint;
@@ -190,7 +191,7 @@ impl Vehicle {
                 .normalized();
         let p = self.state.position;
         if p.down() > 0.0 && self.state.velocity.down() > 0.0 {
-            // The floor: no sinking, no sliding, no tilting.
+            // The floor prevents sinking, sliding and tilting.
             let yaw = self.state.attitude.euler().yaw;
             self.state = State {
                 position: Ned::new(p.north(), p.east(), 0.0),
@@ -235,16 +236,16 @@ impl Vehicle {
     }
 }
 
-/// An offboard controller and a vehicle, in step.
+/// An offboard controller and a vehicle, run in step.
 pub struct Flight {
     pub offboard: OffboardController,
     pub vehicle: Vehicle,
     pub ticks: Vec<Tick>,
     pub events: Vec<Event>,
     pub actions: Vec<Action>,
-    /// Whether the vehicle's messages reach the controller, and of which kind.
+    /// Which of the vehicle's messages reach the controller.
     pub hears: fn(&Inbound) -> bool,
-    /// Whether the controller's requests have an effect.
+    /// Whether the controller's requests take effect.
     pub obeys: fn(Action) -> bool,
 }
 
@@ -312,7 +313,7 @@ impl Flight {
         panic!("{state:?} not reached in {seconds} s: {:#?}", self.events);
     }
 
-    /// HEARTBEAT carries `armed`, which changed.
+    /// Sends a HEARTBEAT after `armed` has changed.
     fn heartbeat(&mut self) {
         let message = Inbound::Heartbeat {
             autopilot: 12,
@@ -348,7 +349,7 @@ impl<F: Fn(f64) -> (Ned, Ned, f64, f64)> ReferenceSource for Curve<F> {
         self.0
     }
 
-    /// The function gives position, velocity, yaw and yaw rate; thrust is left to feedback's level.
+    /// The function gives position, velocity, yaw and yaw rate; feedback supplies the thrust.
     fn sample(&self, t: f64) -> Reference {
         let (position, velocity, yaw, yaw_rate) = self.1(t.clamp(0.0, self.0));
         let attitude = Euler::new(0.0, 0.0, wrap_angle(yaw));
@@ -358,7 +359,7 @@ impl<F: Fn(f64) -> (Ned, Ned, f64, f64)> ReferenceSource for Curve<F> {
     }
 }
 
-/// [`Curve`] with the hover thrust of `numbers` fed forward.
+/// [`Curve`] with the hover thrust of `numbers` as feedforward.
 pub struct Hovering<S>(pub S, pub f64);
 
 impl<S: ReferenceSource> ReferenceSource for Hovering<S> {

@@ -1,4 +1,4 @@
-//! A nano quadrotor, models of it and desired trajectories, for the tests of planning.
+//! A nano quadrotor, its models and desired trajectories for the planning tests.
 
 // Each test file uses a part of it.
 use std::path::Path;
@@ -94,7 +94,7 @@ pub fn turning() -> Trajectory {
     )
 }
 
-/// Faster than the vehicle likes.
+/// Faster than the vehicle can follow.
 pub fn hasty(seconds: f64) -> Trajectory {
     trajectory(&format!(
         "family = 'sinusoid-yaw'\naltitude_m = 1\nduration_s = {seconds}\namplitude_m = 1\n\

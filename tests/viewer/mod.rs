@@ -9,7 +9,7 @@ use tungstenite::client::IntoClientRequest;
 use tungstenite::http::HeaderValue;
 use tungstenite::{Message, WebSocket};
 
-/// Bounds what waits for the system; nothing in these tests takes this long unless it hangs.
+/// Bounds every wait; a test takes this long only if it hangs.
 const LIMIT: Duration = Duration::from_secs(20);
 
 /// One message of a topic.
@@ -21,20 +21,20 @@ pub struct Data {
     pub body: Vec<u8>,
 }
 
-/// What a server sends.
+/// A message from the server.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Heard {
     Json(Value),
     Data(Data),
     /// ns
     Time(u64),
-    /// Status, time in ns, speed, whether it is the answer to a seek.
+    /// Status, time in ns, speed, whether it answers a seek.
     Playback(u8, u64, f32, bool),
 }
 
 pub struct Viewer {
     socket: WebSocket<TcpStream>,
-    /// Numbers of the topics.
+    /// Channel ids of the topics.
     pub topics: BTreeMap<String, u64>,
     subscribed: BTreeMap<u32, String>,
 }
@@ -50,7 +50,7 @@ impl Viewer {
         Self { socket, topics: BTreeMap::new(), subscribed: BTreeMap::new() }
     }
 
-    /// The same, once the server has told its topics.
+    /// Connects and waits until the server has advertised `topic`.
     pub fn ready(address: SocketAddr, topic: &str) -> Self {
         let mut viewer = Self::connect(address);
         while !viewer.topics.contains_key(topic) {
@@ -59,7 +59,7 @@ impl Viewer {
         viewer
     }
 
-    /// The system keeps little of what this viewer does not read.
+    /// Shrinks the receive buffer, so that unread data fill it soon.
     pub fn keep_little(&self) {
         use std::os::fd::AsRawFd;
         let (fd, size) = (self.socket.get_ref().as_raw_fd(), 16_384_i32);
@@ -87,7 +87,7 @@ impl Viewer {
             asked.push(json!({"id": id, "channelId": self.topics[*topic]}));
         }
         self.send(json!({"op": "subscribe", "subscriptions": asked}));
-        // What is asked after it is answered after it.
+        // The server answers in order, so what follows is answered after this.
         self.send(json!({"op": "getParameters", "id": "subscribed", "parameterNames": ["none"]}));
         while !matches!(self.hear(), Heard::Json(answer) if answer["id"] == "subscribed") {}
     }
