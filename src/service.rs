@@ -302,6 +302,6 @@ mod tests {
         assert!(ask(&service, &"A".repeat(9000)).starts_with("HTTP/1.1 400"));
         let open = Service::start("0.0.0.0:0").err().expect("others could read it");
         assert!(open.to_string().contains("expected a loopback address"), "{open}");
-        assert!(Service::start(&service.address().to_string()).is_err(), "it is taken");
+        assert!(Service::start(&service.address().to_string()).is_err(), "the port is taken");
     }
 }

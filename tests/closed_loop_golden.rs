@@ -93,7 +93,7 @@ fn differences(golden: &Golden, flight: &Flight, ticks: &[Tick]) -> [f64; 7] {
             "{t} s, not {} s: ticks are not 10 ms apart",
             sample.t
         );
-        assert_eq!(tick.saturation, 0, "the controller there has no limits");
+        assert_eq!(tick.saturation, 0, "the golden controller has no limits");
         let setpoint = tick.setpoint.expect("a setpoint");
         let [w, x, y, z] = sample.attitude;
         let [roll, pitch, yaw] = sample.desired_attitude;
@@ -122,7 +122,7 @@ fn flight_matches_rotorpy_under_an_independent_controller() {
         let start_ms = ticks[0].stamp.vehicle.expect("a vehicle's time").as_us() / 1000;
         let period_ms = 4;
         let phase_ms = (period_ms - start_ms % period_ms) % period_ms;
-        assert_eq!(phase_ms, golden.pd_phase_ms, "PD_PHASE_MS of the golden file's maker");
+        assert_eq!(phase_ms, golden.pd_phase_ms, "PD_PHASE_MS in make_closed_loop.py");
         let worst = differences(&golden, flight, &ticks);
         println!("{}{worst:?}", flight.trajectory);
         assert!(worst.iter().all(|&difference| difference < TOLERANCE), "{worst:?}");

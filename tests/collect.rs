@@ -89,7 +89,7 @@ fn all_kinds_are_flown_once_and_truncated_flights_again() {
     let again = summary(&collect(&two.0, &short));
     assert_eq!(column(&again, "end"), ["kept", "kept", "kept", "done", "kept"]);
     assert_eq!(again["samples"], first["samples"]);
-    assert!(two.logs() == logs, "the flight that was cut short is whole again");
+    assert!(two.logs() == logs, "the truncated flight is complete again");
 
     // A different truth is a different programme: the first one's files stay untouched.
     let other = summary(&collect(&two.0, &["--seconds", "60", "--seed", "2"]));

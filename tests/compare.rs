@@ -121,7 +121,7 @@ fn chance_alone_is_significant_one_time_in_twenty() {
             "{size} flights, {pairing:?}: false alarms {alarms} [{least:.3}, {most:.3}], found {found}, \
              covered {covered}"
         );
-        assert!(least <= 0.05, "{size} flights, {pairing:?}: at least {least} of false alarms");
+        assert!(least <= 0.05, "{size} flights, {pairing:?}: at least {least} false alarms");
         assert!((0.015..=0.085).contains(&alarms), "{size} flights, {pairing:?}: {alarms}");
         assert!(covered >= 0.92, "{size} flights, {pairing:?}: {covered}");
         assert!(size < 6 || found > 0.9, "{size} flights, {pairing:?}: {found}");

@@ -108,7 +108,7 @@ fn ratios_up_to(
                 weight += n;
             }
         }
-        assert!(weight > 0.0, "{name} was not looked at");
+        assert!(weight > 0.0, "{name} was not checked");
         ratios.push((*name, (sum / weight).exp()));
     }
     let numbers = catalogue.numbers.iter().zip(&twins.truth);

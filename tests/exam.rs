@@ -74,7 +74,7 @@ fn every_case_is_answered_and_the_key_matches_its_commitment() {
     assert_eq!(verdicts(anew.as_array().expect("rows")), verdicts(rows));
 
     let again = exam(&out, &arguments);
-    assert!(!again.status.success(), "another exam's folder is taken");
+    assert!(!again.status.success(), "a used folder is refused");
 }
 
 #[test]

@@ -147,7 +147,7 @@ fn missing_outputs_are_computed_by_the_onboard_law() {
     let onboard = Onboard::new(&vehicle()).expect("a mixer");
     for flight in flights(&SHORT) {
         let logged = flight.outputs.clone();
-        assert!(!onboard.complete_outputs(&mut flight.clone()), "what is logged stays");
+        assert!(!onboard.complete_outputs(&mut flight.clone()), "logged outputs are kept");
         let mut without = Flight { outputs: Stream::default(), ..flight.clone() };
         assert!(onboard.complete_outputs(&mut without));
         assert_eq!(without.motor_source, MotorSource::OnboardLaw);
@@ -255,7 +255,7 @@ fn interrupted_training_resumes_to_the_same_result() {
                 progress = Some(serde_json::from_str(&text).expect("a checkpoint"));
             }
         }
-        assert!(interruptions < 100, "no headway");
+        assert!(interruptions < 100, "no progress");
     };
     assert!(interruptions >= 2, "{interruptions}");
     assert_eq!(resumed, whole);

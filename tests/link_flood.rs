@@ -47,9 +47,12 @@ fn crowd_fills_bounded_tables_without_affecting_the_vehicle() {
     assert_eq!(world.session.state(), LinkState::Connected);
     assert_eq!(world.session.vehicle_peer(), Some(VEHICLE));
     world.run(&mut vehicle, seconds(1.0));
-    world.session.send_setpoint(world.now, &cleared(world.now, 1.0)).expect("it is still flown");
+    world
+        .session
+        .send_setpoint(world.now, &cleared(world.now, 1.0))
+        .expect("the vehicle is still flown");
     let told = world.events.iter().filter(|event| matches!(event, Event::AnotherAutopilot { .. }));
-    assert!(told.count() <= 32, "a crowd is not told one by one");
+    assert!(told.count() <= 32, "crowding peers are not reported one by one");
 }
 
 fn key() -> Key {

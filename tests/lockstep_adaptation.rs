@@ -69,7 +69,7 @@ fn payload_and_weak_rotor_are_compensated_and_reported_under_both_laws() {
             let words = words(&records);
             assert!(words.iter().any(|text| text.contains(told)), "{law}: {words:?}");
             let (_, plain) = changed(with(law, false, 9.0), &change, 1);
-            assert!(largest_m(&plain, 2.0) > 5.0 * late_m, "{law}: the change is none");
+            assert!(largest_m(&plain, 2.0) > 5.0 * late_m, "{law}: the change has no effect");
         }
     }
 }

@@ -35,7 +35,7 @@ fn each_autopilot_flies_a_whole_flight_with_its_type_mask() {
             Record::Event { text, .. } => text.contains(&format!("vehicle is {name}")),
             _ => false,
         });
-        assert!(named, "the station takes it for {name}");
+        assert!(named, "the station identifies it as {name}");
         assert_eq!(masks(&records), [mask], "{name}");
         let (rms, most) = errors(&records);
         assert!(rms < 0.2 && most < 0.5, "{name}: {rms} m, {most} m");

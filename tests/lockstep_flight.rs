@@ -167,7 +167,7 @@ fn hover_thrust_is_the_weight_and_payload_sag_matches_the_gain() {
     let params = params(NANO);
     let weight = params.mass * params.gravity;
     let thrust_per_m = nano_lqr().gain()[(0, 2)];
-    assert!(thrust_per_m > 0.0, "below the reference more thrust is asked for");
+    assert!(thrust_per_m > 0.0, "below the reference the thrust rises");
     for (extra, effect) in [(1.0, "mass:mass_kg=0.030"), (1.1, "mass:mass_kg=0.033")] {
         let (end, records) = fly(settings(&params, hover(10.0)), &params, &[effect], ideal(), 1);
         assert_eq!(end, End::Done);

@@ -293,6 +293,6 @@ fn quickened_feedback_tracks_wandering_estimates_and_circles_better() {
     {
         let [plain, quick] =
             [Use::Off, Use::On].map(|quicken| flown(quicken, offset_free, trajectory.clone()));
-        assert!(quick < 0.8 * plain, "{quick} m, {plain} m as set");
+        assert!(quick < 0.8 * plain, "{quick} m quickened, {plain} m as set");
     }
 }

@@ -52,7 +52,7 @@ fn pilot_switch_engages_takes_over_and_engages_again() {
     bench.run(0.05);
     let now_us = bench.now_us();
     bench.run(0.8);
-    assert_eq!(bench.setpoints_after(now_us), 0, "another mode must be seen for a second");
+    assert_eq!(bench.setpoints_after(now_us), 0, "another mode must be reported for a second");
     assert!(!bench.phase().is_some_and(FlightState::is_in_control));
 }
 

@@ -360,7 +360,7 @@ fn vehicle_is_recorded_after_an_abort() {
     assert!(ticks > 300 && height_m < 0.05, "{ticks} ticks down to {height_m} m");
     assert_eq!((setpoints, bench.setpoints_after(aborted_us)), (0, 0));
     assert!(bench.told_end());
-    assert_eq!(bench.station.end(), verdict.as_ref(), "what ended it stays told");
+    assert_eq!(bench.station.end(), verdict.as_ref(), "the reported end does not change");
 }
 
 #[test]
@@ -401,7 +401,7 @@ fn different_vehicle_after_an_abort_is_not_flown() {
     let params = params(NANO);
     let mut bench = stopped_in_flight();
     let aborted_us = bench.now_us();
-    // High enough that the recording lasts until it is identified.
+    // The link goes silent in the air, so the recording lasts until the new vehicle is identified.
     bench.downlink = Box::new(|_, _| vec![]);
     bench.run(0.1);
     let fresh = Vehicle::new(params, effects(&[]), SitlConfig::default(), 2).expect("a vehicle");

@@ -89,7 +89,7 @@ fn unknown_loop(vehicle: &str, on_board: Option<f64>, setting: Option<[f64; 3]>)
     let assumed = records.iter().any(|record| {
         matches!(record, Record::Event { text, .. } if text.contains("attitude loop is unknown"))
     });
-    assert_eq!(assumed, setting.is_none(), "what is assumed is said");
+    assert_eq!(assumed, setting.is_none(), "the assumption is reported");
     errors(&records)
 }
 
@@ -117,6 +117,6 @@ fn feedback_is_designed_for_the_configured_response() {
         assert!(largest < 1.4, "{vehicle}: {slow} m, {largest} m");
         let (assumed, _) = unknown_loop(vehicle, Some(12.0), None);
         let (told, _) = unknown_loop(vehicle, Some(12.0), Some([12.0, 12.0, 6.0]));
-        assert!(told < 0.8 * assumed, "{vehicle}: {told} m told, {assumed} m assumed");
+        assert!(told < 0.8 * assumed, "{vehicle}: {told} m configured, {assumed} m assumed");
     }
 }

@@ -102,8 +102,8 @@ fn flight_ends_when_another_vehicle_replaces_the_flown_one() {
     assert!(bench.told("vehicle is PX4"), "{:#?}", bench.texts());
     bench.run(5.0);
     assert_eq!(bench.setpoints_after(aborted_us), 0);
-    assert_eq!(masks(&bench.records), [0x00], "nothing in a form that the feedback is not for");
-    assert_eq!(bench.phase(), Some(FlightState::Abort), "nobody else flies on");
+    assert_eq!(masks(&bench.records), [0x00], "no setpoint in another form");
+    assert_eq!(bench.phase(), Some(FlightState::Abort), "no other vehicle is flown");
     let why = "another vehicle answers on the link";
     assert_eq!(bench.station.end(), Some(&End::Aborted(why.to_owned())));
     assert_eq!(facts_and_flights(&bench), ["bundled", "begins", "ends"]);
@@ -164,7 +164,7 @@ fn replacement_vehicle_is_kept_out_of_the_switched_flights_log() {
         assert!(!bench.told("recording continues"), "{:#?}", bench.texts());
         assert_eq!(facts_and_flights(&bench), ["bundled", "begins", "ends", name]);
         let waits = bench.phase().is_some_and(FlightState::precedes_stream);
-        assert!(waits, "the next flight's pilot does: {:?}", bench.phase());
+        assert!(waits, "waits for the next flight's pilot: {:?}", bench.phase());
         assert_eq!(masks(&bench.records), [0x00]);
         assert_eq!(bench.station.end(), None);
     }

@@ -79,7 +79,7 @@ fn sync_points_do_not_change_the_messages() {
     let records = records(1.0);
     let once = fs::read(write(&directory("once"), &records)).unwrap();
     let often = fs::read(write_synced(&directory("often"), &records, 50)).unwrap();
-    assert_ne!(once, often, "chunks end elsewhere");
+    assert_ne!(once, often, "chunk boundaries differ");
     assert_eq!(bodies(&once).0, bodies(&often).0);
 }
 
@@ -129,7 +129,7 @@ fn truncated_log_gives_every_whole_chunk() {
     for cut in 0..bytes.len() {
         let (part, reader) = bodies(&bytes[..cut]);
         assert!(!reader.ending().finished, "cut at {cut}");
-        assert_eq!(reader.ending().damaged, 0, "a cut is no damage, at {cut}");
+        assert_eq!(reader.ending().damaged, 0, "truncation is not damage, at {cut}");
         assert!(part.len() >= most, "a longer file never holds less, at {cut}");
         assert!(part.len() <= most + 200, "one chunk at a time, at {cut}");
         assert_eq!(part, all[..part.len()]);

@@ -63,7 +63,7 @@ fn moved_goal_is_reached_held_and_landed_at() {
     let held = flight.ticks.last().expect("a tick").reference.position;
     flight.run(1.0);
     let reference = flight.ticks.last().expect("a tick").reference.position;
-    assert!((reference - held).norm() > 0.05, "what is held moves with the goal");
+    assert!((reference - held).norm() > 0.05, "the held position moves with the goal");
     flight.until(FlightState::Land, 10.0);
     let landing = flight.offboard.adjusted().goal;
     flight.run(0.3);

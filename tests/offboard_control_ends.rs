@@ -35,7 +35,7 @@ fn pilot_switch_engages_only_while_the_hold_is_streamed() {
     flight.until(FlightState::Standby, 10.0);
     flight.run(5.0);
     assert_eq!(flight.offboard.flight_state(), FlightState::Standby);
-    assert!(flight.actions.is_empty(), "a daemon that waits asks for nothing");
+    assert!(flight.actions.is_empty(), "a waiting daemon requests nothing");
     flight.switch(MODES.offboard);
     flight.run(0.1);
     assert_eq!(flight.offboard.flight_state(), FlightState::Arm);
@@ -95,7 +95,7 @@ fn commanded_flight_takes_a_disarmed_vehicle_out_of_offboard() {
     assert_eq!(flight.actions, [Action::SetModeHold]);
     let sent = |tick: &&Tick| tick.setpoint.is_some();
     let first = flight.ticks.iter().find(sent).map_or(FlightState::Standby, |tick| tick.phase);
-    assert_eq!(first, FlightState::Standby, "silent until it is free");
+    assert_eq!(first, FlightState::Standby, "silent until it has left OFFBOARD");
     flight.until(FlightState::Done, 60.0);
 }
 

@@ -88,7 +88,11 @@ fn late_frame_of_another_kind_does_not_confirm_the_mode() {
     }
     flight.run(2.0);
     assert_eq!(flight.offboard.flight_state(), FlightState::Land);
-    assert!(flight.actions.is_empty(), "over the vehicle's own failsafe: {:?}", flight.actions);
+    assert!(
+        flight.actions.is_empty(),
+        "would override the vehicle's failsafe: {:?}",
+        flight.actions
+    );
 }
 
 #[test]
@@ -250,7 +254,7 @@ fn nothing_is_offered_without_a_recent_mode_report() {
     flight.run(2.6);
     let old = flight.vehicle.now();
     flight.run(1.0);
-    assert_eq!(flight.streamed_since(old), 0, "the pilot may have switched: it would be obeyed");
+    assert_eq!(flight.streamed_since(old), 0, "after an unseen switch it would be obeyed");
     flight.hears = |_| true;
     flight.run(0.5);
     assert!(flight.streamed_since(old) > 0);
@@ -279,7 +283,10 @@ fn vehicle_flown_by_others_is_not_taken_over_unasked() {
     switched.run(5.0);
     switched.switch(MODES.offboard);
     switched.run(5.0);
-    assert!(switched.ticks.iter().all(|tick| tick.setpoint.is_none()), "no ground is known");
+    assert!(
+        switched.ticks.iter().all(|tick| tick.setpoint.is_none()),
+        "the ground height is unknown"
+    );
 }
 
 #[test]

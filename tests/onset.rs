@@ -66,5 +66,5 @@ fn constant_difference_from_the_file_is_no_change() {
         ["thrust_scale:scale=0.97", "inertia:scale=[1.08,0.94,1.0]", "motor_lag:tau_s=0.034"];
     let (seen, live) = flown("null", &file);
     assert!(seen.changes.is_empty() && live.is_empty(), "{:?} {live:?}", seen.changes);
-    assert!(!seen.looks.is_empty(), "it was looked at");
+    assert!(!seen.looks.is_empty(), "the log was searched");
 }

@@ -82,7 +82,7 @@ fn thin_wall_violation_is_reported_with_its_depth() {
     });
     let deepest = ways.fold(0.0, f64::max);
     let told = outcome.violation.trespass_m;
-    assert!((told - deepest).abs() < 2e-4, "{told} told, {deepest} found");
+    assert!((told - deepest).abs() < 2e-4, "{told} reported, {deepest} found");
 }
 
 #[test]

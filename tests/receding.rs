@@ -190,7 +190,7 @@ fn estimator_noise_is_hardly_followed() {
         most = most.max(follower.state[0].hypot(follower.state[1]));
     }
     let tilt = (squares / count).sqrt();
-    assert!(tilt < 0.1, "{tilt} rad are asked for");
+    assert!(tilt < 0.1, "{tilt} rad are commanded");
     // No feedback holds the vehicle here, and plans leave errors within the knee to feedback.
     assert!(most < 0.25, "{most} m from the goal");
 }

@@ -42,7 +42,7 @@ fn report_is_self_contained() {
     for broken in ["NaN", "inf ", "infinity"] {
         assert!(!drawn(&html).contains(broken), "{broken}");
     }
-    assert!(html.contains("Tracked for 15.7 s"), "the sentence says how long");
+    assert!(html.contains("Tracked for 15.7 s"), "the sentence states the duration");
     assert!(html.contains("Low battery, &quot;10 %&quot;"));
 }
 

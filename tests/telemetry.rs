@@ -225,7 +225,7 @@ fn reset_restart_and_repeat_are_distinguished() {
     let mut restart = odometry(100_000);
     restart.host = START + Duration::from_secs(4);
     assert!(matches!(telemetry.update(&restart), Err(TelemetryFault::Reboot { .. })));
-    assert!(telemetry.last_sample().is_none(), "nothing of before the restart is left");
+    assert!(telemetry.last_sample().is_none(), "no state from before the restart remains");
 }
 
 /// A vehicle's messages as the link forwards them, each with its delay.

@@ -89,7 +89,7 @@ fn viewers_get_log_bytes_of_subscribed_topics_only() {
 fn viewer_receives_server_info_schemas_time_and_parameters() {
     let (view, mut feed) = start(CoursePath::default());
     let mut viewer = Viewer::connect(view.address());
-    let Heard::Json(info) = viewer.hear() else { panic!("no server's word") };
+    let Heard::Json(info) = viewer.hear() else { panic!("no serverInfo") };
     assert_eq!((&info["op"], &info["name"]), (&json!("serverInfo"), &json!("test")));
     assert_eq!(info["capabilities"], json!(["time", "parameters", "parametersSubscribe"]));
     let Heard::Json(advertise) = viewer.hear() else { panic!("no topics") };

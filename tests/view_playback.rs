@@ -62,7 +62,7 @@ fn until(viewer: &mut Viewer, status: u8) -> (Vec<Data>, (u64, f32, bool)) {
 fn log_is_played_to_its_end_without_a_gap() {
     let (playback, logged) = play("played", true);
     let mut viewer = Viewer::connect(playback.address());
-    let Heard::Json(info) = viewer.hear() else { panic!("no server's word") };
+    let Heard::Json(info) = viewer.hear() else { panic!("no serverInfo") };
     assert!(info["capabilities"].as_array().expect("a list").contains(&json!("playbackControl")));
     assert_eq!(info["dataStartTime"]["sec"], START.as_ns() / 1_000_000_000);
     while !viewer.topics.contains_key("/state") {

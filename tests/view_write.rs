@@ -84,7 +84,7 @@ fn change_is_forwarded_whole_and_shown_to_all_viewers() {
     // An untyped integer is a number too.
     let up = json!({"name": "flight.goal_up_m", "value": 1});
     let said = set(&mut asking, json!([number("flight.goal_north_m", 0.5), up]));
-    assert_eq!(said["flight.goal_north_m"], 0.0, "what holds, not what is asked for");
+    assert_eq!(said["flight.goal_north_m"], 0.0, "the value in force, not the requested one");
     let expected = Adjustment { north_m: Some(0.5), up_m: Some(1.0), ..Adjustment::default() };
     assert_eq!(changes.take(), Some(expected));
     assert_eq!(changes.take(), None);

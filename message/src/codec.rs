@@ -514,7 +514,7 @@ mod tests {
         for ms in [wrap - 20, wrap - 10, wrap, wrap + 10, wrap - 5, wrap + 60_000] {
             assert_eq!(time(ms), ms);
         }
-        assert_eq!(time(3_000), 3_000, "started since");
+        assert_eq!(time(3_000), 3_000, "rebooted since");
         assert_eq!(time(3_010), 3_010);
     }
 

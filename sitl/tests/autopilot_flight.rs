@@ -130,13 +130,13 @@ fn second_peer_takes_over_from_offboard() {
     bench.run(0.2);
     bench.heard();
     bench.send_from(pilot, &bench::command_long(MavCmd::MAV_CMD_DO_SET_MODE, &[1.0, 3.0]));
-    assert_eq!(bench.mode(), Mode::Position, "at once");
+    assert_eq!(bench.mode(), Mode::Position, "immediately");
     let heard = bench.heard();
     let told = heard.iter().any(|heard| {
         matches!(&heard.message, MavMessage::CURRENT_MODE(mode)
             if mode.custom_mode == Mode::Position.custom_mode())
     });
-    assert!(told, "the first peer receives it at once");
+    assert!(told, "the first peer is notified immediately");
     bench.run(3.0);
     assert_eq!(bench.mode(), Mode::Position, "the live stream does not take control back");
 }
@@ -162,5 +162,8 @@ fn sticks_take_over_and_move_the_vehicle() {
     assert_eq!(bench.mode(), Mode::Position);
     assert!(bench.vehicle.plant().state().velocity.north() > 0.5);
     bench.run(4.0);
-    assert!(bench.vehicle.plant().state().velocity.norm() < 0.2, "released, it stops");
+    assert!(
+        bench.vehicle.plant().state().velocity.norm() < 0.2,
+        "stops once the sticks are released"
+    );
 }

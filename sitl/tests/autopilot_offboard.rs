@@ -25,7 +25,7 @@ fn time_to_leave(bench: &mut Bench) -> f64 {
     let start = bench.vehicle.now_us();
     while bench.mode() == Mode::Offboard {
         let now = bench.vehicle.now_us();
-        assert!(now - start < 5_000_000, "never left");
+        assert!(now - start < 5_000_000, "OFFBOARD was never left");
         bench.vehicle.advance_to(now + 1000);
     }
     (bench.vehicle.now_us() - start) as f64 * 1e-6
@@ -191,7 +191,7 @@ fn setpoint_acts_after_the_command_delay() {
     bench.send(&MavMessage::SET_ATTITUDE_TARGET(setpoint(0.0, 0.0, 0.8, 0x00)));
     while bench.vehicle.flight().outputs().iter().sum::<f64>() < before.iter().sum::<f64>() + 0.5 {
         let now = bench.vehicle.now_us();
-        assert!(now - sent < 50_000, "never acted");
+        assert!(now - sent < 50_000, "the setpoint never acted");
         bench.vehicle.advance_to(now + 1000);
     }
     let delay_ms = (bench.vehicle.now_us() - sent) / 1000;

@@ -251,7 +251,7 @@ fn parameters_are_listed_read_and_set() {
             MavMessage::PARAM_VALUE(value) => Some(value.param_value.to_bits()),
             _ => None,
         });
-        assert_eq!(told, Some(5), "every peer receives a change");
+        assert_eq!(told, Some(5), "every peer is notified of a change");
     }
     bench.send(&MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
         param_index: -1,

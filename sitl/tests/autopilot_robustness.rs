@@ -24,7 +24,7 @@ fn same_seed_gives_the_same_bytes() {
     let first = flight(7);
     assert!(first.len() > 100_000);
     assert!(first == flight(7), "bytes differ");
-    assert!(first != flight(8), "the seed does nothing");
+    assert!(first != flight(8), "the seed has no effect");
 }
 
 #[test]

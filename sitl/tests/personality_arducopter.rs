@@ -75,7 +75,7 @@ fn guided_is_accepted_without_a_stream() {
     let before = bench.height();
     bench.run(3.0);
     assert_eq!(bench.mode(), Mode::Offboard);
-    assert!((bench.height() - before).abs() < 0.2, "holds its place");
+    assert!((bench.height() - before).abs() < 0.2, "holds its position");
 }
 
 #[test]
@@ -86,7 +86,7 @@ fn setpoints_take_off_after_arming_delay_and_spool_up() {
     bench.stream(setpoint(0.0, 0.0, 0.6, 0x07));
     assert_eq!(bench.arm(), ACCEPTED);
     bench.run(1.9);
-    assert!(bench.height() < 0.02, "the motors stand still at first");
+    assert!(bench.height() < 0.02, "the motors do not spin at first");
     bench.run(2.5);
     assert!(bench.height() > 0.5, "height {}", bench.height());
 }
@@ -208,9 +208,9 @@ fn rates_with_attitude_are_fed_forward_in_the_commanded_axes() {
     assert!(alone < 0.9 * roll, "attitude alone: {alone}, with rates {roll}");
     let yaw = std::f64::consts::FRAC_PI_2;
     let [roll, pitch] = gain(yaw, true, true);
-    assert!((0.95..1.25).contains(&roll) && pitch < 0.1, "turned back: {roll} {pitch}");
+    assert!((0.95..1.25).contains(&roll) && pitch < 0.1, "rotated back: {roll} {pitch}");
     let [_, pitch] = gain(yaw, true, false);
-    assert!(pitch > 0.5, "not turned back, roll excites pitch: {pitch}");
+    assert!(pitch > 0.5, "without rotating back, roll excites pitch: {pitch}");
 }
 
 #[test]
@@ -249,7 +249,7 @@ fn lost_stream_levels_out_after_its_timeout_and_stays_guided() {
     bench.run(20.0);
     assert_eq!(bench.mode(), Mode::Offboard, "no reaction");
     assert!((bench.height() - height).abs() < 1.0, "holds its height");
-    assert!(bench.texts().is_empty(), "and reports nothing");
+    assert!(bench.texts().is_empty(), "reports nothing");
     bench.stream(setpoint(8f64.to_radians(), 0.0, HOVER, 0x07));
     bench.run(0.6);
     assert!(bench.roll_deg() > 5.0, "the next setpoint is flown at once");

@@ -102,7 +102,7 @@ fn unavailable_mode_is_accepted_then_rejected() {
     assert!(texts.contains("Switching to Offboard is currently not available\t"), "{texts}");
     assert_eq!(bench.mode(), Mode::Hold);
     let (answers, _) = bench.answers(MavCmd::MAV_CMD_DO_SET_MODE, &[1.0, 4.0, 6.0]);
-    assert_eq!(answers, [ACCEPTED], "one answer where nothing is wrong");
+    assert_eq!(answers, [ACCEPTED], "a single answer without an error");
 }
 
 #[test]
@@ -216,7 +216,7 @@ fn rate_integrals_cancel_a_steady_moment() {
     bench.run(6.0);
     let pitch = bench.vehicle.plant().state().attitude.euler().pitch;
     let hang = 0.5 * 9.81 * 0.005 / 0.6;
-    assert!(pitch.abs() < 0.2 * hang, "{pitch}, a PD hangs by {hang}");
+    assert!(pitch.abs() < 0.2 * hang, "{pitch}, a PD would settle at {hang}");
 }
 
 #[test]
@@ -392,7 +392,7 @@ fn outputs_are_pulses() {
     assert!(count(&heard, 375) > 0);
     for heard in heard {
         if let MavMessage::ACTUATOR_OUTPUT_STATUS(status) = heard.message {
-            assert_eq!(status.active, 16, "a number, not a set of bits");
+            assert_eq!(status.active, 16, "a count, not a bit mask");
             assert!((status.actuator[0] - f32::from(hover)).abs() < 20.0);
         }
     }

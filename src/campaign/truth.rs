@@ -163,9 +163,13 @@ mod tests {
 
     #[test]
     fn unavoidable_overshoot_after_setpoint_loss_is_no_violation() {
-        assert_eq!(judged(0.0, 2.5, 0.0), Some(Rule::Envelope), "flown out");
+        assert_eq!(judged(0.0, 2.5, 0.0), Some(Rule::Envelope), "flown out of the envelope");
         assert_eq!(judged(0.0, 2.5, 0.3), Some(Rule::Envelope), "it could have stopped");
-        assert_eq!(judged(0.0, 2.5, 0.9), None, "it could not");
-        assert_eq!(judged(2.9, 0.5, 0.0), Some(Rule::Envelope), "slow, and flown out");
+        assert_eq!(judged(0.0, 2.5, 0.9), None, "it could not have stopped");
+        assert_eq!(
+            judged(2.9, 0.5, 0.0),
+            Some(Rule::Envelope),
+            "slow, but flown out of the envelope"
+        );
     }
 }

@@ -52,7 +52,7 @@ fn permission_revoked_after_the_proposal_withholds_it() {
     let mut guard = guard();
     guard.propose(at(10), &level(10), OBEYED).expect("permitted");
     assert_eq!(guard.clear(at(10), Order::default()), Err(Withheld::NotPermitted));
-    assert_eq!(guard.clear(at(10), OBEYED), Err(Withheld::Nothing), "it is gone");
+    assert_eq!(guard.clear(at(10), OBEYED), Err(Withheld::Nothing), "the proposal is gone");
 }
 
 #[test]
@@ -100,7 +100,7 @@ fn first_answer_after_a_stall_is_to_a_later_sample() {
         assert_eq!(found, Err(Withheld::Stalled), "read at {read} ms");
     }
     assert_eq!(guard.stalled(), Duration::from_millis(70));
-    assert_eq!(guard.clear(at(90), OBEYED), Err(Withheld::Nothing), "made before the stall");
+    assert_eq!(guard.clear(at(90), OBEYED), Err(Withheld::Nothing), "proposed before the stall");
     let sample = Answered { excess_delay_s: f64::NAN, ..level(100).sample };
     let unknown = Proposal { sample, ..level(100) };
     assert_eq!(guard.pass(at(100), &unknown, OBEYED), Err(Withheld::Stalled));
@@ -245,5 +245,5 @@ fn guard_allocates_nothing_after_the_start() {
     }
     assert_eq!(TAKEN.get(), before);
     drop(Vec::<u8>::with_capacity(10));
-    assert!(TAKEN.get() > before, "the count can rise");
+    assert!(TAKEN.get() > before, "the counter works");
 }

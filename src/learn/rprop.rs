@@ -71,7 +71,7 @@ mod tests {
         assert_eq!(parameter, [FIRST_STEP + FIRST_STEP * GROWTH]);
         let before = parameter;
         rprop.step(&mut parameter, &[1.0]);
-        assert_eq!(parameter, before, "no step when the sign changes");
+        assert_eq!(parameter, before, "no step after a sign change");
         rprop.step(&mut parameter, &[1.0]);
         assert_eq!(parameter, [before[0] - FIRST_STEP * GROWTH * SHRINKAGE]);
     }

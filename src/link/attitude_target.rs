@@ -216,7 +216,11 @@ mod tests {
         assert!(data.body_pitch_rate.abs() < 1e-6 && data.body_yaw_rate.abs() < 1e-6);
         let far = Setpoint { attitude: Euler::new(0.0, 0.0, -1.0), ..at_rest };
         let data = encode(&far, Some(level), &profile, &map()).unwrap();
-        assert_eq!(f64::from(data.body_yaw_rate), -RATE_MAX, "what closes the loop is bounded too");
+        assert_eq!(
+            f64::from(data.body_yaw_rate),
+            -RATE_MAX,
+            "the rate that closes the loop is bounded too"
+        );
     }
 
     #[test]

@@ -130,12 +130,12 @@ mod tests {
         assert_eq!(
             words.judge(&word(b"offboard 3", 6)),
             Newness::New,
-            "the pilot's switch is none"
+            "the pilot's switch is not a copy"
         );
         assert_eq!(
             words.judge(&word(b"position 2", 3)),
             Newness::New,
-            "who takes over is believed at once"
+            "a takeover is accepted at once"
         );
     }
 
@@ -158,7 +158,7 @@ mod tests {
         assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);
         assert_eq!(words.judge(&older(true, 3)), Newness::Old);
         assert_eq!(words.judge(&older(false, 3)), Newness::Doubtful);
-        assert_eq!(words.judge(&older(false, 6)), Newness::Old, "it gives");
+        assert_eq!(words.judge(&older(false, 6)), Newness::Old, "it would grant permission");
     }
 
     #[test]
@@ -176,7 +176,7 @@ mod tests {
         let mut words = ModeWords::default();
         words.heard(at(0));
         assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);
-        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New, "it tells nothing new");
+        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New, "it changes nothing");
         words.heard(at(501));
         assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::Doubtful);
         words.heard(at(600));

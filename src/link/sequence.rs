@@ -326,7 +326,7 @@ mod tests {
             sequence.is_unsettled(now)
         };
         assert!(after(600, 400, 248), "a fast link wraps in 0.4 s");
-        assert!(!after(100, 400, 248), "a slow one does not");
+        assert!(!after(100, 400, 248), "a slow link does not");
         assert!(!after(600, 400, 1), "nothing was lost");
         assert!(!after(600, 100, 60), "too short to wrap");
     }

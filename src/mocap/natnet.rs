@@ -357,7 +357,7 @@ mod tests {
         decoder.datagram(&frame(V41, &one)).expect("a frame");
         decoder.datagram(&server(V41, 1_000_000)).expect("a server");
         let Ok(Packet::Frame(found)) = decoder.datagram(&frame(V41, &one)) else { panic!() };
-        assert_eq!(found[0].captured_s, 12.5, "its clock stays the one that it began with");
+        assert_eq!(found[0].captured_s, 12.5, "its clock does not change");
     }
 
     #[test]

@@ -68,7 +68,7 @@ mod tests {
                 let t = 0.01 * k as f64;
                 // Every tenth frame is not delayed.
                 let way = if k % 10 == 0 { 0.001 } else { *way };
-                clock.observe(t + way, room(t)).expect("it was never set");
+                clock.observe(t + way, room(t)).expect("the clock was never set");
                 let placed = clock.host_s(t + way, room(t)).expect("it is known");
                 prop_assert!(placed > t + 0.001 - 2e-4 && placed < t + 0.001 + 5e-4, "{placed} {t}");
             }

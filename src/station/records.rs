@@ -168,8 +168,12 @@ mod tests {
         assert_eq!(meter.loss(&stats(0, 0, 0)), None);
         assert_eq!(meter.loss(&stats(75, 25, 0)), Some(0.25));
         meter.read(start + Duration::from_secs(1), &stats(75, 25, 0));
-        assert_eq!(meter.loss(&stats(75, 25, 0)), None, "silence is no loss");
+        assert_eq!(meter.loss(&stats(75, 25, 0)), None, "silence is not loss");
         assert_eq!(meter.loss(&stats(175, 25, 0)), Some(0.0));
-        assert_eq!(meter.loss(&stats(165, 35, 10)), Some(0.0), "the dialect's gaps are none");
+        assert_eq!(
+            meter.loss(&stats(165, 35, 10)),
+            Some(0.0),
+            "messages unknown to the dialect are not losses"
+        );
     }
 }

@@ -114,7 +114,7 @@ mod tests {
         let plain = Request::parse(b"GET / HTTP/1.1\r\nHost: a\r\n\r\n".to_vec()).expect("HTTP");
         let gate = Gate::new("lab:8765", Some(Arc::default()));
         let open = Gate::new("lab:8765", None);
-        assert!(gate.admits(&plain), "programs tell no origin");
+        assert!(gate.admits(&plain), "programs send no Origin header");
         for (host, origin, expected) in [
             ("127.0.0.1:8765", "http://127.0.0.1:8765", true),
             ("localhost:8765", "http://localhost:8765", true),

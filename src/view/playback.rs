@@ -345,6 +345,6 @@ mod tests {
             }
         }
         stand.take(&request(PlaybackCommand::Play, 1.0, None), wall);
-        assert_eq!(stand.time, stand.span.0, "from the end on to the beginning");
+        assert_eq!(stand.time, stand.span.0, "playing at the end restarts from the beginning");
     }
 }

@@ -44,7 +44,10 @@ fn fall_with_parasitic_drag_reaches_terminal_velocity() {
         assert!((plant.state().velocity.down() - terminal * x.tanh()).abs() < 1e-9);
         assert!((fallen - terminal * terminal / G * x.cosh().ln()).abs() < 1e-9);
     }
-    assert!((plant.state().velocity.down() / terminal - 1.0).abs() < 1e-4, "it got there");
+    assert!(
+        (plant.state().velocity.down() / terminal - 1.0).abs() < 1e-4,
+        "it reached the terminal velocity"
+    );
 }
 
 /// With the weight supported: v = v_0 / (1 + k v_0 t), k = rho CdA / (2 m), along the velocity.

@@ -281,7 +281,7 @@ async fn serial_port_is_exclusive_and_reports_unplugging() {
     while bytes.len() < 5 {
         bytes.extend(receive(&mut transport).await.1);
     }
-    assert_eq!(bytes, [0, 0xFD, 0x0A, 0x11, 0xFF], "raw: no byte has a meaning to the terminal");
+    assert_eq!(bytes, [0, 0xFD, 0x0A, 0x11, 0xFF], "raw mode: the terminal interprets no byte");
     assert!(transport.send(remote, b"\xFE\n\r"));
     let mut buffer = [0; 64];
     let len = soon(device.read(&mut buffer)).await.unwrap();

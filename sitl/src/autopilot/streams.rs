@@ -332,7 +332,7 @@ mod tests {
         schedule.set_interval(30, 0.0, 0).unwrap();
         assert_eq!(schedule.interval(30), 10_000);
         schedule.set_interval(30, 100.0, 0).unwrap();
-        assert_eq!(schedule.interval(30), 4_000, "not above 250 Hz");
+        assert_eq!(schedule.interval(30), 4_000, "capped at 250 Hz");
     }
 
     proptest! {

@@ -184,7 +184,10 @@ mod tests {
         run(&mut vision, 2_000_000, 4_000_000, Some(Ned::new(2.0, 0.0, 0.0)));
         assert!(vision.error()[0].north().abs() < 0.5);
         run(&mut vision, 4_000_000, 8_000_000, Some(Ned::new(2.0, 0.0, 0.0)));
-        assert!((vision.error()[0].north() - 2.0).abs() < 1e-6, "then they are all there is");
+        assert!(
+            (vision.error()[0].north() - 2.0).abs() < 1e-6,
+            "accepted once the position is lost"
+        );
         assert_eq!(vision.resets(), 1);
     }
 }

@@ -120,7 +120,7 @@ fn late_duplicate_state_is_not_the_one_answered() {
     assert_eq!(court.rules(), []);
     court.judge.heard(1_100_000, &Passing { due_us: 1_100_000, ..copy });
     court.setpoint(1101);
-    assert_eq!(court.rules(), [Rule::Fresh], "it alone is too old to be answered");
+    assert_eq!(court.rules(), [Rule::Fresh], "the copy alone is too old to answer");
 }
 
 #[test]

@@ -51,7 +51,7 @@ fn found(bug: Planted, most: usize) -> Option<(usize, Rule)> {
 }
 
 fn is_found(bug: Planted, rules: &[Rule]) {
-    let (number, rule) = found(bug, 1000).expect("it is found within 1000 flights");
+    let (number, rule) = found(bug, 1000).expect("found within 1000 flights");
     println!("{bug:?}: flight {number}, {rule:?}");
     assert!(rules.contains(&rule), "{bug:?} by {rule:?}");
 }

@@ -386,7 +386,7 @@ mod tests {
         }
         let attitude_only = Lqr::design(&QUAD, &AttitudeLoop::PX4, &ControlSettings::default());
         let rows = attitude_only.expect("a gain").gain().fixed_rows::<3>(4).norm();
-        assert_eq!(rows, 0.0, "a loop that ignores rates is asked for none");
+        assert_eq!(rows, 0.0, "a loop that ignores rates gets none");
     }
 
     const NANO: HoverVehicle =
@@ -439,8 +439,8 @@ mod tests {
         let (plain, quick) = (quickened(Use::Off, 0.6), quickened(Use::On, 0.6));
         assert!(stiffness(&quick) > 1.8 * stiffness(&plain), "{}", stiffness(&quick));
         assert!(stiffness(&quick) > stiffness(&quickened(Use::On, 0.7)));
-        assert_eq!(quickened(Use::Auto, 0.6).gain(), plain.gain(), "not resolved: as set");
-        assert_eq!(quickened(Use::On, 0.99).gain(), plain.gain(), "no margin to give");
+        assert_eq!(quickened(Use::Auto, 0.6).gain(), plain.gain(), "unresolved: gain as set");
+        assert_eq!(quickened(Use::On, 0.99).gain(), plain.gain(), "no margin to spare");
         let height = quick.gain()[(0, 2)] / plain.gain()[(0, 2)];
         assert!((height - 1.0).abs() < 0.01, "height as before: {height}");
     }
@@ -467,7 +467,7 @@ mod tests {
         }
         assert!(gain[(1, 0)].abs() < 1e-6 && gain[(2, 1)].abs() < 1e-6);
         assert!(gain[(0, 2)] > 0.0 && gain[(3, 0)].abs() < 1e-6);
-        assert_eq!(gain.fixed_rows::<3>(4).norm(), 0.0, "rates are not heard");
+        assert_eq!(gain.fixed_rows::<3>(4).norm(), 0.0, "rates are ignored");
     }
 
     #[test]

@@ -74,7 +74,7 @@ fn at(t: f64) -> HostTime {
 #[test]
 fn body_is_forwarded_at_its_rate_in_vehicle_axes() {
     let mut room = Room::new();
-    assert!(room.run(0.0, 0.9).is_empty(), "it has to be seen for a second");
+    assert!(room.run(0.0, 0.9).is_empty(), "the body must be visible for a second");
     assert_eq!(room.news(), []);
     room.run(0.9, 2.0);
     assert_eq!(room.news(), [News::Believed]);
@@ -158,7 +158,7 @@ fn old_frames_are_tracked_but_not_forwarded() {
         assert_eq!(room.give(t + 0.15, &sample), None);
     }
     assert_eq!(room.news(), [News::Fault(Fault::Old, None)]);
-    assert!(room.bridge.holds(), "where it is is known all the same");
+    assert!(room.bridge.holds(), "the position is still known");
     let after = room.run(2.65, 3.65).len();
     assert_eq!(after, 50);
 }
@@ -187,7 +187,7 @@ fn frozen_and_silent_rooms_are_reported() {
     assert_eq!(room.news(), [News::Fault(Fault::Silent, None)]);
     let tally = room.bridge.tally();
     assert_eq!((tally.losses, tally.faults.silent), (1, 1));
-    assert!(room.run(2.5, 4.0).len() > 60, "it comes back where it was");
+    assert!(room.run(2.5, 4.0).len() > 60, "it returns to where it was");
 }
 
 /// A restarted room has a different clock. It is accepted after a second, with the body where it

@@ -81,7 +81,7 @@ fn poses_of_a_healthy_room_are_accepted() {
         let mut flight = Flight::new(seed, HERE, 0.2 + 0.014 * seed as f64);
         let mut watch = watch();
         let settling = show(&mut watch, &mut flight, rate, (0.0, 1.1));
-        assert!(settling.iter().any(Result::is_ok), "seed {seed} never begins");
+        assert!(settling.iter().any(Result::is_ok), "seed {seed} is never accepted");
         let verdicts = show(&mut watch, &mut flight, rate, (1.1, 20.0));
         poses += verdicts.len();
         let refused = verdicts.len() - believed(&verdicts);
@@ -131,7 +131,7 @@ fn swap_is_detected_at_once_and_ends_with_the_swap() {
         }
         // At 1 m/s on a circle of 0.7 m it is within 0.3 m of its expected position after that
         // time.
-        assert!(back, "seed {seed} is not taken back");
+        assert!(back, "seed {seed} is not accepted again");
     }
     assert!(swaps > 200 && named == swaps, "{swaps} swaps, {named} named");
 }
@@ -213,7 +213,7 @@ fn carried_body_is_accepted_anew_while_disarmed() {
     assert_eq!(watch.see(carried.at(3.0), false), Err(Fault::Jumped));
     let verdicts: Vec<_> =
         (1..150).map(|k| watch.see(carried.at(3.0 + 0.01 * f64::from(k)), false)).collect();
-    let first = verdicts.iter().position(Result::is_ok).expect("it is taken");
+    let first = verdicts.iter().position(Result::is_ok).expect("it is accepted");
     assert!((99..=102).contains(&first), "{first}");
     assert_eq!(verdicts[first], Ok(Believed { is_anew: true }));
     assert_eq!(verdicts[first + 1], Ok(Believed { is_anew: false }));

@@ -168,10 +168,10 @@ fn model_is_refused_for_another_vehicle() {
     file.check_vehicle(&vehicle(), name()).expect("its own");
     let mut renamed = vehicle();
     renamed.name = "other".to_owned();
-    file.check_vehicle(&renamed, name()).expect("a name changes nothing");
+    file.check_vehicle(&renamed, name()).expect("the name does not matter");
     let mut silent = vehicle();
     silent.attitude_pd = None;
-    file.check_vehicle(&silent, name()).expect("a file that does not say it contradicts nothing");
+    file.check_vehicle(&silent, name()).expect("a missing value is no contradiction");
     for (change, words) in [
         ((|v| v.mass *= 1.1) as fn(&mut VehicleParams), "mass"),
         (|v| v.inertia[1] *= 1.2, "inertia"),

@@ -258,7 +258,7 @@ mod tests {
             let [alarms, held] =
                 [false_alarms[kind], covered[kind]].map(|n| n as f64 / TRIALS as f64);
             assert!((0.035..0.065).contains(&alarms), "{kind}: false alarms {alarms}");
-            assert!((0.935..0.97).contains(&held), "{kind}: intervals that hold {held}");
+            assert!((0.935..0.97).contains(&held), "{kind}: coverage {held}");
         }
     }
 }

@@ -226,7 +226,7 @@ fn key_file_readable_by_others_is_refused() {
         ["", "abc", &text[1..], &format!("{text}00"), &text.replace('a', "x"), &"0".repeat(64)]
     {
         let error = write(bad, 0o600).expect_err("no key").to_string();
-        assert!(bad.len() < 8 || !error.contains(bad), "it shows what may be a key: {error}");
+        assert!(bad.len() < 8 || !error.contains(bad), "the error reveals a possible key: {error}");
     }
     assert!(Key::load(&path).is_err());
     assert!(!format!("{:?}", key(0xA5)).contains("a5a5"));

@@ -139,7 +139,7 @@ mod tests {
         assert!(weigh_yaw(level, tilted, 0.4).tilt() - tilted.tilt() < 1e-12);
         let both = Euler::new(0.3, -0.2, 1.0).attitude();
         let weighted = weigh_yaw(level, both, 0.4);
-        assert!((weighted.tilt() - both.tilt()).abs() < 1e-12, "the tilt is not weighed");
+        assert!((weighted.tilt() - both.tilt()).abs() < 1e-12, "tilt is not weighted");
         let turned = Euler::new(0.0, 0.0, 1.0).attitude();
         assert!((weigh_yaw(level, turned, 0.4).yaw() - 0.4).abs() < 1e-12);
     }
