@@ -63,7 +63,7 @@ fn trim() -> Attitude {
 }
 
 /// The flight with delayed, rotated and biased streams.
-fn spoiled(flight: &Flight) -> Flight {
+fn corrupted(flight: &Flight) -> Flight {
     let mut flight = flight.clone();
     flight.attitude = flight.attitude.map(|q| q.compose(trim())).shifted(0.0173);
     flight.position = flight.position.shifted(0.0264);
@@ -107,7 +107,7 @@ fn assert_recovered(audit: &Audit) {
 
 #[test]
 fn delays_rotations_and_biases_are_recovered() {
-    let audit = Audit::of(&spoiled(&FLIGHT));
+    let audit = Audit::of(&corrupted(&FLIGHT));
     assert_recovered(&audit);
     assert!(!audit.is_faulty(), "{:#?}", audit.findings);
     let found: Vec<(&str, Option<&str>)> =
@@ -124,7 +124,7 @@ fn delays_rotations_and_biases_are_recovered() {
 
 #[test]
 fn losing_a_tenth_of_the_samples_biases_nothing() {
-    let mut flight = spoiled(&FLIGHT);
+    let mut flight = corrupted(&FLIGHT);
     flight.attitude = thinned(&flight.attitude, 1);
     flight.position = thinned(&flight.position, 2);
     flight.velocity = thinned(&flight.velocity, 3);
@@ -156,9 +156,9 @@ fn scale_of_each_axis_is_recovered() {
     for (scale, by) in position.scale.into_iter().zip([1.08, 1.0, 0.94]) {
         assert_near(scale, 1.0 / by, 0.01, "scale");
     }
-    let told: Vec<f64> =
+    let scales: Vec<f64> =
         audit.findings.iter().filter(|f| f.check == "scale").map(|f| f.found).collect();
-    assert!(told.iter().any(|found| (found - 1.0 / 1.08).abs() < 0.01), "{:?}", audit.findings);
+    assert!(scales.iter().any(|found| (found - 1.0 / 1.08).abs() < 0.01), "{:?}", audit.findings);
     assert!(!audit.is_faulty(), "{:#?}", audit.findings);
 }
 

@@ -95,7 +95,7 @@ fn drawn(seed: u64) -> Flight {
 
 /// What the audit must report about a corrupted stream.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Told {
+enum Expectation {
     /// That no conclusion is possible.
     Fault,
     /// What is wrong, with its size.
@@ -105,7 +105,7 @@ enum Told {
 /// One way to corrupt a flight.
 struct Corruption {
     name: &'static str,
-    told: Told,
+    expected: Expectation,
     /// Checks that detect it.
     checks: &'static [&'static str],
     corrupt: fn(&mut Flight),
@@ -157,86 +157,86 @@ const SCALE: &[&str] = &["scale", "unit"];
 const DELAY: &[&str] = &["delay", "clock_drift"];
 
 fn corruptions() -> Vec<Corruption> {
-    let new = |name, told, checks, corrupt| Corruption { name, told, checks, corrupt };
+    let new = |name, expected, checks, corrupt| Corruption { name, expected, checks, corrupt };
     vec![
-        new("velocity x 1.05", Told::Finding, SCALE, |f| {
+        new("velocity x 1.05", Expectation::Finding, SCALE, |f| {
             f.velocity = ned(&f.velocity, |v| v.map(|v| 1.05 * v))
         }),
-        new("velocity x 1.1 north", Told::Finding, SCALE, |f| {
+        new("velocity x 1.1 north", Expectation::Finding, SCALE, |f| {
             f.velocity = ned(&f.velocity, |[n, e, d]| [1.1 * n, e, d]);
         }),
-        new("body rate x 1.05", Told::Finding, SCALE, |f| {
+        new("body rate x 1.05", Expectation::Finding, SCALE, |f| {
             f.body_rate = frd(&f.body_rate, |w| w.map(|w| 1.05 * w))
         }),
-        new("velocity 20 ms late", Told::Finding, DELAY, |f| {
+        new("velocity 20 ms late", Expectation::Finding, DELAY, |f| {
             f.velocity = f.velocity.clone().shifted(0.02)
         }),
-        new("attitude 20 ms late", Told::Finding, DELAY, |f| {
+        new("attitude 20 ms late", Expectation::Finding, DELAY, |f| {
             f.attitude = f.attitude.clone().shifted(0.02)
         }),
-        new("position 200 ms late", Told::Fault, DELAY, |f| {
+        new("position 200 ms late", Expectation::Fault, DELAY, |f| {
             f.position = f.position.clone().shifted(0.2)
         }),
-        new("velocity 200 ms early", Told::Fault, DELAY, |f| {
+        new("velocity 200 ms early", Expectation::Fault, DELAY, |f| {
             f.velocity = f.velocity.clone().shifted(-0.2)
         }),
-        new("attitude 200 ms late", Told::Fault, DELAY, |f| {
+        new("attitude 200 ms late", Expectation::Fault, DELAY, |f| {
             f.attitude = f.attitude.clone().shifted(0.2)
         }),
-        new("gyro on a clock 1 % off", Told::Finding, DELAY, |f| {
+        new("gyro on a clock 1 % off", Expectation::Finding, DELAY, |f| {
             f.body_rate = drifting(&f.body_rate, 0.01)
         }),
-        new("position on a clock 1 % off", Told::Finding, DELAY, |f| {
+        new("position on a clock 1 % off", Expectation::Finding, DELAY, |f| {
             f.position = drifting(&f.position, 0.01)
         }),
-        new("velocity ENU", Told::Fault, AXES, |f| {
+        new("velocity ENU", Expectation::Fault, AXES, |f| {
             f.velocity = ned(&f.velocity, |[n, e, d]| [e, n, -d])
         }),
-        new("position and velocity ENU", Told::Fault, AXES, |f| {
+        new("position and velocity ENU", Expectation::Fault, AXES, |f| {
             let enu = |[n, e, d]: [f64; 3]| [e, n, -d];
             (f.position, f.velocity) = (ned(&f.position, enu), ned(&f.velocity, enu));
         }),
-        new("velocity north and east swapped", Told::Fault, AXES, |f| {
+        new("velocity north and east swapped", Expectation::Fault, AXES, |f| {
             f.velocity = ned(&f.velocity, |[n, e, d]| [e, n, d]);
         }),
-        new("velocity east reversed", Told::Fault, AXES, |f| {
+        new("velocity east reversed", Expectation::Fault, AXES, |f| {
             f.velocity = ned(&f.velocity, |[n, e, d]| [n, -e, d])
         }),
-        new("velocity down reversed", Told::Fault, AXES, |f| {
+        new("velocity down reversed", Expectation::Fault, AXES, |f| {
             f.velocity = ned(&f.velocity, |[n, e, d]| [n, e, -d])
         }),
-        new("body rate FLU", Told::Fault, AXES, |f| {
+        new("body rate FLU", Expectation::Fault, AXES, |f| {
             f.body_rate = frd(&f.body_rate, |[x, y, z]| [x, -y, -z])
         }),
-        new("body rate turned by 90", Told::Fault, AXES, |f| {
+        new("body rate turned by 90", Expectation::Fault, AXES, |f| {
             f.body_rate = frd(&f.body_rate, |[x, y, z]| [y, -x, z])
         }),
-        new("specific force turned by 90", Told::Fault, AXES, |f| {
+        new("specific force turned by 90", Expectation::Fault, AXES, |f| {
             f.specific_force = frd(&f.specific_force, |[x, y, z]| [y, -x, z]);
         }),
-        new("heading turned by 90", Told::Fault, AXES, |f| {
+        new("heading turned by 90", Expectation::Fault, AXES, |f| {
             let turn = Euler::new(0.0, 0.0, std::f64::consts::FRAC_PI_2).attitude();
             f.attitude = f.attitude.map(|q| turn.compose(*q));
         }),
-        new("heading turned by 90, no IMU", Told::Fault, AXES, |f| {
+        new("heading turned by 90, no IMU", Expectation::Fault, AXES, |f| {
             let turn = Euler::new(0.0, 0.0, std::f64::consts::FRAC_PI_2).attitude();
             f.attitude = f.attitude.map(|q| turn.compose(*q));
             (f.body_rate, f.specific_force) = (Stream::default(), Stream::default());
         }),
-        new("quaternion inverted", Told::Fault, AXES, |f| {
+        new("quaternion inverted", Expectation::Fault, AXES, |f| {
             f.attitude = f.attitude.map(|q| q.inverse())
         }),
-        new("quaternion x, y, z, w", Told::Fault, AXES, |f| {
+        new("quaternion x, y, z, w", Expectation::Fault, AXES, |f| {
             f.attitude = f.attitude.map(|q| Attitude { w: q.x, x: q.y, y: q.z, z: q.w });
         }),
-        new("setpoint FLU", Told::Fault, AXES, |f| {
+        new("setpoint FLU", Expectation::Fault, AXES, |f| {
             f.setpoint = f.setpoint.map(|s| {
                 let mut s = *s;
                 s.attitude = s.attitude.map(|q| Attitude { w: q.w, x: q.x, y: -q.y, z: -q.z });
                 s
             });
         }),
-        new("body rate in world axes", Told::Fault, AXES, |f| {
+        new("body rate in world axes", Expectation::Fault, AXES, |f| {
             let (attitude, mut turned) = (f.attitude.clone(), Stream::default());
             for (time, rate) in f.body_rate.iter() {
                 if let Some(q) = attitude.held_at(time) {
@@ -245,7 +245,7 @@ fn corruptions() -> Vec<Corruption> {
             }
             f.body_rate = turned;
         }),
-        new("velocity in body axes", Told::Fault, AXES, |f| {
+        new("velocity in body axes", Expectation::Fault, AXES, |f| {
             let (attitude, mut turned) = (f.attitude.clone(), Stream::default());
             for (time, velocity) in f.velocity.iter() {
                 if let Some(q) = attitude.held_at(time) {
@@ -254,13 +254,13 @@ fn corruptions() -> Vec<Corruption> {
             }
             f.velocity = turned;
         }),
-        new("body rate in degrees", Told::Fault, SCALE, |f| {
+        new("body rate in degrees", Expectation::Fault, SCALE, |f| {
             f.body_rate = frd(&f.body_rate, |w| w.map(f64::to_degrees));
         }),
-        new("velocity stale for 3 s", Told::Fault, &["frozen"], |f| {
+        new("velocity stale for 3 s", Expectation::Fault, &["frozen"], |f| {
             f.velocity = stale(&f.velocity)
         }),
-        new("velocity held for 0.2 s", Told::Finding, &["repeated", "delay"], |f| {
+        new("velocity held for 0.2 s", Expectation::Finding, &["repeated", "delay"], |f| {
             f.velocity = held(&f.velocity, 20)
         }),
     ]
@@ -275,10 +275,10 @@ struct Outcome {
 fn outcome(seed: u64) -> Outcome {
     let flight = drawn(seed);
     let clean = Audit::of(&flight).findings;
-    let told = |finding: &&Finding, corruption: &Corruption| {
-        let is_severe = match corruption.told {
-            Told::Fault => finding.severity == Severity::Fault,
-            Told::Finding => true,
+    let is_detected = |finding: &&Finding, corruption: &Corruption| {
+        let is_severe = match corruption.expected {
+            Expectation::Fault => finding.severity == Severity::Fault,
+            Expectation::Finding => true,
         };
         is_severe && corruption.checks.contains(&finding.check) && !clean.contains(finding)
     };
@@ -288,7 +288,7 @@ fn outcome(seed: u64) -> Outcome {
             let mut flight = flight.clone();
             (corruption.corrupt)(&mut flight);
             let findings = Audit::of(&flight).findings;
-            let found = findings.iter().find(|finding| told(finding, corruption));
+            let found = findings.iter().find(|finding| is_detected(finding, corruption));
             let missed =
                 || findings.iter().map(ToString::to_string).collect::<Vec<_>>().join(" | ");
             (corruption.name, found.is_some(), found.map_or_else(missed, ToString::to_string))

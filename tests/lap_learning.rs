@@ -88,7 +88,7 @@ struct Flown {
 }
 
 impl Flown {
-    fn told(&self, words: &str) -> bool {
+    fn reported(&self, words: &str) -> bool {
         self.said.iter().any(|text| text.contains(words))
     }
 }
@@ -164,9 +164,9 @@ fn lap_after_learning_tracks_the_course_better() {
     assert_eq!(flown.end, End::Done, "{:?}", flown.said);
     let [first, second] = &flown.laps[..] else { panic!("{:?}", flown.said) };
     assert!(second.rms_m < 0.5 * first.rms_m, "{:?}", flown.said);
-    assert!(flown.told("lap 2 now uses the model learned"), "{:?}", flown.said);
+    assert!(flown.reported("lap 2 now uses the model learned"), "{:?}", flown.said);
     // The stated second plus the planner's lead.
-    assert!(flown.told("first setpoint 1."), "{:?}", flown.said);
+    assert!(flown.reported("first setpoint 1."), "{:?}", flown.said);
 }
 
 #[test]
@@ -189,8 +189,8 @@ fn model_learned_from_nan_samples_is_discarded_in_flight() {
     };
     let flown = fly(2, poison, whole);
     assert_eq!(flown.end, End::Done, "{:?}", flown.said);
-    assert!(flown.told("cannot learn yet"), "{:?}", flown.said);
-    assert!(!flown.told("lap 2 now uses the model learned"), "{:?}", flown.said);
+    assert!(flown.reported("cannot learn yet"), "{:?}", flown.said);
+    assert!(!flown.reported("lap 2 now uses the model learned"), "{:?}", flown.said);
     assert_eq!(flown.laps.len(), 2);
 }
 
@@ -204,7 +204,7 @@ fn model_whose_lap_strays_is_withdrawn_in_flight() {
     let flown = fly(3, wrong, whole);
     assert_eq!(flown.end, End::Done, "{:?}", flown.said);
     let [first, second, third] = &flown.laps[..] else { panic!("{:?}", flown.said) };
-    assert!(flown.told("strays further from the course"), "{:?}", flown.said);
+    assert!(flown.reported("strays further from the course"), "{:?}", flown.said);
     assert!(second.most_m > 1.5 * first.most_m, "{:?}", flown.said);
     assert!(third.rms_m < 1.2 * first.rms_m, "{:?}", flown.said);
 }
@@ -213,7 +213,7 @@ fn model_whose_lap_strays_is_withdrawn_in_flight() {
 fn non_finite_model_gives_no_plan_and_flight_continues() {
     let flown = fly(2, |record| Some(record.clone()), |_| Arc::new(NoNumbers));
     assert_eq!(flown.end, End::Done, "{:?}", flown.said);
-    assert!(flown.told("no flyable plan with it"), "{:?}", flown.said);
+    assert!(flown.reported("no flyable plan with it"), "{:?}", flown.said);
     let [first, second] = &flown.laps[..] else { panic!("{:?}", flown.said) };
     assert!((second.rms_m / first.rms_m - 1.0).abs() < 0.1, "{:?}", flown.said);
 }
@@ -226,8 +226,8 @@ fn model_whose_later_plans_fail_is_withdrawn_in_flight() {
     };
     let flown = fly(2, |record| Some(record.clone()), fading);
     assert_eq!(flown.end, End::Done, "{:?}", flown.said);
-    assert!(flown.told("lap 2 now uses the model learned"), "{:?}", flown.said);
-    assert!(flown.told("no flyable plan with it"), "{:?}", flown.said);
+    assert!(flown.reported("lap 2 now uses the model learned"), "{:?}", flown.said);
+    assert!(flown.reported("no flyable plan with it"), "{:?}", flown.said);
     let [first, second] = &flown.laps[..] else { panic!("{:?}", flown.said) };
     assert!(second.rms_m < 1.2 * first.rms_m, "{:?}", flown.said);
 }

@@ -128,8 +128,8 @@ fn defects_of_logs_are_reported_and_the_rest_is_used() {
     for turn in ["each/3", "each/4"] {
         assert!(physics(turn) < 0.05, "{}", summary["one_step"][1]);
     }
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(bad.iter().all(|path| told.contains(&*path.to_string_lossy())), "{told}");
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(bad.iter().all(|path| stderr.contains(&*path.to_string_lossy())), "{stderr}");
 }
 
 /// A sound log as a flight, changed and written again.
@@ -187,11 +187,11 @@ fn earlier_window_is_used_if_a_later_one_lacks_rows() {
         (model.exists(), output)
     };
     let (is_there, output) = trained("1");
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(!is_there && told.contains("rows to train on"), "{told}");
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!is_there && stderr.contains("rows to train on"), "{stderr}");
     let (is_there, output) = trained("22,1");
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(is_there && told.contains("using the earlier window's models"), "{told}");
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(is_there && stderr.contains("using the earlier window's models"), "{stderr}");
     let taken = learn::number(&learn::summary(&output), "/settings/window_half_s");
     assert_eq!(taken, 0.022);
 }
@@ -209,9 +209,9 @@ fn log_with_mismatched_thrust_is_from_another_vehicle() {
         .current_dir(&folder)
         .output()
         .expect("the command runs");
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{told}");
-    assert!(told.contains("from another vehicle") && told.contains("0.3"), "{told}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("from another vehicle") && stderr.contains("0.3"), "{stderr}");
     assert!(!folder.join("model.safetensors").exists());
 }
 
@@ -228,9 +228,9 @@ fn log_with_a_different_vehicle_file_is_refused() {
         .current_dir(&folder)
         .output()
         .expect("the command runs");
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{told}");
-    assert!(told.contains("from another vehicle: inertia"), "{told}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("from another vehicle: inertia"), "{stderr}");
 }
 
 #[test]
@@ -241,9 +241,9 @@ fn too_little_flight_gives_no_model() {
         entries.retain(|(time, _)| (10_000_000..15_000_000).contains(&(time - start)));
     });
     let (output, model) = learn::train("little-model", &[log], &[]);
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{told}");
-    assert!(told.contains("rows to train on") || told.contains("is usable"), "{told}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("rows to train on") || stderr.contains("is usable"), "{stderr}");
     assert!(!model.exists());
 }
 
@@ -263,11 +263,11 @@ fn mismatched_motor_order_is_refused_with_both_orders() {
         .current_dir(&folder)
         .output()
         .expect("the command runs");
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{told}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
     let orders = [
         "front right (spin +1), rear left (spin +1), front left (spin -1), rear right (spin -1)",
         "front right (spin +1), rear right (spin -1), rear left (spin +1), front left (spin -1)",
     ];
-    assert!(orders.iter().all(|order| told.contains(order)), "{told}");
+    assert!(orders.iter().all(|order| stderr.contains(order)), "{stderr}");
 }

@@ -60,14 +60,14 @@ fn payload_and_weak_rotor_are_compensated_and_reported_under_both_laws() {
     let payload = (Foreign::Payload { share: 0.3 }, "mass +", 0.06, 0.012);
     let wear = Foreign::RotorWear { rotor: 0, loss: 0.25, torque_share: 1.0 };
     let rotor = (wear, "less thrust at the front right rotor", 0.09, 0.012);
-    for (change, told, peak_m, late_m) in [payload, rotor] {
+    for (change, expected, peak_m, late_m) in [payload, rotor] {
         for law in [Law::LQR, Law::GEOMETRIC] {
             let (end, records) = changed(with(law, true, 9.0), &change, 1);
             assert_eq!(end, End::Done, "{law}");
             let (peak, late) = (largest_m(&records, 0.0), largest_m(&records, 2.0));
             assert!(peak < peak_m && late < late_m, "{law}, {}: {peak} {late}", change.name());
             let words = words(&records);
-            assert!(words.iter().any(|text| text.contains(told)), "{law}: {words:?}");
+            assert!(words.iter().any(|text| text.contains(expected)), "{law}: {words:?}");
             let (_, plain) = changed(with(law, false, 9.0), &change, 1);
             assert!(largest_m(&plain, 2.0) > 5.0 * late_m, "{law}: the change has no effect");
         }

@@ -68,10 +68,10 @@ fn clock_slip_shows_in_timesync_and_stall_in_arrivals() {
     config.clock.stalls = vec![Stall { at_s: 4.0, for_s: 0.4 }];
     let mut bench = Bench::with(settings(&params, hover(1.0)), &params, &[], config);
     let arrivals = Rc::new(RefCell::new(Vec::new()));
-    let heard = Rc::clone(&arrivals);
+    let recorded = Rc::clone(&arrivals);
     let clock = bench.vehicle.clock().clone();
     bench.downlink = Box::new(move |us, frame| {
-        heard.borrow_mut().push(clock.host_us(us));
+        recorded.borrow_mut().push(clock.host_us(us));
         vec![frame.to_vec()]
     });
     let vehicle_s = |bench: &Bench| bench.vehicle.now_us() as f64 * 1e-6;
@@ -96,15 +96,15 @@ fn sliding_estimate_is_not_followed() {
     config.estimator.slide_time_s = 0.23;
     let mut bench = Bench::with(settings(&params, hover(40.0)), &params, &[], config);
     bench.until(FlightState::Hold, 60.0);
-    assert!(bench.told("position estimate jumped by 5.5"), "{:?}", bench.texts());
+    assert!(bench.logged("position estimate jumped by 5.5"), "{:?}", bench.texts());
     let held = bench.position();
     let mut farthest: f64 = 0.0;
     while bench.phase() == Some(FlightState::Hold) {
         bench.run(0.05);
         farthest = farthest.max((bench.position() - held).norm());
     }
-    assert!(bench.told("position estimate drifted by"), "{:?}", bench.texts());
-    assert!(!bench.told("from the reference"), "{:?}", bench.texts());
+    assert!(bench.logged("position estimate drifted by"), "{:?}", bench.texts());
+    assert!(!bench.logged("from the reference"), "{:?}", bench.texts());
     // The 1 m that is not yet a slide, and the remainder of one.
     assert!(farthest < 1.2, "{farthest} m in truth");
     bench.until(FlightState::Done, 30.0);
@@ -183,9 +183,9 @@ fn slow_serial_line_is_reported_with_a_feasible_rate() {
         let mut bench = Bench::with(settings, &params, &[], set_up(autopilot));
         bench.run(8.0);
         let line = "serial line: expected room for 80 Hz of attitude and position";
-        assert!(bench.told(line), "{:?}", bench.texts());
-        assert!(bench.told("set control.rate_hz to 25 or less"), "{:?}", bench.texts());
-        assert!(bench.told("57600 baud, which carries 5760 bytes/s"), "{:?}", bench.texts());
+        assert!(bench.logged(line), "{:?}", bench.texts());
+        assert!(bench.logged("set control.rate_hz to 25 or less"), "{:?}", bench.texts());
+        assert!(bench.logged("57600 baud, which carries 5760 bytes/s"), "{:?}", bench.texts());
         assert_eq!(bench.setpoints_after(0), 0);
     }
 }

@@ -94,9 +94,9 @@ fn flight_log_continues_after_a_pilot_takeover() {
     engage(&mut bench);
     bench.pilot_mode(Mode::Position);
     bench.run(8.0);
-    assert!(!bench.told_end(), "still in the air");
+    assert!(!bench.has_recorded_end(), "still in the air");
     bench.run(3.0);
-    assert!(bench.told_end());
+    assert!(bench.has_recorded_end());
 }
 
 #[test]
@@ -135,7 +135,7 @@ fn vehicle_already_in_offboard_is_left_alone() {
 }
 
 /// What arrives instead of `frame`, which followed the frame `before`.
-fn spoilt(kind: u8, bytes: &[u8], frame: &[u8], before: &[u8]) -> Vec<Vec<u8>> {
+fn corrupted(kind: u8, bytes: &[u8], frame: &[u8], before: &[u8]) -> Vec<Vec<u8>> {
     let own = frame.to_vec();
     match kind {
         0 => vec![bytes.to_vec(), own],
@@ -167,7 +167,7 @@ proptest! {
             let (kind, bytes) = &noise[(count / 7) % noise.len()];
             let before = std::mem::replace(&mut before, frame.to_vec());
             if count.is_multiple_of(7) {
-                spoilt(*kind, bytes, frame, &before)
+                corrupted(*kind, bytes, frame, &before)
             } else {
                 vec![frame.to_vec()]
             }

@@ -43,7 +43,7 @@ fn missing_samples_stop_setpoints_and_command_landing() {
     let silent_us = bench.now_us();
     bench.run(0.9);
     assert_eq!(bench.setpoints_after(silent_us + 20_000), 0, "no sample, no setpoint");
-    assert!(bench.told("no state for"), "{:?}", bench.texts());
+    assert!(bench.logged("no state for"), "{:?}", bench.texts());
     assert_eq!(bench.vehicle.flight().mode(), Mode::Land);
     comes_down_silently(&mut bench);
 }
@@ -89,7 +89,7 @@ fn search_times_out_without_messages_from_the_vehicle() {
     bench.run(10.0);
     bench.downlink = Box::new(|_, _| vec![]);
     bench.run(7.9);
-    assert!(bench.told("link Stale -> Lost") && bench.station.end().is_none());
+    assert!(bench.logged("link Stale -> Lost") && bench.station.end().is_none());
     bench.run(0.2);
     assert!(matches!(bench.station.end(), Some(End::LinkLost(_))), "{:?}", bench.station.end());
 }
@@ -154,7 +154,7 @@ fn vehicle_blown_off_course_lands() {
     let mut bench = Bench::with(settings, &params, &wind, SitlConfig::default());
     let limit = 60.0;
     bench.until(FlightState::Land, limit);
-    assert!(bench.told("from the reference"), "{:?}", bench.texts());
+    assert!(bench.logged("from the reference"), "{:?}", bench.texts());
     bench.until(FlightState::Done, limit);
     assert!(matches!(bench.station.end(), Some(End::Aborted(_))));
 }
@@ -166,11 +166,11 @@ fn fence_breach_and_excessive_tilt_end_the_flight() {
     fenced.offboard.safety.fence_radius_m = 0.6;
     let mut bench = Bench::new(fenced, &params);
     bench.until(FlightState::Land, 60.0);
-    assert!(bench.told("outside the geofence"), "{:?}", bench.texts());
+    assert!(bench.logged("outside the geofence"), "{:?}", bench.texts());
     bench.until(FlightState::Done, 60.0);
 
     let mut bench = stopped_in_flight();
-    assert!(bench.told("tilted"), "{:?}", bench.texts());
+    assert!(bench.logged("tilted"), "{:?}", bench.texts());
     let now_us = bench.now_us();
     bench.run(2.0);
     assert_eq!(bench.setpoints_after(now_us), 0, "silent: the vehicle's failsafe acts");
@@ -185,7 +185,7 @@ fn empty_battery_lands_the_vehicle() {
     let config = SitlConfig { battery, ..SitlConfig::default() };
     let mut bench = Bench::with(settings(&params, hover(300.0)), &params, &[], config);
     bench.until(FlightState::Land, 120.0);
-    assert!(bench.told("battery at"), "{:?}", bench.texts());
+    assert!(bench.logged("battery at"), "{:?}", bench.texts());
     bench.until(FlightState::Done, 60.0);
     assert!(matches!(bench.station.end(), Some(End::Aborted(_))));
 }
@@ -352,14 +352,14 @@ fn vehicle_is_recorded_after_an_abort() {
     let aborted_us = bench.now_us();
     let verdict = bench.station.end().cloned();
     assert!(matches!(verdict, Some(End::Aborted(_))), "{verdict:?}");
-    assert!(!bench.station.is_over() && !bench.told_end());
+    assert!(!bench.station.is_over() && !bench.has_recorded_end());
 
     bench.until_over(11.0);
     assert!(bench.now_us() - aborted_us <= 10_020_000, "{:?}", bench.texts());
     let (ticks, setpoints, height_m) = recorded_after(&bench, aborted_us);
     assert!(ticks > 300 && height_m < 0.05, "{ticks} ticks down to {height_m} m");
     assert_eq!((setpoints, bench.setpoints_after(aborted_us)), (0, 0));
-    assert!(bench.told_end());
+    assert!(bench.has_recorded_end());
     assert_eq!(bench.station.end(), verdict.as_ref(), "the reported end does not change");
 }
 
@@ -412,7 +412,7 @@ fn different_vehicle_after_an_abort_is_not_flown() {
         _ => vec![frame.to_vec()],
     });
     bench.run(30.0);
-    assert!(bench.told("vehicle is PX4"), "{:#?}", bench.texts());
+    assert!(bench.logged("vehicle is PX4"), "{:#?}", bench.texts());
     assert_eq!(bench.setpoints_after(aborted_us), 0, "{:#?}", bench.texts());
     assert!(!bench.vehicle.flight().armed());
 }
@@ -423,10 +423,10 @@ fn only_the_vehicles_closed_connection_is_reported() {
     let now = bench.now();
     bench.station.peer_closed(now, Peer::new(7));
     bench.run(0.1);
-    assert!(!bench.told("connection closed"));
+    assert!(!bench.logged("connection closed"));
     bench.station.peer_closed(now, Peer::new(0));
     bench.run(0.1);
-    assert!(bench.told("the vehicle's connection closed"), "{:#?}", bench.texts());
+    assert!(bench.logged("the vehicle's connection closed"), "{:#?}", bench.texts());
 }
 
 #[test]

@@ -116,7 +116,10 @@ fn feedback_is_designed_for_the_configured_response() {
         let (slow, largest) = unknown_loop(vehicle, Some(1.8), Some([1.8, 1.8, 0.9]));
         assert!(largest < 1.4, "{vehicle}: {slow} m, {largest} m");
         let (assumed, _) = unknown_loop(vehicle, Some(12.0), None);
-        let (told, _) = unknown_loop(vehicle, Some(12.0), Some([12.0, 12.0, 6.0]));
-        assert!(told < 0.8 * assumed, "{vehicle}: {told} m configured, {assumed} m assumed");
+        let (configured, _) = unknown_loop(vehicle, Some(12.0), Some([12.0, 12.0, 6.0]));
+        assert!(
+            configured < 0.8 * assumed,
+            "{vehicle}: {configured} m configured, {assumed} m assumed"
+        );
     }
 }

@@ -99,7 +99,7 @@ fn flight_ends_when_another_vehicle_replaces_the_flown_one() {
     bench.downlink = exchanged();
     bench.until(FlightState::Abort, 2.0);
     let aborted_us = bench.now_us();
-    assert!(bench.told("vehicle is PX4"), "{:#?}", bench.texts());
+    assert!(bench.logged("vehicle is PX4"), "{:#?}", bench.texts());
     bench.run(5.0);
     assert_eq!(bench.setpoints_after(aborted_us), 0);
     assert_eq!(masks(&bench.records), [0x00], "no setpoint in another form");
@@ -126,10 +126,10 @@ fn replacement_autopilot_gets_no_setpoints_and_is_not_the_pilot() {
     bench.until(FlightState::Abort, 1.1);
     let aborted_us = bench.now_us();
     assert!(
-        bench.told("another vehicle is on the link: system 1 component 1: autopilot ArduPilot")
+        bench.logged("another vehicle is on the link: system 1 component 1: autopilot ArduPilot")
     );
     bench.run(3.0);
-    assert!(bench.told("vehicle is ArduCopter"), "{:#?}", bench.texts());
+    assert!(bench.logged("vehicle is ArduCopter"), "{:#?}", bench.texts());
     assert_eq!(bench.setpoints_after(aborted_us), 0);
     let why = "another vehicle answers on the link";
     assert_eq!(bench.station.end(), Some(&End::Aborted(why.to_owned())));
@@ -160,8 +160,8 @@ fn replacement_vehicle_is_kept_out_of_the_switched_flights_log() {
         let mut bench = switched();
         bench.downlink = other;
         bench.run(if name == "PX4" { 0.9 } else { 3.2 });
-        assert!(bench.told("abort: another vehicle answers on the link"), "{:#?}", bench.texts());
-        assert!(!bench.told("recording continues"), "{:#?}", bench.texts());
+        assert!(bench.logged("abort: another vehicle answers on the link"), "{:#?}", bench.texts());
+        assert!(!bench.logged("recording continues"), "{:#?}", bench.texts());
         assert_eq!(facts_and_flights(&bench), ["bundled", "begins", "ends", name]);
         let waits = bench.phase().is_some_and(FlightState::precedes_stream);
         assert!(waits, "waits for the next flight's pilot: {:?}", bench.phase());
@@ -179,7 +179,7 @@ fn unsupported_vehicle_is_waited_out_under_the_pilots_switch() {
         bench.downlink = exchanged_for(MavAutopilot::MAV_AUTOPILOT_GENERIC);
         bench.run(3.5);
         let why = "the modes of autopilot \"unknown\" are unknown";
-        assert!(bench.told(why), "{:#?}", bench.texts());
+        assert!(bench.logged(why), "{:#?}", bench.texts());
         assert_eq!((bench.phase(), bench.setpoints_after(0)), (None, 0));
         if policy == EngagePolicy::Command {
             assert_eq!(bench.station.end(), Some(&End::Refused(why.to_owned())));
@@ -246,9 +246,9 @@ fn ticks_after(bench: &Bench, us: u64) -> (usize, usize) {
         Record::Tick(tick) if tick.stamp.host > after => Some(tick),
         _ => None,
     });
-    let told: Vec<_> = ticks.map(|tick| (tick.setpoint.is_some(), tick.saturation)).collect();
-    assert!(told.iter().all(|(is_sent, saturation)| *is_sent || *saturation == 0));
-    (told.len(), told.iter().filter(|(is_sent, _)| *is_sent).count())
+    let ticks: Vec<_> = ticks.map(|tick| (tick.setpoint.is_some(), tick.saturation)).collect();
+    assert!(ticks.iter().all(|(is_sent, saturation)| *is_sent || *saturation == 0));
+    (ticks.len(), ticks.iter().filter(|(is_sent, _)| *is_sent).count())
 }
 
 /// Two samples arrive in one read.
@@ -281,18 +281,18 @@ fn log_contains_exactly_the_setpoints_sent() {
     bench.downlink = in_pairs();
     let from_us = bench.now_us();
     bench.run(0.5);
-    let (ticks, told) = ticks_after(&bench, from_us);
-    assert!((48..=51).contains(&ticks) && (24..=26).contains(&told), "{told} of {ticks}");
-    assert_eq!(told, bench.setpoints_after(from_us));
+    let (ticks, sent) = ticks_after(&bench, from_us);
+    assert!((48..=51).contains(&ticks) && (24..=26).contains(&sent), "{sent} of {ticks}");
+    assert_eq!(sent, bench.setpoints_after(from_us));
 
     bench.downlink = unidentified();
     bench.run(0.5);
-    assert!(bench.told("no setpoint is sent: the vehicle is not identified"));
+    assert!(bench.logged("no setpoint is sent: the vehicle is not identified"));
     let from_us = bench.now_us();
     bench.run(0.2);
-    let (ticks, told) = ticks_after(&bench, from_us);
+    let (ticks, sent) = ticks_after(&bench, from_us);
     assert!(ticks > 10, "{ticks} ticks");
-    assert_eq!((told, bench.setpoints_after(from_us)), (0, 0));
+    assert_eq!((sent, bench.setpoints_after(from_us)), (0, 0));
     assert_eq!(bench.phase(), Some(FlightState::Track), "{:#?}", bench.texts());
 }
 
@@ -310,9 +310,9 @@ fn setpoint_refused_by_the_transport_is_not_logged_as_sent() {
     let setpoints = bench.station.status().setpoints;
     bench.is_jammed = true;
     bench.run(0.2);
-    let (ticks, told) = ticks_after(&bench, from_us);
+    let (ticks, sent) = ticks_after(&bench, from_us);
     assert!(ticks > 15, "{ticks} ticks");
-    assert_eq!((told, sent_frames(&bench.records[from..])), (0, 0));
+    assert_eq!((sent, sent_frames(&bench.records[from..])), (0, 0));
     assert_eq!(bench.station.status().setpoints, setpoints);
     bench.is_jammed = false;
     bench.run(1.1);
@@ -332,9 +332,9 @@ fn offboard_is_not_requested_while_no_setpoint_leaves() {
     bench.until(FlightState::Standby, 10.0);
     bench.downlink = unidentified();
     bench.run(1.5);
-    assert!(bench.told("no setpoint is sent: the vehicle is not identified"));
+    assert!(bench.logged("no setpoint is sent: the vehicle is not identified"));
     assert_eq!(bench.phase(), Some(FlightState::Standby), "{:#?}", bench.texts());
-    assert!(!bench.told("refuses"), "{:#?}", bench.texts());
+    assert!(!bench.logged("refuses"), "{:#?}", bench.texts());
 }
 
 /// The backlog after a stall looks fresh to a late reader.
@@ -351,7 +351,7 @@ fn nothing_is_sent_after_a_stall_until_a_newer_sample() {
         bench.run(0.03);
         assert!(bench.setpoints_after(woke_us) >= 2, "{stall_s}: {:#?}", bench.texts());
         bench.run(0.5);
-        assert!(bench.told("this process stalled for"), "{:#?}", bench.texts());
+        assert!(bench.logged("this process stalled for"), "{:#?}", bench.texts());
         assert_eq!(bench.phase(), Some(FlightState::Track), "{stall_s}: {:#?}", bench.texts());
     }
     // A short stall does not count.
@@ -359,5 +359,5 @@ fn nothing_is_sent_after_a_stall_until_a_newer_sample() {
     let stopped_us = bench.now_us();
     bench.stall(0.04);
     assert!(bench.setpoints_after(stopped_us) >= 3);
-    assert!(!bench.told("this process stalled"));
+    assert!(!bench.logged("this process stalled"));
 }

@@ -117,12 +117,12 @@ fn link_loss_in_flight_ends_control_until_the_mode_reads_otherwise() {
     flight.switch(MODES.offboard);
     flight.vehicle.armed = true;
     flight.until(FlightState::Track, 30.0);
-    flight.hears = |_| false;
+    flight.receives = |_| false;
     flight.obeys = |_| false;
     let at = flight.vehicle.now();
     flight.run(4.0);
     assert_eq!(flight.offboard.flight_state(), FlightState::Abort);
-    flight.hears = |_| true;
+    flight.receives = |_| true;
     flight.run(5.0);
     assert_eq!(flight.streamed_since(at), 0, "the mode still reads OFFBOARD");
 }
@@ -131,7 +131,7 @@ fn link_loss_in_flight_ends_control_until_the_mode_reads_otherwise() {
 fn stale_state_stops_setpoints_and_commands_landing() {
     let mut flight = flight(EngagePolicy::Command);
     flight.until(FlightState::Track, 30.0);
-    flight.hears = |message| !matches!(message, Inbound::Odometry { .. });
+    flight.receives = |message| !matches!(message, Inbound::Odometry { .. });
     let at = flight.vehicle.now();
     flight.run(0.45);
     assert_eq!(flight.offboard.flight_state(), FlightState::Track, "a short silence is waited out");
@@ -180,11 +180,11 @@ fn repeated_refusal_is_reported_once() {
         flight.offboard.link_event(flight.vehicle.now(), refused);
         flight.run(0.1);
     }
-    let told = flight.events.iter().filter(|event| event.text.contains("refuses to disarm"));
-    let told: Vec<&str> = told.map(|event| event.text.as_str()).collect();
+    let refusals = flight.events.iter().filter(|event| event.text.contains("refuses to disarm"));
+    let refusals: Vec<&str> = refusals.map(|event| event.text.as_str()).collect();
     let expected =
         ["the vehicle refuses to disarm: failed", "the vehicle refuses to disarm: denied"];
-    assert_eq!(told, expected);
+    assert_eq!(refusals, expected);
 }
 
 #[test]

@@ -49,7 +49,7 @@ fn heartbeat(flight: &Flight, mode: u32) -> Received {
     Received { host: flight.vehicle.now(), vehicle: None, delay: None, message }
 }
 
-fn told(flight: &Flight, words: &str) -> bool {
+fn reported(flight: &Flight, words: &str) -> bool {
     flight.events.iter().any(|event| event.text.contains(words))
 }
 
@@ -63,13 +63,13 @@ fn pause(flight: &mut Flight, seconds: f64) {
 #[test]
 fn nothing_is_commanded_while_silence_hides_the_mode() {
     let mut flight = in_track(EngagePolicy::Command);
-    flight.hears = |_| false;
+    flight.receives = |_| false;
     flight.run(2.0);
     assert_eq!(flight.offboard.flight_state(), FlightState::Land);
     assert!(flight.actions.is_empty(), "{:?}", flight.actions);
     // The pilot took over in the meantime, and the link is back.
     flight.vehicle.mode = POSITION_MODE;
-    flight.hears = |_| true;
+    flight.receives = |_| true;
     flight.run(0.5);
     assert_eq!(flight.offboard.flight_state(), FlightState::PilotControl);
     assert!(flight.actions.is_empty(), "{:?}", flight.actions);
@@ -78,7 +78,7 @@ fn nothing_is_commanded_while_silence_hides_the_mode() {
 #[test]
 fn late_frame_of_another_kind_does_not_confirm_the_mode() {
     let mut flight = in_track(EngagePolicy::Command);
-    flight.hears = |_| false;
+    flight.receives = |_| false;
     // Messages in transit before the cut arrive a little later than the state.
     for _ in 0..10 {
         flight.run(0.01);
@@ -98,13 +98,13 @@ fn late_frame_of_another_kind_does_not_confirm_the_mode() {
 #[test]
 fn landing_is_commanded_once_the_mode_is_reported_after_silence() {
     let mut flight = in_track(EngagePolicy::Command);
-    flight.hears = |_| false;
+    flight.receives = |_| false;
     flight.run(1.0);
-    flight.hears =
+    flight.receives =
         |message| !matches!(message, Inbound::Heartbeat { .. } | Inbound::CurrentMode { .. });
     flight.run(0.9);
     assert!(flight.actions.is_empty(), "the mode is older than the silence");
-    flight.hears = |_| true;
+    flight.receives = |_| true;
     flight.run(0.2);
     assert_eq!(flight.actions, [Action::SetModeLand]);
 }
@@ -137,7 +137,7 @@ fn mode_is_unknown_after_a_pause_until_reported_again() {
         flight.offboard.catch_up(&unread);
         let now = flight.vehicle.now();
         flight.offboard.resumed(now, 2.4);
-        flight.hears =
+        flight.receives =
             |message| !matches!(message, Inbound::Heartbeat { .. } | Inbound::CurrentMode { .. });
         flight.run(0.5);
         assert!(flight.actions.is_empty(), "{:?}", flight.actions);
@@ -145,14 +145,14 @@ fn mode_is_unknown_after_a_pause_until_reported_again() {
         flight
     };
     let mut taken = paused();
-    taken.hears = |_| true;
+    taken.receives = |_| true;
     taken.switch(POSITION_MODE);
     taken.run(3.0);
     assert!(taken.actions.is_empty(), "{:?}", taken.actions);
     assert_eq!(taken.offboard.takeover(), Some(&Takeover::Pilot { mode: "Position".to_owned() }));
 
     let mut left = paused();
-    left.hears = |_| true;
+    left.receives = |_| true;
     left.run(0.2);
     assert_eq!(left.actions, [Action::SetModeLand], "no state for 2.4 s");
 }
@@ -192,7 +192,7 @@ fn mode_restored_on_disarming_is_not_the_pilots_switch() {
         flight.vehicle.armed = false;
         flight.run(3.0);
         assert_eq!(flight.offboard.flight_state(), FlightState::AwaitRelease, "{heartbeat_first}");
-        assert!(told(&flight, "not the pilot's switch"), "{:#?}", flight.events);
+        assert!(reported(&flight, "not the pilot's switch"), "{:#?}", flight.events);
         // The next arming, by anyone, must not take off.
         let now = flight.vehicle.now();
         flight.vehicle.armed = true;
@@ -212,7 +212,7 @@ fn switch_on_the_ground_lapses_unless_the_pilot_arms() {
     assert_eq!(flight.offboard.flight_state(), FlightState::Arm);
     flight.run(2.0);
     assert_eq!(flight.offboard.flight_state(), FlightState::AwaitRelease);
-    assert!(told(&flight, "did not arm within 30 s"), "{:#?}", flight.events);
+    assert!(reported(&flight, "did not arm within 30 s"), "{:#?}", flight.events);
 }
 
 #[test]
@@ -229,7 +229,7 @@ fn offer_ends_if_the_pilot_leaves_offboard_before_engaging() {
         flight.run(0.05);
     }
     assert!(
-        told(&flight, "the vehicle left OFFBOARD again: the mode is Position"),
+        reported(&flight, "the vehicle left OFFBOARD again: the mode is Position"),
         "{:#?}",
         flight.events
     );
@@ -249,13 +249,13 @@ fn nothing_is_offered_without_a_recent_mode_report() {
     let mut flight = flight(EngagePolicy::PilotSwitch);
     flight.until(FlightState::Standby, 10.0);
     flight.run(0.2);
-    flight.hears =
+    flight.receives =
         |message| !matches!(message, Inbound::Heartbeat { .. } | Inbound::CurrentMode { .. });
     flight.run(2.6);
     let old = flight.vehicle.now();
     flight.run(1.0);
     assert_eq!(flight.streamed_since(old), 0, "after an unseen switch it would be obeyed");
-    flight.hears = |_| true;
+    flight.receives = |_| true;
     flight.run(0.5);
     assert!(flight.streamed_since(old) > 0);
     assert_eq!(flight.offboard.flight_state(), FlightState::Standby);
@@ -276,7 +276,7 @@ fn vehicle_flown_by_others_is_not_taken_over_unasked() {
     command.run(70.0);
     assert_eq!(command.offboard.flight_state(), FlightState::Abort);
     assert!(command.actions.is_empty(), "{:?}", command.actions);
-    assert!(told(&command, "found armed, in the air"), "{:#?}", command.events);
+    assert!(reported(&command, "found armed, in the air"), "{:#?}", command.events);
     assert!(command.ticks.iter().all(|tick| tick.setpoint.is_none()));
 
     let mut switched = flown_by_others(EngagePolicy::PilotSwitch, OffboardSettings::default());
@@ -304,7 +304,7 @@ fn requested_takeover_in_the_air_uses_local_frame_height() {
 #[test]
 fn nothing_is_streamed_while_the_arming_state_is_unknown() {
     let mut flight = flown_by_others(EngagePolicy::PilotSwitch, OffboardSettings::default());
-    flight.hears =
+    flight.receives =
         |message| !matches!(message, Inbound::Heartbeat { .. } | Inbound::LandedState(_));
     flight.run(10.0);
     assert_eq!(flight.offboard.flight_state(), FlightState::AwaitTelemetry);
@@ -327,7 +327,7 @@ fn failsafe_is_not_reported_as_the_pilot() {
     flight.run(1.5);
     let words = "PX4 failsafe: Return; vehicle: Failsafe activated: no manual control";
     assert_eq!(flight.offboard.takeover(), Some(&Takeover::Failsafe(words.to_owned())));
-    assert!(!told(&flight, "the pilot has control"), "{:#?}", flight.events);
+    assert!(!reported(&flight, "the pilot has control"), "{:#?}", flight.events);
 }
 
 #[test]
@@ -345,38 +345,38 @@ fn declared_failsafe_or_critical_battery_lands_the_vehicle() {
         assert_eq!(flight.offboard.flight_state(), FlightState::Track);
         flight.run(2.5);
         assert_eq!(flight.actions, [Action::SetModeLand]);
-        assert!(told(&flight, words), "{:#?}", flight.events);
+        assert!(reported(&flight, words), "{:#?}", flight.events);
     }
 }
 
 #[test]
 fn position_reported_unhealthy_is_not_followed() {
-    let heard = |flight: &mut Flight, health: u32, enabled: u32| {
+    let report_health = |flight: &mut Flight, health: u32, enabled: u32| {
         let message = Inbound::SysStatus { unhealthy: 0, health, enabled };
         let host = flight.vehicle.now();
         flight.offboard.handle(&Received { host, vehicle: None, delay: None, message });
     };
     let mut flight = in_track(EngagePolicy::Command);
     // A vehicle that never reported a healthy position is not judged by it.
-    heard(&mut flight, 0, 0x4000);
+    report_health(&mut flight, 0, 0x4000);
     flight.run(1.0);
     assert_eq!(flight.offboard.flight_state(), FlightState::Track);
     // Nor is one that no longer uses it, such as ArduCopter in Guided, which reports it in LAND.
-    heard(&mut flight, 0x4000, 0x4000);
-    heard(&mut flight, 0, 0);
+    report_health(&mut flight, 0x4000, 0x4000);
+    report_health(&mut flight, 0, 0);
     flight.run(1.0);
-    heard(&mut flight, 0, 0x4000);
+    report_health(&mut flight, 0, 0x4000);
     flight.run(1.0);
     assert_eq!(flight.offboard.flight_state(), FlightState::Track);
     // PX4 may report it as healthy without having it enabled.
-    heard(&mut flight, 0x4000, 0);
+    report_health(&mut flight, 0x4000, 0);
     flight.run(0.2);
-    heard(&mut flight, 0, 0x4000);
+    report_health(&mut flight, 0, 0x4000);
     flight.run(0.3);
     assert_eq!(flight.offboard.flight_state(), FlightState::Track, "one report may be wrong");
     flight.run(0.4);
     assert_eq!(flight.actions, [Action::SetModeLand]);
-    assert!(told(&flight, "unhealthy position estimate"), "{:#?}", flight.events);
+    assert!(reported(&flight, "unhealthy position estimate"), "{:#?}", flight.events);
 }
 
 #[test]
@@ -399,15 +399,15 @@ fn unreported_landing_ends_in_a_disarm_request() {
     let now = flight.vehicle.now();
     flight.offboard.land(now);
     // The vehicle lands but keeps reporting flight, with its motors on.
-    flight.hears = |message| !matches!(message, Inbound::LandedState(_));
+    flight.receives = |message| !matches!(message, Inbound::LandedState(_));
     flight.vehicle.stays_armed = true;
     let message = Inbound::LandedState(LandedState::InAir);
     flight.offboard.handle(&Received { host: now, vehicle: None, delay: None, message });
     flight.obeys = |action| action != Action::Disarm;
     flight.until(FlightState::Disarm, 30.0);
-    assert!(told(&flight, "reports no landing"), "{:#?}", flight.events);
+    assert!(reported(&flight, "reports no landing"), "{:#?}", flight.events);
     flight.until(FlightState::Abort, 70.0);
     assert!(flight.actions.contains(&Action::Disarm));
-    assert!(told(&flight, "still armed: disarm it by hand"), "{:#?}", flight.events);
+    assert!(reported(&flight, "still armed: disarm it by hand"), "{:#?}", flight.events);
     assert!(flight.vehicle.now().since(now) < Duration::from_secs(100));
 }

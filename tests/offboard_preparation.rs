@@ -22,10 +22,10 @@ fn is_no_odometry(message: &Inbound) -> bool {
 #[test]
 fn missing_current_mode_is_reported_once_and_flown() {
     let mut flight = flight();
-    flight.hears = |message| !matches!(message, Inbound::CurrentMode { .. });
+    flight.receives = |message| !matches!(message, Inbound::CurrentMode { .. });
     flight.until(FlightState::Track, 30.0);
-    let told = flight.events.iter().filter(|event| event.text.contains("no CURRENT_MODE"));
-    assert_eq!(told.count(), 1, "{:#?}", flight.events);
+    let notices = flight.events.iter().filter(|event| event.text.contains("no CURRENT_MODE"));
+    assert_eq!(notices.count(), 1, "{:#?}", flight.events);
 }
 
 #[test]
@@ -45,9 +45,9 @@ fn intermittent_telemetry_does_not_restart_the_wait() {
         let message = Inbound::Battery(Battery { remaining: Some(0.2), ..Battery::default() });
         let host = flight.vehicle.now();
         flight.offboard.handle(&Received { host, vehicle: None, delay: None, message });
-        flight.hears = |_| true;
+        flight.receives = |_| true;
         flight.run(2.0);
-        flight.hears = is_no_odometry;
+        flight.receives = is_no_odometry;
         flight.run(1.0);
         waited_s += 3.0;
     }

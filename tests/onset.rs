@@ -50,9 +50,9 @@ fn flown(name: &str, effects: &[&str]) -> (Seen, Vec<Change>) {
 #[test]
 fn weakened_rotor_is_detected_from_log_and_live() {
     let (seen, live) = flown("rotor", &["rotor_loss:rotor=2,scale=0.92@25"]);
-    for (way, told) in [("log", &seen.changes), ("live", &live)] {
-        assert_eq!(told.len(), 1, "{way}: {told:?}");
-        let change = &told[0];
+    for (way, found) in [("log", &seen.changes), ("live", &live)] {
+        assert_eq!(found.len(), 1, "{way}: {found:?}");
+        let change = &found[0];
         assert!((change.at_s - 25.0).abs() < 0.5, "{way}: {change:?}");
         assert_eq!(change.cause, Cause::Rotor2, "{way}: {change:?}");
         let by = change.values[0].change.value;

@@ -32,7 +32,7 @@ fn depth(region: &KeepOutSetting, [x, y, z]: [f64; 3]) -> f64 {
     }
 }
 
-fn goes_round(regions: &[KeepOutSetting]) -> Outcome<7> {
+fn plan_around(regions: &[KeepOutSetting]) -> Outcome<7> {
     let outcome = plan(&straight(), &settings(regions));
     let text = format!("{regions:?}: {:?} {:?}", outcome.status, outcome.violation);
     assert_ne!(outcome.status, Status::Failed, "{text}");
@@ -51,22 +51,22 @@ fn goes_round(regions: &[KeepOutSetting]) -> Outcome<7> {
 
 #[test]
 fn sphere_beside_the_path_is_avoided() {
-    goes_round(&[ball([1.0, 0.1, -1.0], 0.3)]);
+    plan_around(&[ball([1.0, 0.1, -1.0], 0.3)]);
 }
 
 #[test]
 fn sphere_on_the_path_is_avoided() {
-    goes_round(&[ball([1.0, 0.0, -1.0], 0.3)]);
+    plan_around(&[ball([1.0, 0.0, -1.0], 0.3)]);
 }
 
 #[test]
 fn box_beside_the_path_is_avoided() {
-    goes_round(&[block([0.8, -0.1, -2.0], [1.2, 0.4, -0.2])]);
+    plan_around(&[block([0.8, -0.1, -2.0], [1.2, 0.4, -0.2])]);
 }
 
 #[test]
 fn box_on_the_path_is_avoided() {
-    goes_round(&[block([0.9, -0.3, -2.0], [1.1, 0.3, 0.0])]);
+    plan_around(&[block([0.9, -0.3, -2.0], [1.1, 0.3, 0.0])]);
 }
 
 /// A step is longer than the wall is thick: a plan through the wall reports that, with the depth.
@@ -81,13 +81,13 @@ fn thin_wall_violation_is_reported_with_its_depth() {
         })
     });
     let deepest = ways.fold(0.0, f64::max);
-    let told = outcome.violation.trespass_m;
-    assert!((told - deepest).abs() < 2e-4, "{told} reported, {deepest} found");
+    let reported = outcome.violation.trespass_m;
+    assert!((reported - deepest).abs() < 2e-4, "{reported} reported, {deepest} found");
 }
 
 #[test]
 fn path_leads_through_a_gate() {
-    let outcome = goes_round(&[
+    let outcome = plan_around(&[
         block([0.9, -2.0, -3.0], [1.1, 0.1, 1.0]),
         block([0.9, 0.6, -3.0], [1.1, 2.0, 1.0]),
     ]);

@@ -235,7 +235,7 @@ struct Link {
 }
 
 impl Link {
-    fn hear(
+    fn deliver(
         &mut self,
         telemetry: &mut Telemetry,
         host: HostTime,
@@ -248,7 +248,7 @@ impl Link {
     fn second(&mut self, telemetry: &mut Telemetry) {
         for us in (10_000..=1_000_000).step_by(10_000) {
             let message = odometry(us);
-            self.hear(telemetry, message.host, message).expect("sound");
+            self.deliver(telemetry, message.host, message).expect("sound");
         }
     }
 }
@@ -260,13 +260,13 @@ fn late_message_is_rejected_and_reported() {
     assert_eq!(telemetry.take_late(START), None);
     let late = odometry(1_010_000);
     let host = late.host + Duration::from_millis(300);
-    let fault = link.hear(&mut telemetry, host, late);
+    let fault = link.deliver(&mut telemetry, host, late);
     assert!(matches!(fault, Err(TelemetryFault::Late { .. })), "{fault:?}");
-    let told = telemetry.take_late(host).expect("told").to_string();
-    assert_eq!(told, "1 state message arrived up to 0.30 s late");
+    let notice = telemetry.take_late(host).expect("a notice").to_string();
+    assert_eq!(notice, "1 state message arrived up to 0.30 s late");
     assert_eq!((telemetry.take_late(host), telemetry.late().count), (None, 1));
     let next = odometry(1_320_000);
-    assert!(matches!(link.hear(&mut telemetry, next.host, next), Ok(Some(_))));
+    assert!(matches!(link.deliver(&mut telemetry, next.host, next), Ok(Some(_))));
     assert_eq!(telemetry.late().count, 0);
 }
 
@@ -278,10 +278,10 @@ fn queue_overflow_is_not_a_clock_jump() {
     // hold are missing, and the newest follows.
     let read = START + Duration::from_micros(2_500_000);
     for us in (1_010_000..1_100_000).step_by(10_000) {
-        let late = link.hear(&mut telemetry, read, odometry(us));
+        let late = link.deliver(&mut telemetry, read, odometry(us));
         assert!(matches!(late, Err(TelemetryFault::Late { .. })), "{late:?}");
     }
-    let fresh = link.hear(&mut telemetry, read, odometry(2_490_000));
+    let fresh = link.deliver(&mut telemetry, read, odometry(2_490_000));
     assert!(matches!(fresh, Ok(Some(_))), "{fresh:?}");
 }
 
@@ -291,7 +291,7 @@ fn forward_clock_step_is_reported_once() {
     link.second(&mut telemetry);
     let mut stepped = |us: u64| {
         let host = START + Duration::from_micros(us + 2000);
-        link.hear(&mut telemetry, host, odometry(us + 1_200_000))
+        link.deliver(&mut telemetry, host, odometry(us + 1_200_000))
     };
     let jump = stepped(1_010_000);
     assert!(

@@ -33,7 +33,7 @@ impl Folder {
     fn json(&self, arguments: &str) -> Value {
         let output = self.run(arguments);
         serde_json::from_slice(&output.stdout)
-            .unwrap_or_else(|error| panic!("{arguments}: {error}: {}", said(&output)))
+            .unwrap_or_else(|error| panic!("{arguments}: {error}: {}", stderr(&output)))
     }
 
     fn read(&self, name: &str) -> Value {
@@ -48,7 +48,7 @@ impl Drop for Folder {
     }
 }
 
-fn said(output: &Output) -> String {
+fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
@@ -129,10 +129,10 @@ fn plan_keeps_its_tube_clear_and_flights_stay_inside() {
     folder.json("plan way.toml -o bare.json --json");
     let refused = folder.run("tube check bare.json --flights 1");
     assert_eq!(refused.status.code(), Some(2));
-    assert!(said(&refused).contains("the plan has no tube"), "{}", said(&refused));
+    assert!(stderr(&refused).contains("the plan has no tube"), "{}", stderr(&refused));
     let refused = folder.run("plan way.toml --vehicle quad1200 --tube tube.json -o other.json");
     assert_eq!(refused.status.code(), Some(2));
-    assert!(said(&refused).contains("make one for this vehicle"), "{}", said(&refused));
+    assert!(stderr(&refused).contains("make one for this vehicle"), "{}", stderr(&refused));
 }
 
 fn logged_radii(log: &Path) -> Vec<f64> {
@@ -171,8 +171,11 @@ fn too_few_flights_are_refused_with_the_required_number() {
     assert_eq!(fit["position"], "true");
     let refused = folder.run("plan way.toml --tube tube.json -o plan.json");
     assert_eq!(refused.status.code(), Some(2));
-    let said = said(&refused);
-    assert!(said.contains("5 calibration flights") && said.contains("at least 19"), "{said}");
+    let message = stderr(&refused);
+    assert!(
+        message.contains("5 calibration flights") && message.contains("at least 19"),
+        "{message}"
+    );
     let plan = folder.json("plan way.toml --tube tube.json --confidence 0.8 -o plan.json --json");
     assert!(plan["tube"]["radius_max_m"].as_f64().expect("a radius") > 0.0);
 }

@@ -14,7 +14,7 @@ use serde_json::json;
 use vehicle::frame::Ned;
 
 use crate::log_flight::{records, run_info, write};
-use crate::viewer::{Data, Heard, Viewer};
+use crate::viewer::{Data, ServerMessage, Viewer};
 
 fn start(course: CoursePath) -> (LiveView, LiveFeed) {
     let parameters = [("control.law", "lqr"), ("control.rate_hz", "100.0")];
@@ -89,22 +89,22 @@ fn viewers_get_log_bytes_of_subscribed_topics_only() {
 fn viewer_receives_server_info_schemas_time_and_parameters() {
     let (view, mut feed) = start(CoursePath::default());
     let mut viewer = Viewer::connect(view.address());
-    let Heard::Json(info) = viewer.hear() else { panic!("no serverInfo") };
+    let ServerMessage::Json(info) = viewer.receive() else { panic!("no serverInfo") };
     assert_eq!((&info["op"], &info["name"]), (&json!("serverInfo"), &json!("test")));
     assert_eq!(info["capabilities"], json!(["time", "parameters", "parametersSubscribe"]));
-    let Heard::Json(advertise) = viewer.hear() else { panic!("no topics") };
+    let ServerMessage::Json(advertise) = viewer.receive() else { panic!("no topics") };
     let channels = advertise["channels"].as_array().expect("channels");
     assert!(channels.iter().all(|channel| channel["encoding"] == "protobuf"));
     let control = channels.iter().find(|c| c["topic"] == "/control").expect("/control");
     assert_eq!(control["schemaName"], ControlMessage::NAME);
 
     viewer.send(json!({"op": "getParameters", "id": "all", "parameterNames": []}));
-    let Heard::Json(answer) = viewer.hear() else { panic!("no parameters") };
+    let ServerMessage::Json(answer) = viewer.receive() else { panic!("no parameters") };
     assert_eq!(answer["parameters"][0], json!({"name": "control.law", "value": "lqr"}));
     // A parameter set from outside keeps its value.
     let set = json!({"name": "control.rate_hz", "value": 5.0, "type": "float64"});
     viewer.send(json!({"op": "setParameters", "id": "set", "parameters": [set]}));
-    let Heard::Json(answer) = viewer.hear() else { panic!("no answer") };
+    let ServerMessage::Json(answer) = viewer.receive() else { panic!("no answer") };
     assert_eq!(answer["parameters"][0]["value"], 100.0);
 
     viewer.subscribe(&["/state"]);
@@ -112,15 +112,17 @@ fn viewer_receives_server_info_schemas_time_and_parameters() {
     let facts = facts.map(|(name, value)| (name.to_owned(), value.to_owned()));
     feed.hear(&Record::Facts(Box::new(facts.into())));
     hear_all(&mut feed, &records(0.5));
-    let times: Vec<u64> = std::iter::repeat_with(|| viewer.hear())
-        .filter_map(|heard| if let Heard::Time(time) = heard { Some(time) } else { None })
+    let times: Vec<u64> = std::iter::repeat_with(|| viewer.receive())
+        .filter_map(
+            |message| if let ServerMessage::Time(time) = message { Some(time) } else { None },
+        )
         .take(3)
         .collect();
     assert!(times.windows(2).all(|pair| pair[1] - pair[0] >= 100_000_000), "{times:?}");
     viewer
         .send(json!({"op": "getParameters", "id": "p", "parameterNames": ["parameter.MPC_XY_P"]}));
     loop {
-        if let Heard::Json(answer) = viewer.hear() {
+        if let ServerMessage::Json(answer) = viewer.receive() {
             assert_eq!(answer["parameters"][0]["value"], 0.95);
             break;
         }

@@ -5,7 +5,7 @@ use downwash::view::{Playback, Recording, ViewSettings};
 use serde_json::json;
 
 use crate::log_flight::{START, records, write};
-use crate::viewer::{Data, Heard, Viewer};
+use crate::viewer::{Data, ServerMessage, Viewer};
 
 const PLAY: u8 = 0;
 const PAUSE: u8 = 1;
@@ -48,9 +48,9 @@ fn ns(s: f64) -> u64 {
 fn until(viewer: &mut Viewer, status: u8) -> (Vec<Data>, (u64, f32, bool)) {
     let mut found = Vec::new();
     loop {
-        match viewer.hear() {
-            Heard::Data(data) => found.push(data),
-            Heard::Playback(is, time, speed, has_sought) if is == status => {
+        match viewer.receive() {
+            ServerMessage::Data(data) => found.push(data),
+            ServerMessage::Playback(is, time, speed, has_sought) if is == status => {
                 return (found, (time, speed, has_sought));
             }
             _ => {}
@@ -62,11 +62,11 @@ fn until(viewer: &mut Viewer, status: u8) -> (Vec<Data>, (u64, f32, bool)) {
 fn log_is_played_to_its_end_without_a_gap() {
     let (playback, logged) = play("played", true);
     let mut viewer = Viewer::connect(playback.address());
-    let Heard::Json(info) = viewer.hear() else { panic!("no serverInfo") };
+    let ServerMessage::Json(info) = viewer.receive() else { panic!("no serverInfo") };
     assert!(info["capabilities"].as_array().expect("a list").contains(&json!("playbackControl")));
     assert_eq!(info["dataStartTime"]["sec"], START.as_ns() / 1_000_000_000);
     while !viewer.topics.contains_key("/state") {
-        viewer.hear();
+        viewer.receive();
     }
     viewer.subscribe(&["/state", "/control"]);
     request(&mut viewer, PLAY, 4.0, None);
@@ -117,16 +117,16 @@ fn paused_log_stands_still_and_exposes_its_facts() {
     request(&mut viewer, PAUSE, 1.0, None);
     let (_, (time, ..)) = until(&mut viewer, PAUSED);
     // Times published from then on are the same.
-    let mut told = 0;
-    while told < 3 {
-        if let Heard::Time(now) = viewer.hear() {
-            told += usize::from(now == time);
+    let mut received = 0;
+    while received < 3 {
+        if let ServerMessage::Time(now) = viewer.receive() {
+            received += usize::from(now == time);
             assert!(now <= time);
         }
     }
     viewer.send(json!({"op": "getParameters", "id": "p", "parameterNames": ["vehicle"]}));
     loop {
-        if let Heard::Json(answer) = viewer.hear() {
+        if let ServerMessage::Json(answer) = viewer.receive() {
             assert_eq!(answer["parameters"][0]["value"], "crazyflie 2");
             break;
         }

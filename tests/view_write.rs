@@ -12,7 +12,7 @@ use downwash::view::{CoursePath, LiveFeed, LiveView, ViewSettings};
 use serde_json::{Value, json};
 use vehicle::frame::Ned;
 
-use crate::viewer::{Heard, Viewer};
+use crate::viewer::{ServerMessage, Viewer};
 
 const NAMES: [&str; 4] =
     ["flight.goal_north_m", "flight.goal_east_m", "flight.goal_up_m", "flight.feedback_scale"];
@@ -26,8 +26,8 @@ fn start(is_writable: bool) -> (LiveView, LiveFeed) {
 
 /// The server's first message.
 fn server_info(view: &LiveView) -> Value {
-    match Viewer::connect(view.address()).hear() {
-        Heard::Json(info) => info,
+    match Viewer::connect(view.address()).receive() {
+        ServerMessage::Json(info) => info,
         other => panic!("{other:?}"),
     }
 }
@@ -35,7 +35,7 @@ fn server_info(view: &LiveView) -> Value {
 /// The parameter values in the next message that reports them.
 fn values(viewer: &mut Viewer) -> BTreeMap<String, f64> {
     loop {
-        if let Heard::Json(said) = viewer.hear()
+        if let ServerMessage::Json(said) = viewer.receive()
             && said["op"] == "parameterValues"
         {
             let pair = |p: &Value| Some((p["name"].as_str()?.to_owned(), p["value"].as_f64()?));

@@ -27,9 +27,9 @@ fn take_off_command_altitude_is_above_sea_level() {
     bench.run(0.1);
     bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[242.0]));
     let home = bench
-        .heard()
+        .received()
         .into_iter()
-        .find_map(|heard| match heard.message {
+        .find_map(|received| match received.message {
             MavMessage::HOME_POSITION(home) => Some(home.altitude as f32 * 1e-3),
             _ => None,
         })
@@ -128,15 +128,15 @@ fn second_peer_takes_over_from_offboard() {
     bench.run(0.02);
     assert_eq!(bench.set_mode(Mode::Offboard), ACCEPTED);
     bench.run(0.2);
-    bench.heard();
+    bench.received();
     bench.send_from(pilot, &bench::command_long(MavCmd::MAV_CMD_DO_SET_MODE, &[1.0, 3.0]));
     assert_eq!(bench.mode(), Mode::Position, "immediately");
-    let heard = bench.heard();
-    let told = heard.iter().any(|heard| {
-        matches!(&heard.message, MavMessage::CURRENT_MODE(mode)
+    let received = bench.received();
+    let is_notified = received.iter().any(|received| {
+        matches!(&received.message, MavMessage::CURRENT_MODE(mode)
             if mode.custom_mode == Mode::Position.custom_mode())
     });
-    assert!(told, "the first peer is notified immediately");
+    assert!(is_notified, "the first peer is notified immediately");
     bench.run(3.0);
     assert_eq!(bench.mode(), Mode::Position, "the live stream does not take control back");
 }

@@ -101,7 +101,7 @@ fn attitude_target_echoes_the_active_setpoint() {
     bench.stream(setpoint(0.1, 0.0, 0.5, 0x07));
     bench.run(0.1);
     bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[83.0]));
-    let echo = bench.heard().into_iter().rev().find_map(|heard| match heard.message {
+    let echo = bench.received().into_iter().rev().find_map(|received| match received.message {
         MavMessage::ATTITUDE_TARGET(target) => Some(target),
         _ => None,
     });
@@ -117,7 +117,7 @@ fn stream_loss_holds_the_last_setpoint_then_lands() {
     bench.stream(setpoint(0.05, 0.0, 0.5, 0x00));
     bench.run(0.5);
     bench.stop_stream();
-    bench.heard();
+    bench.received();
     bench.run(0.9);
     assert_eq!(bench.mode(), Mode::Offboard);
     let roll = bench.vehicle.plant().state().attitude.euler().roll;
@@ -126,8 +126,8 @@ fn stream_loss_holds_the_last_setpoint_then_lands() {
     assert!((0.98..1.01).contains(&left), "left after {left} s");
     assert_eq!(bench.mode(), Mode::Land);
     bench.run(0.05);
-    let heard = bench.heard();
-    let current = heard.iter().find_map(|heard| match &heard.message {
+    let received = bench.received();
+    let current = received.iter().find_map(|received| match &received.message {
         MavMessage::CURRENT_MODE(mode) => Some((mode.custom_mode, mode.intended_custom_mode)),
         _ => None,
     });

@@ -17,9 +17,9 @@ const SET_INTERVAL: MavCmd = MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL;
 fn default_stream_rates_match_px4() {
     let mut bench = Bench::new();
     bench.run(1.0);
-    bench.heard();
+    bench.received();
     bench.run(20.0);
-    let heard = bench.heard();
+    let received = bench.received();
     let rates = [
         (0, 1.0),
         (30, 100.0),
@@ -35,7 +35,7 @@ fn default_stream_rates_match_px4() {
         (436, 0.5),
     ];
     for (id, rate) in rates {
-        let got = count(&heard, id) as f64 / 20.0;
+        let got = count(&received, id) as f64 / 20.0;
         assert!((got - rate).abs() <= 0.051, "message {id}: {got} Hz, expected {rate}");
     }
 }
@@ -49,17 +49,17 @@ fn requested_rates_are_met_at_whole_intervals() {
     {
         assert_eq!(bench.command(SET_INTERVAL, &[id as f32, interval]), ACCEPTED);
     }
-    bench.heard();
+    bench.received();
     bench.run(4.0);
-    let heard = bench.heard();
+    let received = bench.received();
     for (id, rate) in [(31, 250), (105, 250), (32, 100), (375, 100), (331, 100)] {
-        assert!(count(&heard, id).abs_diff(4 * rate) <= 1, "message {id}");
+        assert!(count(&received, id).abs_diff(4 * rate) <= 1, "message {id}");
     }
-    for heard in heard {
-        match heard.message {
+    for received in received {
+        match received.message {
             MavMessage::ODOMETRY(odometry) => {
                 assert_eq!(odometry.time_usec % 10_000, 0);
-                assert_eq!(odometry.time_usec, heard.time_us);
+                assert_eq!(odometry.time_usec, received.time_us);
                 assert_eq!(odometry.child_frame_id, MavFrame::MAV_FRAME_LOCAL_NED);
             }
             MavMessage::HIGHRES_IMU(imu) => {
@@ -78,9 +78,9 @@ fn setting_a_fixed_or_unknown_interval_fails() {
     assert_eq!(bench.command(SET_INTERVAL, &[9999.0, 10_000.0]), FAILED, "unknown");
     assert_eq!(bench.command(SET_INTERVAL, &[f32::NAN, f32::NAN]), FAILED);
     assert_eq!(bench.command(SET_INTERVAL, &[30.0, -1.0]), ACCEPTED);
-    bench.heard();
+    bench.received();
     bench.run(1.0);
-    assert_eq!(count(&bench.heard(), 30), 0);
+    assert_eq!(count(&bench.received(), 30), 0);
 }
 
 #[test]
@@ -88,11 +88,13 @@ fn message_interval_can_be_queried() {
     let mut bench = Bench::new();
     bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[331.0]));
     bench.send(&bench::command_long(SET_INTERVAL, &[331.0, 10_000.0]));
-    bench.heard();
+    bench.received();
     #[allow(deprecated, reason = "clients still request it this way")]
     bench.send(&bench::command_long(MavCmd::MAV_CMD_GET_MESSAGE_INTERVAL, &[331.0]));
-    let heard = bench.heard();
-    let MavMessage::MESSAGE_INTERVAL(interval) = &heard[0].message else { panic!("no interval") };
+    let received = bench.received();
+    let MavMessage::MESSAGE_INTERVAL(interval) = &received[0].message else {
+        panic!("no interval")
+    };
     assert_eq!((interval.message_id, interval.interval_us), (331, 10_000));
 }
 
@@ -100,8 +102,8 @@ fn message_interval_can_be_queried() {
 fn heartbeat_and_version_identify_the_vehicle() {
     let mut bench = Bench::new();
     bench.run(1.1);
-    let heard = bench.heard();
-    let heartbeat = heard.iter().find_map(|heard| match &heard.message {
+    let received = bench.received();
+    let heartbeat = received.iter().find_map(|received| match &received.message {
         MavMessage::HEARTBEAT(heartbeat) => Some(heartbeat.clone()),
         _ => None,
     });
@@ -110,18 +112,18 @@ fn heartbeat_and_version_identify_the_vehicle() {
     assert_eq!(heartbeat.mavtype, MavType::MAV_TYPE_QUADROTOR);
     assert_eq!(heartbeat.custom_mode, 0x0304_0000);
     bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[148.0]));
-    let heard = bench.heard();
-    let MavMessage::AUTOPILOT_VERSION(version) = &heard[0].message else { panic!("no version") };
+    let received = bench.received();
+    let MavMessage::AUTOPILOT_VERSION(version) = &received[0].message else { panic!("no version") };
     assert_eq!((version.vendor_id, version.product_id), (0x4457, 1));
-    assert!(matches!(&heard[1].message, MavMessage::COMMAND_ACK(ack) if ack.result == ACCEPTED));
+    assert!(matches!(&received[1].message, MavMessage::COMMAND_ACK(ack) if ack.result == ACCEPTED));
 }
 
 #[test]
 fn battery_status_reports_no_fault() {
     let mut bench = Bench::new();
     bench.fly();
-    let heard = bench.heard();
-    let battery = heard.iter().rev().find_map(|heard| match &heard.message {
+    let received = bench.received();
+    let battery = received.iter().rev().find_map(|received| match &received.message {
         MavMessage::BATTERY_STATUS(battery) => Some(battery.clone()),
         _ => None,
     });
@@ -140,9 +142,9 @@ fn every_message_can_be_requested() {
         375, 435, 436,
     ];
     for id in all {
-        bench.heard();
+        bench.received();
         bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[id as f32]));
-        assert!(count(&bench.heard(), id) >= 1, "message {id}");
+        assert!(count(&bench.received(), id) >= 1, "message {id}");
     }
     let unknown = bench.command(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[9999.0]);
     assert_eq!(unknown, MavResult::MAV_RESULT_DENIED);
@@ -152,7 +154,7 @@ fn every_message_can_be_requested() {
 fn unknown_commands_are_answered_unsupported() {
     let mut bench = Bench::new();
     assert_eq!(bench.command(MavCmd::MAV_CMD_DO_SET_ROI_NONE, &[]), UNSUPPORTED);
-    bench.heard();
+    bench.received();
     // COMMAND_LONG 65000 is built by hand, because the dialect's types cannot express it.
     let mut payload = [0_u8; 33];
     payload[28..30].copy_from_slice(&65_000_u16.to_le_bytes());
@@ -172,7 +174,7 @@ fn unknown_commands_are_answered_unsupported() {
 #[test]
 fn command_int_acts_like_command_long() {
     let mut bench = Bench::new();
-    bench.heard();
+    bench.received();
     bench.send(&MavMessage::COMMAND_INT(COMMAND_INT_DATA {
         param1: 1.0,
         command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
@@ -181,7 +183,7 @@ fn command_int_acts_like_command_long() {
         ..Default::default()
     }));
     assert!(bench.armed());
-    assert_eq!(count(&bench.heard(), 77), 1);
+    assert_eq!(count(&bench.received(), 77), 1);
 }
 
 #[test]
@@ -196,12 +198,12 @@ fn commands_for_other_systems_are_ignored() {
         (command.target_system, command.target_component) = (target_system, target_component);
         MavMessage::COMMAND_LONG(command)
     };
-    bench.heard();
+    bench.received();
     for (system, component) in [(2, 1), (1, 2), (255, 0)] {
         bench.send(&arm(system, component));
         assert!(!bench.armed(), "{system}/{component}");
     }
-    assert_eq!(count(&bench.heard(), 77), 0);
+    assert_eq!(count(&bench.received(), 77), 0);
     bench.send(&arm(0, 0));
     assert!(bench.armed(), "a broadcast");
 }
@@ -210,9 +212,9 @@ fn commands_for_other_systems_are_ignored() {
 fn timesync_is_answered_with_the_vehicle_clock() {
     let mut bench = Bench::new();
     bench.vehicle.advance_to(1_234_567);
-    bench.heard();
+    bench.received();
     bench.send(&MavMessage::TIMESYNC(TIMESYNC_DATA { ts1: 42, ..Default::default() }));
-    let answer = bench.heard().into_iter().find_map(|heard| match heard.message {
+    let answer = bench.received().into_iter().find_map(|received| match received.message {
         MavMessage::TIMESYNC(sync) if sync.tc1 != 0 => Some(sync),
         _ => None,
     });
@@ -224,15 +226,15 @@ fn timesync_is_answered_with_the_vehicle_clock() {
 #[test]
 fn parameters_are_listed_read_and_set() {
     let mut bench = Bench::new();
-    bench.heard();
+    bench.received();
     bench.send(&MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
         target_system: 1,
         target_component: 1,
     }));
     bench.run(0.5);
     let mut listed = BTreeMap::new();
-    for heard in bench.heard() {
-        if let MavMessage::PARAM_VALUE(value) = heard.message {
+    for received in bench.received() {
+        if let MavMessage::PARAM_VALUE(value) = received.message {
             listed.insert(value.param_index, value);
         }
     }
@@ -244,14 +246,15 @@ fn parameters_are_listed_read_and_set() {
     assert_eq!(loss_action.param_value.to_bits(), 4, "Land, byte-cast");
 
     bench.join(Peer(3), MavlinkVersion::V2);
-    bench.heard_by(Peer(3));
+    bench.received_by(Peer(3));
     bench.set_parameter("COM_OBL_RC_ACT", f32::from_bits(5), MavParamType::MAV_PARAM_TYPE_INT32);
     for peer in [GROUND, Peer(3)] {
-        let told = bench.heard_by(peer).into_iter().find_map(|heard| match heard.message {
-            MavMessage::PARAM_VALUE(value) => Some(value.param_value.to_bits()),
-            _ => None,
-        });
-        assert_eq!(told, Some(5), "every peer is notified of a change");
+        let notified =
+            bench.received_by(peer).into_iter().find_map(|received| match received.message {
+                MavMessage::PARAM_VALUE(value) => Some(value.param_value.to_bits()),
+                _ => None,
+            });
+        assert_eq!(notified, Some(5), "every peer is notified of a change");
     }
     bench.send(&MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
         param_index: -1,
@@ -259,7 +262,7 @@ fn parameters_are_listed_read_and_set() {
         target_component: 1,
         param_id: "NO_SUCH_PARAM".into(),
     }));
-    assert_eq!(count(&bench.heard(), PARAM_ERROR_DATA::ID), 1);
+    assert_eq!(count(&bench.received(), PARAM_ERROR_DATA::ID), 1);
 }
 
 #[test]
@@ -268,15 +271,15 @@ fn mavlink_1_peer_gets_version_1_until_it_sends_version_2() {
     let old = Peer(1);
     bench.join(old, MavlinkVersion::V1);
     bench.run(2.5);
-    let heard = bench.heard_by(old);
-    assert!(count(&heard, 30) > 200);
-    for heard in &heard {
-        assert_eq!(heard.version, MavlinkVersion::V1);
-        assert!(heard.message.message_id() < 256);
+    let received = bench.received_by(old);
+    assert!(count(&received, 30) > 200);
+    for received in &received {
+        assert_eq!(received.version, MavlinkVersion::V1);
+        assert!(received.message.message_id() < 256);
     }
-    let modern = bench.heard();
-    let after_hello: Vec<_> = modern.iter().filter(|heard| heard.time_us > 0).collect();
-    assert!(after_hello.iter().all(|heard| heard.version == MavlinkVersion::V2));
+    let modern = bench.received();
+    let after_hello: Vec<_> = modern.iter().filter(|received| received.time_us > 0).collect();
+    assert!(after_hello.iter().all(|received| received.version == MavlinkVersion::V2));
     assert!(count(&modern, 331) > 50);
 }
 
@@ -286,24 +289,26 @@ fn each_peer_has_its_own_rates() {
     bench.join(Peer(1), MavlinkVersion::V2);
     assert_eq!(bench.command(SET_INTERVAL, &[30.0, -1.0]), ACCEPTED);
     bench.run(1.0);
-    assert_eq!(count(&bench.heard(), 30), 0);
-    assert!(count(&bench.heard_by(Peer(1)), 30) >= 99);
+    assert_eq!(count(&bench.received(), 30), 0);
+    assert!(count(&bench.received_by(Peer(1)), 30) >= 99);
     bench.vehicle.disconnect(Peer(1));
     bench.run(1.0);
-    assert_eq!(count(&bench.heard_by(Peer(1)), 0), 0, "forgotten");
+    assert_eq!(count(&bench.received_by(Peer(1)), 0), 0, "forgotten");
 }
 
 #[test]
 fn mission_request_gets_an_empty_mission() {
     let mut bench = Bench::new();
-    bench.heard();
+    bench.received();
     bench.send(&MavMessage::MISSION_REQUEST_LIST(MISSION_REQUEST_LIST_DATA {
         target_system: 1,
         target_component: 1,
         ..Default::default()
     }));
-    let heard = bench.heard();
-    assert!(matches!(&heard[0].message, MavMessage::MISSION_COUNT(mission) if mission.count == 0));
+    let received = bench.received();
+    assert!(
+        matches!(&received[0].message, MavMessage::MISSION_COUNT(mission) if mission.count == 0)
+    );
 }
 
 #[test]

@@ -39,9 +39,9 @@ fn in_guided() -> Bench {
 }
 
 fn custom_mode(bench: &mut Bench) -> Option<u32> {
-    bench.heard();
+    bench.received();
     bench.run(1.1);
-    bench.heard().into_iter().rev().find_map(|heard| match heard.message {
+    bench.received().into_iter().rev().find_map(|received| match received.message {
         MavMessage::HEARTBEAT(heartbeat) => Some(heartbeat.custom_mode),
         _ => None,
     })
@@ -55,7 +55,7 @@ fn speed(bench: &Bench) -> f64 {
 fn heartbeat_and_modes_match_arducopter() {
     let mut bench = on_the_ground();
     bench.run(1.1);
-    let heartbeat = bench.heard().into_iter().find_map(|heard| match heard.message {
+    let heartbeat = bench.received().into_iter().find_map(|received| match received.message {
         MavMessage::HEARTBEAT(heartbeat) => Some((heartbeat.autopilot, heartbeat.custom_mode)),
         _ => None,
     });
@@ -154,9 +154,9 @@ fn attitude_target_echoes_the_shaped_setpoint() {
     let mut bench = in_guided();
     bench.request(83, 100.0);
     bench.stream(setpoint(0.14, 0.0, HOVER, 0x07));
-    bench.heard();
+    bench.received();
     bench.run(0.1);
-    let echo = bench.heard().into_iter().rev().find_map(|heard| match heard.message {
+    let echo = bench.received().into_iter().rev().find_map(|received| match received.message {
         MavMessage::ATTITUDE_TARGET(target) => Some(target),
         _ => None,
     });
@@ -379,9 +379,9 @@ fn streams_are_off_by_default_and_unreachable_rates_are_denied() {
 fn outputs_are_pulses_within_the_spin_range() {
     let outputs = |bench: &mut Bench| {
         bench.request(36, 50.0);
-        bench.heard();
+        bench.received();
         bench.run(0.2);
-        bench.heard().into_iter().rev().find_map(|heard| match heard.message {
+        bench.received().into_iter().rev().find_map(|received| match received.message {
             MavMessage::SERVO_OUTPUT_RAW(servo) => Some(servo.servo1_raw),
             _ => None,
         })

@@ -1,7 +1,7 @@
 //! What the vehicle reports when its estimate, battery or landing detection fails.
 
 use crate::bench;
-use crate::bench::{Bench, Heard};
+use crate::bench::{Bench, Received};
 use sitl::autopilot::Mode;
 use sitl::config::{Autopilot, EstimatorConfig, GpsGlitch, SensorConfig, SitlConfig};
 use wire::dialect::*;
@@ -25,8 +25,8 @@ fn glitch(for_s: f64) -> EstimatorConfig {
 }
 
 /// Reset counters of ODOMETRY and the largest jump between two positions, m.
-fn resets(heard: &[Heard]) -> (Vec<u8>, f64) {
-    let odometry = heard.iter().filter_map(|heard| match &heard.message {
+fn resets(received: &[Received]) -> (Vec<u8>, f64) {
+    let odometry = received.iter().filter_map(|received| match &received.message {
         MavMessage::ODOMETRY(odometry) => Some((odometry.reset_counter, odometry.x)),
         _ => None,
     });
@@ -42,7 +42,7 @@ fn short_gps_glitch_is_rejected_and_long_one_resets_the_estimate() {
     for (for_s, counters, least, most) in [(8.0, vec![0], 0.0, 0.5), (10.0, vec![0, 1], 5.0, 6.0)] {
         let mut bench = hovering(Autopilot::Px4, |config| config.estimator = glitch(for_s));
         bench.run(13.0);
-        let (found, jump) = resets(&bench.heard());
+        let (found, jump) = resets(&bench.received());
         assert_eq!(found, counters, "{for_s} s");
         assert!((least..=most).contains(&jump), "{for_s} s: {jump} m");
     }
@@ -57,10 +57,10 @@ fn gps_glitch_is_reported_in_text_and_health_flags() {
     for (autopilot, words) in cases {
         let mut bench = hovering(autopilot, |config| config.estimator = glitch(5.0));
         let healthy = |bench: &mut Bench| {
-            bench.heard();
+            bench.received();
             bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[1.0]));
             let gps = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_GPS;
-            bench.heard().into_iter().find_map(|heard| match heard.message {
+            bench.received().into_iter().find_map(|received| match received.message {
                 MavMessage::SYS_STATUS(status) => {
                     Some(status.onboard_control_sensors_health.contains(gps))
                 }
@@ -87,16 +87,17 @@ fn position_estimate_wanders_by_the_configured_amount() {
     let mut squares = 0.0;
     let mut count = 0;
     for _ in 0..600 {
-        bench.heard();
+        bench.received();
         bench.run(0.5);
         let truth = bench.vehicle.plant().state().position;
-        let told = bench.heard().into_iter().rev().find_map(|heard| match heard.message {
-            MavMessage::LOCAL_POSITION_NED(at) => Some([at.x, at.y, at.z]),
-            _ => None,
-        });
-        let told = told.expect("a position").map(f64::from);
+        let reported =
+            bench.received().into_iter().rev().find_map(|received| match received.message {
+                MavMessage::LOCAL_POSITION_NED(at) => Some([at.x, at.y, at.z]),
+                _ => None,
+            });
+        let reported = reported.expect("a position").map(f64::from);
         // The vehicle hovers during the 33 ms between two messages.
-        squares += told.iter().zip(truth.to_array()).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+        squares += reported.iter().zip(truth.to_array()).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
         count += 3;
     }
     let deviation = (squares / f64::from(count)).sqrt();
@@ -111,19 +112,20 @@ fn velocity_wander_leaves_the_position_alone() {
     });
     let (mut squares, mut most, mut count) = (0.0, 0.0_f64, 0);
     for _ in 0..600 {
-        bench.heard();
+        bench.received();
         bench.run(0.5);
         let truth = *bench.vehicle.plant().state();
-        let told = bench.heard().into_iter().rev().find_map(|heard| match heard.message {
-            MavMessage::LOCAL_POSITION_NED(at) => Some([at.x, at.y, at.z, at.vx, at.vy, at.vz]),
-            _ => None,
-        });
-        let [x, y, z, velocity @ ..] = told.expect("a position").map(f64::from);
+        let reported =
+            bench.received().into_iter().rev().find_map(|received| match received.message {
+                MavMessage::LOCAL_POSITION_NED(at) => Some([at.x, at.y, at.z, at.vx, at.vy, at.vz]),
+                _ => None,
+            });
+        let [x, y, z, velocity @ ..] = reported.expect("a position").map(f64::from);
         let off = velocity.into_iter().zip(truth.velocity.to_array()).map(|(a, b)| (a - b).powi(2));
         squares += off.sum::<f64>();
         count += 3;
-        for (told, true_) in [x, y, z].into_iter().zip(truth.position.to_array()) {
-            most = most.max((told - true_).abs());
+        for (reported, true_) in [x, y, z].into_iter().zip(truth.position.to_array()) {
+            most = most.max((reported - true_).abs());
         }
     }
     let deviation = (squares / f64::from(count)).sqrt();
@@ -166,9 +168,9 @@ fn force_code_skips_arming_checks_on_arducopter_only() {
 
 /// The charge state in BATTERY_STATUS.
 fn charge_state(bench: &mut Bench) -> Option<MavBatteryChargeState> {
-    bench.heard();
+    bench.received();
     bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[147.0]));
-    bench.heard().into_iter().find_map(|heard| match heard.message {
+    bench.received().into_iter().find_map(|received| match received.message {
         MavMessage::BATTERY_STATUS(status) => Some(status.charge_state),
         _ => None,
     })

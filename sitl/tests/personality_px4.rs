@@ -1,7 +1,7 @@
 //! `autopilot = "px4"` reproduces what was measured on PX4.
 
 use crate::bench;
-use crate::bench::{Bench, Heard, count, setpoint};
+use crate::bench::{Bench, Received, count, setpoint};
 use sitl::autopilot::Mode;
 use sitl::config::{Autopilot, SitlConfig};
 use vehicle::{AttitudeCascade, VehicleParams};
@@ -67,26 +67,26 @@ fn enter(mut bench: Bench, mask: u8, hz: u64) -> Bench {
     bench
 }
 
-fn modes(heard: &[Heard]) -> Vec<(u64, u32)> {
-    let mode = |heard: &Heard| match &heard.message {
-        MavMessage::CURRENT_MODE(mode) => Some((heard.time_us, mode.custom_mode)),
+fn modes(received: &[Received]) -> Vec<(u64, u32)> {
+    let mode = |received: &Received| match &received.message {
+        MavMessage::CURRENT_MODE(mode) => Some((received.time_us, mode.custom_mode)),
         _ => None,
     };
-    heard.iter().filter_map(mode).collect()
+    received.iter().filter_map(mode).collect()
 }
 
 #[test]
 fn heartbeat_and_version_identify_px4() {
     let mut bench = on_the_ground();
     bench.run(1.1);
-    let heard = bench.heard();
-    let heartbeat = heard.iter().find_map(|heard| match &heard.message {
+    let received = bench.received();
+    let heartbeat = received.iter().find_map(|received| match &received.message {
         MavMessage::HEARTBEAT(heartbeat) => Some(heartbeat.autopilot),
         _ => None,
     });
     assert_eq!(heartbeat, Some(MavAutopilot::MAV_AUTOPILOT_PX4));
     bench.send(&bench::command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, &[148.0]));
-    let version = bench.heard().into_iter().find_map(|heard| match heard.message {
+    let version = bench.received().into_iter().find_map(|received| match received.message {
         MavMessage::AUTOPILOT_VERSION(version) => Some((version.vendor_id, version.product_id)),
         _ => None,
     });
@@ -247,21 +247,21 @@ fn offboard_is_restored_and_reported_before_disarming_after_landing() {
     bench.run(1.5);
     assert_eq!(bench.set_mode(Mode::Land), ACCEPTED);
     bench.stop_stream();
-    bench.heard();
+    bench.received();
     assert!(bench.run_until(40.0, |bench| !bench.armed()), "lands and disarms");
     bench.run(1.5);
-    let heard = bench.heard();
-    let offboard = modes(&heard).into_iter().find(|(_, word)| *word == 0x0006_0000);
-    let disarmed = heard.iter().find_map(|heard| match &heard.message {
+    let received = bench.received();
+    let offboard = modes(&received).into_iter().find(|(_, word)| *word == 0x0006_0000);
+    let disarmed = received.iter().find_map(|received| match &received.message {
         MavMessage::HEARTBEAT(heartbeat)
             if !heartbeat.base_mode.contains(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED) =>
         {
-            Some(heard.time_us)
+            Some(received.time_us)
         }
         _ => None,
     });
-    let (told, disarmed) = (offboard.expect("OFFBOARD again").0, disarmed.expect("disarmed"));
-    assert!(told <= disarmed && disarmed - told <= 1_000_000, "{told} {disarmed}");
+    let (reported, disarmed) = (offboard.expect("OFFBOARD again").0, disarmed.expect("disarmed"));
+    assert!(reported <= disarmed && disarmed - reported <= 1_000_000, "{reported} {disarmed}");
 }
 
 #[test]
@@ -374,9 +374,9 @@ fn default_and_granted_rates_match_px4() {
 #[test]
 fn outputs_are_pulses() {
     let outputs = |bench: &mut Bench| {
-        bench.heard();
+        bench.received();
         bench.run(0.2);
-        bench.heard().into_iter().rev().find_map(|heard| match heard.message {
+        bench.received().into_iter().rev().find_map(|received| match received.message {
             MavMessage::SERVO_OUTPUT_RAW(servo) => Some(servo.servo1_raw),
             _ => None,
         })
@@ -386,12 +386,12 @@ fn outputs_are_pulses() {
     let hover = outputs(&mut bench).expect("outputs");
     assert!((1470..1510).contains(&hover), "{hover}");
     bench.request(375, 50.0);
-    bench.heard();
+    bench.received();
     bench.run(0.1);
-    let heard = bench.heard();
-    assert!(count(&heard, 375) > 0);
-    for heard in heard {
-        if let MavMessage::ACTUATOR_OUTPUT_STATUS(status) = heard.message {
+    let received = bench.received();
+    assert!(count(&received, 375) > 0);
+    for received in received {
+        if let MavMessage::ACTUATOR_OUTPUT_STATUS(status) = received.message {
             assert_eq!(status.active, 16, "a count, not a bit mask");
             assert!((status.actuator[0] - f32::from(hover)).abs() < 20.0);
         }

@@ -52,7 +52,7 @@ fn see(bench: &mut Bench, seconds: f64, is_odometry: bool) {
 /// Whether the latest SYS_STATUS reports the position as healthy.
 fn is_healthy(bench: &mut Bench) -> Option<bool> {
     let position = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL;
-    bench.heard().into_iter().rev().find_map(|heard| match heard.message {
+    bench.received().into_iter().rev().find_map(|received| match received.message {
         MavMessage::SYS_STATUS(status) => {
             Some(status.onboard_control_sensors_health.contains(position))
         }
@@ -84,7 +84,7 @@ fn external_poses_are_ignored_unless_configured() {
         ..Default::default()
     }));
     bench.run(0.5);
-    let place = bench.heard().into_iter().rev().find_map(|heard| match heard.message {
+    let place = bench.received().into_iter().rev().find_map(|received| match received.message {
         MavMessage::LOCAL_POSITION_NED(place) => Some(place.x),
         _ => None,
     });

@@ -346,7 +346,7 @@ impl Bench {
     }
 
     /// Whether the sinks were notified that the flight is over.
-    pub fn told_end(&self) -> bool {
+    pub fn has_recorded_end(&self) -> bool {
         self.records.iter().any(|record| matches!(record, Record::FlightEnds))
     }
 
@@ -365,7 +365,7 @@ impl Bench {
             .collect()
     }
 
-    pub fn told(&self, words: &str) -> bool {
+    pub fn logged(&self, words: &str) -> bool {
         self.texts().iter().any(|text| text.contains(words))
     }
 

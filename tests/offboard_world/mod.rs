@@ -244,7 +244,7 @@ pub struct Flight {
     pub events: Vec<Event>,
     pub actions: Vec<Action>,
     /// Which of the vehicle's messages reach the controller.
-    pub hears: fn(&Inbound) -> bool,
+    pub receives: fn(&Inbound) -> bool,
     /// Whether the controller's requests take effect.
     pub obeys: fn(Action) -> bool,
 }
@@ -268,14 +268,14 @@ impl Flight {
             vehicle.now(),
         );
         let (ticks, events, actions) = Default::default();
-        Self { offboard, vehicle, ticks, events, actions, hears: |_| true, obeys: |_| true }
+        Self { offboard, vehicle, ticks, events, actions, receives: |_| true, obeys: |_| true }
     }
 
     pub fn run(&mut self, seconds: f64) {
         for _ in 0..(seconds * 1000.0) as u64 {
             self.vehicle.step();
             for message in self.vehicle.messages() {
-                if !(self.hears)(&message.message) {
+                if !(self.receives)(&message.message) {
                     continue;
                 }
                 if let Some(tick) = self.offboard.handle(&message) {
@@ -322,7 +322,7 @@ impl Flight {
             custom_mode: self.vehicle.mode,
             system: self.vehicle.system,
         };
-        if (self.hears)(&message) {
+        if (self.receives)(&message) {
             let host = self.vehicle.now();
             self.offboard.handle(&Received { host, vehicle: None, delay: None, message });
         }

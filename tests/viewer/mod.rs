@@ -23,7 +23,7 @@ pub struct Data {
 
 /// A message from the server.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Heard {
+pub enum ServerMessage {
     Json(Value),
     Data(Data),
     /// ns
@@ -54,7 +54,7 @@ impl Viewer {
     pub fn ready(address: SocketAddr, topic: &str) -> Self {
         let mut viewer = Self::connect(address);
         while !viewer.topics.contains_key(topic) {
-            viewer.hear();
+            viewer.receive();
         }
         viewer
     }
@@ -89,14 +89,16 @@ impl Viewer {
         self.send(json!({"op": "subscribe", "subscriptions": asked}));
         // The server answers in order, so what follows is answered after this.
         self.send(json!({"op": "getParameters", "id": "subscribed", "parameterNames": ["none"]}));
-        while !matches!(self.hear(), Heard::Json(answer) if answer["id"] == "subscribed") {}
+        while !matches!(self.receive(), ServerMessage::Json(answer) if answer["id"] == "subscribed")
+        {
+        }
     }
 
-    pub fn hear(&mut self) -> Heard {
-        self.try_hear().expect("the server speaks")
+    pub fn receive(&mut self) -> ServerMessage {
+        self.try_receive().expect("the server speaks")
     }
 
-    pub fn try_hear(&mut self) -> Result<Heard, tungstenite::Error> {
+    pub fn try_receive(&mut self) -> Result<ServerMessage, tungstenite::Error> {
         loop {
             match self.socket.read()? {
                 Message::Text(text) => {
@@ -105,7 +107,7 @@ impl Viewer {
                         let topic = channel["topic"].as_str().expect("a topic").to_owned();
                         self.topics.insert(topic, channel["id"].as_u64().expect("a number"));
                     }
-                    return Ok(Heard::Json(value));
+                    return Ok(ServerMessage::Json(value));
                 }
                 Message::Binary(bytes) => return Ok(self.decode(&bytes)),
                 _ => {}
@@ -113,18 +115,18 @@ impl Viewer {
         }
     }
 
-    fn decode(&self, bytes: &[u8]) -> Heard {
+    fn decode(&self, bytes: &[u8]) -> ServerMessage {
         let u64_at = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().expect("8"));
         match bytes[0] {
             1 => {
                 let id = u32::from_le_bytes(bytes[1..5].try_into().expect("4"));
                 let topic = self.subscribed[&id].clone();
-                Heard::Data(Data { topic, time: u64_at(5), body: bytes[13..].to_vec() })
+                ServerMessage::Data(Data { topic, time: u64_at(5), body: bytes[13..].to_vec() })
             }
-            2 => Heard::Time(u64_at(1)),
+            2 => ServerMessage::Time(u64_at(1)),
             5 => {
                 let speed = f32::from_le_bytes(bytes[10..14].try_into().expect("4"));
-                Heard::Playback(bytes[1], u64_at(2), speed, bytes[14] != 0)
+                ServerMessage::Playback(bytes[1], u64_at(2), speed, bytes[14] != 0)
             }
             other => panic!("unknown message {other}"),
         }
@@ -133,7 +135,7 @@ impl Viewer {
     /// The next message of a topic.
     pub fn data(&mut self) -> Data {
         loop {
-            if let Heard::Data(data) = self.hear() {
+            if let ServerMessage::Data(data) = self.receive() {
                 return data;
             }
         }

@@ -10,7 +10,7 @@ use wire::{Decoder, Encoder};
 pub const GROUND: Peer = Peer(0);
 
 /// A message as a peer received it, with the vehicle's time.
-pub struct Heard {
+pub struct Received {
     pub time_us: u64,
     pub message: MavMessage,
     pub version: MavlinkVersion,
@@ -20,7 +20,7 @@ struct Station {
     peer: Peer,
     encoder: Encoder,
     decoder: Decoder,
-    heard: Vec<Heard>,
+    received: Vec<Received>,
 }
 
 /// The vehicle and its peers, with an optional stream of setpoints while time passes.
@@ -105,7 +105,7 @@ impl Bench {
         let mut encoder = Encoder::new(255, 190);
         encoder.set_version(version);
         let decoder = Decoder::new();
-        self.stations.push(Station { peer, encoder, decoder, heard: Vec::new() });
+        self.stations.push(Station { peer, encoder, decoder, received: Vec::new() });
         self.vehicle.connect(peer, LinkKind::Datagrams);
         self.send_from(
             peer,
@@ -139,7 +139,7 @@ impl Bench {
             let frame = station.decoder.next_frame().expect("one whole frame");
             assert_eq!(frame.bytes(), bytes);
             let message = frame.message().expect("a message of the dialect");
-            station.heard.push(Heard { time_us, message, version: frame.version() });
+            station.received.push(Received { time_us, message, version: frame.version() });
         });
     }
 
@@ -178,19 +178,19 @@ impl Bench {
     }
 
     /// What a peer has received since the last call.
-    pub fn heard_by(&mut self, peer: Peer) -> Vec<Heard> {
+    pub fn received_by(&mut self, peer: Peer) -> Vec<Received> {
         let station = self.stations.iter_mut().find(|s| s.peer == peer).expect("a known peer");
-        std::mem::take(&mut station.heard)
+        std::mem::take(&mut station.received)
     }
 
-    pub fn heard(&mut self) -> Vec<Heard> {
-        self.heard_by(GROUND)
+    pub fn received(&mut self) -> Vec<Received> {
+        self.received_by(GROUND)
     }
 
     pub fn texts(&mut self) -> String {
-        self.heard()
+        self.received()
             .into_iter()
-            .filter_map(|heard| match heard.message {
+            .filter_map(|received| match received.message {
                 MavMessage::STATUSTEXT(text) => text.text.to_str().ok().map(str::to_owned),
                 _ => None,
             })
@@ -206,12 +206,12 @@ impl Bench {
 
     /// Sends a command; returns all answers to it and the texts that came with them.
     pub fn answers(&mut self, command: MavCmd, params: &[f32]) -> (Vec<MavResult>, String) {
-        self.heard();
+        self.received();
         self.send(&command_long(command, params));
         let mut texts = String::new();
         let mut results = Vec::new();
-        for heard in self.heard() {
-            match heard.message {
+        for received in self.received() {
+            match received.message {
                 MavMessage::COMMAND_ACK(ack) => {
                     assert_eq!(ack.command, command);
                     assert_eq!((ack.target_system, ack.target_component), (255, 190));
@@ -240,14 +240,14 @@ impl Bench {
 
     /// The value of a parameter as the protocol's float; `None` if unanswered.
     pub fn parameter(&mut self, name: &str) -> Option<f32> {
-        self.heard();
+        self.received();
         self.send(&MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
             param_index: -1,
             target_system: 1,
             target_component: 1,
             param_id: name.into(),
         }));
-        self.heard().into_iter().find_map(|heard| match heard.message {
+        self.received().into_iter().find_map(|received| match received.message {
             MavMessage::PARAM_VALUE(value) => Some(value.param_value),
             _ => None,
         })
@@ -260,9 +260,9 @@ impl Bench {
 
     /// Rate of message `id`, measured over two seconds, Hz.
     pub fn rate_of(&mut self, id: u32) -> f64 {
-        self.heard();
+        self.received();
         self.run(2.0);
-        0.5 * count(&self.heard(), id) as f64
+        0.5 * count(&self.received(), id) as f64
     }
 
     /// Roll of the vehicle in degrees.
@@ -347,6 +347,6 @@ pub fn setpoint(roll: f64, roll_rate: f32, thrust: f32, mask: u8) -> SET_ATTITUD
 }
 
 /// Number of messages of `id`.
-pub fn count(heard: &[Heard], id: u32) -> usize {
-    heard.iter().filter(|heard| heard.message.message_id() == id).count()
+pub fn count(received: &[Received], id: u32) -> usize {
+    received.iter().filter(|received| received.message.message_id() == id).count()
 }
