@@ -1,13 +1,13 @@
 //! The closed loop against RotorPy, a simulator that shares no code with this one, under a
 //! controller that shares none either (`golden/make_closed_loop.py`).
 //!
-//! Both fly the same equations at the same instants, so no tolerance is needed for physics or
-//! timing: sensors are perfect and not late, and the file's on-board ticks fall between samples as
-//! they do here, which is checked. What is left is the width of MAVLink's fields: half a unit in
-//! the last place of a float is 6e-8 between 1 and 2 (m, or a quaternion near 1) and 3e-8 of the
-//! thrust at half of its range; the attitude loop makes body rates of that, at 17 1/s, and the
-//! reports of those are rounded once more. Found: 1.5e-7 in SI units, 7e-7 rad/s in the body rate.
-//! The integrators' errors (RotorPy 1e-11 relative, RK4 at 1 ms) are far below.
+//! Both integrate the same equations at the same instants, so physics and timing need no tolerance:
+//! the sensors are perfect and without latency, and the golden file's on-board ticks fall between
+//! samples as they do here, which is checked. The rest is the precision of MAVLink's fields: half a
+//! unit in the last place of a float is 6e-8 between 1 and 2 (m, or a quaternion near 1) and 3e-8
+//! of the thrust at half of its range. The attitude loop turns that into body rates, at 17 1/s,
+//! whose reports are rounded once more. Found: 1.5e-7 in SI units, 7e-7 rad/s in the body rate. The
+//! integrators' errors (RotorPy 1e-11 relative, RK4 at 1 ms) are far below.
 
 use crate::lockstep::{fly, ideal, settings, toml_trajectory};
 use downwash::control::ControlSettings;

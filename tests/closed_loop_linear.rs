@@ -1,9 +1,9 @@
-//! Small steps of the closed loop against the linear loop in closed form.
+//! Small steps of the closed loop against the closed form of the linear loop.
 //!
-//! Between two ticks of the on-board loop moments and thrust are constant, and the linearised
-//! vehicle moves along polynomials of time. So the response of the sampled loop, with the 2 or 4 ms
-//! that a setpoint is under way, is known exactly for small steps; what is left is of second order
-//! in the step, and the width of MAVLink's floats.
+//! Between two ticks of the on-board loop, moments and thrust are constant and the linearised
+//! vehicle moves along polynomials of time. The response of the sampled loop, including the 2 or 4
+//! ms transit of a setpoint, is therefore known exactly for small steps. The rest is of second
+//! order in the step, plus the precision of MAVLink's floats.
 
 use crate::lockstep::{NANO, QUAD, fly, ideal, params, settings, toml_trajectory};
 use downwash::control::{Actuation, AttitudeLoop, HoverVehicle, Lqr};

@@ -1,6 +1,6 @@
 //! Each form of setpoint in flight: attitude, rates and thrust (mask 0x00); attitude and thrust, as
-//! a PX4 is sent (0x07); rates and thrust under the daemon's attitude loop (0x80). With the vehicle
-//! file's delay and lag, and with more of both than the file says.
+//! for a PX4 (0x07); rates and thrust under the daemon's attitude loop (0x80). With the vehicle
+//! file's delay and lag, and with more of both.
 
 use crate::lockstep::{SLOW, VEHICLES, errors, fly, hover, ideal, masks, params, settings};
 use crate::lockstep::{tracked, trajectory};

@@ -1,7 +1,7 @@
-//! Every effect of the catalogue: nothing when neutral, its equation when on.
+//! Every effect of the catalogue: none when neutral, its equation when on.
 //!
-//! Expected values are worked out here from EFFECTS' formulas in plain numbers, at one state in
-//! which every effect acts.
+//! The expected values follow from EFFECTS' formulas in plain numbers, at one state in which every
+//! effect acts.
 
 use crate::common::{ROTOR_STATES, airborne, effects, moving, quad};
 use vehicle::VehicleParams;

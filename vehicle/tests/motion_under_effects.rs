@@ -1,6 +1,5 @@
-//! Motions of the plant under one effect at a time that are known in closed form, and the
-//! statistics of gusts. These effects occur in no practice flight; `effects.rs` has their
-//! equations at one state.
+//! Closed-form motions of the plant under one effect at a time, and the statistics of gusts. No
+//! practice flight has these effects; `effects.rs` checks their equations at one state.
 
 use std::f64::consts::{PI, TAU};
 

@@ -1,9 +1,9 @@
 //! The effects' equations against flights of vehicles that have them.
 //!
 //! The practice flights come from a simulation that shares no code with this one. From many
-//! instants of a flight on, the plant predicts half a second from the reported state and the
-//! logged motor outputs: with the effects that the vehicle has, what is left of the prediction's
-//! error must be what the noise leaves, and without them it is more.
+//! instants of a flight, the plant predicts half a second from the reported state and the logged
+//! motor outputs. With the vehicle's true effects, the prediction error must match the noise;
+//! without them it is larger.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -204,9 +204,9 @@ impl Model {
 
     /// Errors of the report predicted [`HORIZON_MS`] after `start` (ms).
     ///
-    /// Latency and trim are undone at the start and applied again at the end; the rotors have
-    /// their lag behind the logged outputs. The body turns as the outputs make it, or, if
-    /// `guided`, as the log says: then only forces are put to the test.
+    /// Latency and trim are removed at the start and applied again at the end; the rotors lag
+    /// behind the logged outputs. The body rotates according to the outputs or, if `guided`,
+    /// according to the log, which tests forces alone.
     fn error(&self, flight: &Flight, start: u32, guided: bool) -> [f64; 3] {
         let report = flight.reports[&start];
         let end = flight.reports[&(start + HORIZON_MS)];
@@ -267,11 +267,11 @@ impl Model {
 /// RMS errors of predictions over [`HORIZON_MS`].
 #[derive(Clone, Copy)]
 struct Errors {
-    /// Position in m, the body turning as the log says.
+    /// Position in m, the body rotating according to the log.
     position: f64,
-    /// Velocity in m/s, the body turning as the log says.
+    /// Velocity in m/s, the body rotating according to the log.
     velocity: f64,
-    /// Attitude in rad, the body turning as the outputs make it.
+    /// Attitude in rad, the body rotating according to the outputs.
     attitude: f64,
 }
 

@@ -1,9 +1,9 @@
 //! The plant against RotorPy, a simulator that shares no code with this one.
 //!
 //! Both integrate the same equations: RotorPy to 1e-11 relative, the plant by RK4 at 1 ms with
-//! commands held. What is left is the plant's truncation error, of order h^4, and the golden
-//! file's ten digits, which the tumbling flight amplifies; 1e-6 is far above both and far below
-//! any wrong sign, frame or coefficient.
+//! commands held. The differences are the plant's truncation error, of order h^4, and the golden
+//! file's ten digits, which the tumbling flight amplifies; 1e-6 is far above both and far below the
+//! effect of any wrong sign, frame or coefficient.
 
 use serde::Deserialize;
 use vehicle::VehicleParams;

@@ -74,7 +74,7 @@ fn frames_without_the_key_are_refused_with_the_reason() {
     let status = MavMessage::RADIO_STATUS(Default::default());
     Encoder::new(51, 68).encode(&status, &mut radio);
     assert_eq!(verifier.check(&frame(&radio)), Ok(None));
-    // A present signature must be right even where none is required.
+    // A signature that is present must be valid even where none is required.
     let mut forged = Encoder::new(51, 68);
     forged.set_signer(Some(Signer::new(key(8), 0, NOW)));
     let mut bytes = Vec::new();
