@@ -27,7 +27,6 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
-#[ignore = "long: tests/run --all"]
 fn hidden_drag_is_found_and_improves_the_planned_flight() {
     let (folder, summary) = run("drag", &["--hidden", "rotor_drag:d_xy=0.012,d_z=0.006"]);
     assert_eq!(summary["end"], "done");
@@ -45,6 +44,7 @@ fn hidden_drag_is_found_and_improves_the_planned_flight() {
 }
 
 #[test]
+#[ignore = "long: tests/run --all"]
 fn hidden_law_is_written_and_improves_the_planned_flight() {
     let hidden = "force_x = -0.012[kg/s]*air_x*(airspeed/1[m/s])^0.4; \
                   force_y = -0.012[kg/s]*air_y*(airspeed/1[m/s])^0.4";

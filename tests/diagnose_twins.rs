@@ -119,6 +119,7 @@ fn ratios_up_to(
 }
 
 #[test]
+#[ignore = "long: tests/run --all"]
 fn twin_residuals_match_flight_residuals() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles/crazyflie.toml");
     let vehicle = VehicleParams::load(&path).expect("the vehicle");

@@ -258,8 +258,9 @@ def free_port(kind=socket.SOCK_DGRAM):
             return port
 
 
-# For tests that bound a reaction time of the control loop: they run one at a time.
-bounds_time = pytest.mark.xdist_group("bounds_time")
+def bounds_time(test):
+    """Marks a test that bounds a reaction time of the control loop: one at a time of each file."""
+    return pytest.mark.xdist_group(f"bounds_time in {test.__module__}")(test)
 
 
 class MavlinkClient:
