@@ -31,6 +31,7 @@ def exits(program, *arguments, codes=(2,), words=()):
     code, _ = one.finish(120)
     assert code in codes, (code, one.err)
     assert "panicked" not in one.err, one.err
+    assert "Usage:" not in one.err, one.err
     for word in words:
         assert word in one.err, one.err
 
@@ -128,7 +129,7 @@ def test_hostile_logs(program, tmp_path, name):
     exits(program, "log", "import", path, "--out", tmp_path / "out", codes=codes)
     if name.endswith(".mcap"):
         exits(program, "log", "info", path, codes=codes)
-    exits(program, "audit", path, codes=codes)
+    exits(program, "log", "audit", path, codes=codes)
 
 
 HEADS = {"a.mcap": MAGIC, "a.ulg": ULOG, "a.bin": dataflash(), "a.csv": b"t,x\n0,1\n"}
