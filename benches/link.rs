@@ -70,8 +70,8 @@ fn link(criterion: &mut Criterion) {
     let setpoint = cleared(NOW);
     criterion.bench_function("odometry datagram to message", |bencher| {
         bencher.iter(|| {
-            session.receive(NOW, VEHICLE, black_box(&datagram), true, &mut |heard| {
-                black_box(&heard);
+            session.receive(NOW, VEHICLE, black_box(&datagram), true, &mut |delivery| {
+                black_box(&delivery);
             });
         });
     });

@@ -308,10 +308,10 @@ mod tests {
         Config::load(file, environment, vec![])
     }
 
-    fn origin_of(config: &Config, wanted: &str) -> String {
+    fn origin_of(config: &Config, key: &str) -> String {
         config
             .rows()
-            .find(|(path, ..)| path == wanted)
+            .find(|(path, ..)| path == key)
             .map(|(_, _, origin)| origin.to_string())
             .unwrap_or_default()
     }

@@ -203,15 +203,15 @@ impl Control<'_> {
                 station.poll(now);
             }
             if let Some(guests) = &self.guests {
-                guests.take().for_each(|frame| station.pass_on(&frame));
+                guests.take().for_each(|frame| station.forward(&frame));
             }
             self.send(station, now);
             station.take_records(|record| self.sink.log(record));
             if now >= status_due {
                 status_due = now + STATUS_PERIOD;
                 // One at a time, so that no viewer fills the log with what it asks for.
-                if let Some(asked) = self.changes.as_ref().and_then(Changes::take) {
-                    station.adjust(now, &asked);
+                if let Some(requested) = self.changes.as_ref().and_then(Changes::take) {
+                    station.adjust(now, &requested);
                 }
                 if let Ok(mut status) = self.shared.status.try_lock() {
                     *status = Status {
@@ -226,9 +226,9 @@ impl Control<'_> {
                 watchdog_due = now + WATCHDOG_PERIOD;
                 let _ = sd_notify::notify(&[NotifyState::Watchdog]);
             }
-            let asked = self.shared.stops.load(Ordering::Acquire);
-            if asked > stops {
-                stops = asked;
+            let requested = self.shared.stops.load(Ordering::Acquire);
+            if requested > stops {
+                stops = requested;
                 if stops == 1 {
                     stop_limit = Some(now + STOP_LIMIT);
                     station.land(now);

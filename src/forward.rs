@@ -117,11 +117,11 @@ impl Forward {
         let stations = endpoints.iter().map(station).collect::<Result<Vec<_>, _>>()?;
         let (queue, guests) = sync_channel(QUEUE);
         let is_over = Arc::new(AtomicBool::new(false));
-        let (heard, end) = (stations.clone(), Arc::clone(&is_over));
+        let (sockets, end) = (stations.clone(), Arc::clone(&is_over));
         let names: Vec<String> = endpoints.iter().map(ToString::to_string).collect();
         let thread = thread::Builder::new()
             .name("forward".into())
-            .spawn(move || listen(&heard, &names, &allow, &queue, &end))?;
+            .spawn(move || listen(&sockets, &names, &allow, &queue, &end))?;
         let upward = Upward { is_over, thread: Some(thread) };
         Ok((Self { stations, _upward: upward }, Guests(guests)))
     }
@@ -155,7 +155,7 @@ fn station(endpoint: &Endpoint) -> Result<Arc<UdpSocket>, ForwardError> {
 }
 
 impl Listener for Forward {
-    fn hear(&mut self, record: &Record) {
+    fn on_record(&mut self, record: &Record) {
         if let Record::Frame(frame) = record
             && frame.direction == Direction::Rx
         {
@@ -204,7 +204,7 @@ fn listen(
                         // A full queue drops the frame: MAVLink requests are repeated.
                         let _ = queue.try_send(frame.bytes().to_vec());
                     } else {
-                        tell_refused(&frame, name, &mut refused);
+                        report_refused(&frame, name, &mut refused);
                     }
                 });
             }
@@ -213,17 +213,17 @@ fn listen(
 }
 
 /// Reports once for each kind of message that it is not forwarded.
-fn tell_refused(frame: &Frame, name: &str, refused: &mut BTreeMap<u32, u64>) {
+fn report_refused(frame: &Frame, name: &str, refused: &mut BTreeMap<u32, u64>) {
     let count = refused.entry(frame.id()).or_insert(0_u64);
     *count += 1;
     if *count == 1 {
         let message = frame.message().ok();
-        let word = message.map_or_else(
+        let message_text = message.map_or_else(
             || format!("message {}", frame.id()),
             |message| message.message_name().to_owned(),
         );
         tracing::info!(
-            "{word} from {name} is not forwarded to the vehicle: forward.allow lacks it"
+            "{message_text} from {name} is not forwarded to the vehicle: forward.allow lacks it"
         );
     }
 }
@@ -236,9 +236,9 @@ mod tests {
     fn allow_list_accepts_message_names_except_setpoints() {
         let list = AllowList::new(&["HEARTBEAT", "PARAM_REQUEST_READ"]).expect("names");
         assert_eq!(list.0, BTreeSet::from([0, 20]));
-        for (wrong, words) in [("HEARTBEET", "no message"), ("SET_ATTITUDE_TARGET", "remove it")] {
+        for (wrong, text) in [("HEARTBEET", "no message"), ("SET_ATTITUDE_TARGET", "remove it")] {
             let error = AllowList::new(&[wrong]).expect_err(wrong).to_string();
-            assert!(error.contains(words) && error.contains(wrong), "{error}");
+            assert!(error.contains(text) && error.contains(wrong), "{error}");
         }
     }
 

@@ -274,7 +274,7 @@ impl Guard {
     fn changed_by_at_most(
         &self,
         before: &Setpoint,
-        wanted: &Setpoint,
+        requested: &Setpoint,
         dt_s: f64,
         met: &mut Saturation,
     ) -> Setpoint {
@@ -285,9 +285,9 @@ impl Guard {
             *met |= change.abs() > step;
             before + change.clamp(-step, step)
         };
-        let (from, to) = (before.attitude, wanted.attitude);
+        let (from, to) = (before.attitude, requested.attitude);
         let mut body_rate = [0.0; 3];
-        let rates = before.body_rate.to_array().into_iter().zip(wanted.body_rate.to_array());
+        let rates = before.body_rate.to_array().into_iter().zip(requested.body_rate.to_array());
         for (rate, (from, to)) in body_rate.iter_mut().zip(rates) {
             *rate = towards(from, to - from, body_rate_step, &mut met.body_rate);
         }
@@ -295,7 +295,7 @@ impl Guard {
         Setpoint {
             thrust_n: towards(
                 before.thrust_n,
-                wanted.thrust_n - before.thrust_n,
+                requested.thrust_n - before.thrust_n,
                 thrust_change_max_per_s * self.thrust_full_n * dt_s,
                 &mut met.thrust,
             ),

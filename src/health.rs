@@ -170,7 +170,7 @@ impl Monitor {
 }
 
 impl Listener for Monitor {
-    fn hear(&mut self, record: &Record) {
+    fn on_record(&mut self, record: &Record) {
         let seconds = |stamp: &crate::log::record::Stamp| {
             stamp.vehicle.map(|vehicle| vehicle.as_us() as f64 * 1e-6)
         };

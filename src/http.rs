@@ -92,8 +92,8 @@ impl Request {
         let all = String::from_utf8_lossy(&head);
         let (text, _) = all.split_once("\r\n\r\n")?;
         let mut lines = text.split("\r\n");
-        let mut words = lines.next()?.split(' ');
-        let (method, target, version) = (words.next()?, words.next()?, words.next()?);
+        let mut fields = lines.next()?.split(' ');
+        let (method, target, version) = (fields.next()?, fields.next()?, fields.next()?);
         if !version.starts_with("HTTP/1.") {
             return None;
         }

@@ -30,7 +30,7 @@ const ON_COURSE: &str = "track";
 /// Fraction of a lap after which the long searches run.
 const PREPARED_AT: f64 = 0.5;
 /// Fraction of a lap that must be flown for the lap to count.
-const WHOLE: f64 = 0.98;
+const COMPLETE_SHARE: f64 = 0.98;
 /// A lap's model is withdrawn above this ratio of its largest error to that of the previous lap.
 const WORSE: f64 = 1.5;
 /// Above this share of the persistent part in the squared residual, the model limits the next lap.
@@ -114,14 +114,14 @@ pub struct LapLearner {
     /// Whether learning has stopped.
     is_over: bool,
     /// Name of the model in use, for events.
-    through: String,
+    model_name: String,
     foreseen_m: Option<f64>,
-    told: VecDeque<Record>,
+    pending_events: VecDeque<Record>,
 }
 
 impl LapLearner {
-    /// Learns with `learner` from the records given to [`hear`](Self::hear). `planning` makes the
-    /// planners to offer to `exchange`.
+    /// Learns with `learner` from the records given to [`on_record`](Self::on_record). `planning`
+    /// makes the planners to offer to `exchange`.
     pub fn new(
         settings: LapSettings,
         learner: InFlight,
@@ -143,22 +143,22 @@ impl LapLearner {
             candidate: None,
             present: None,
             is_over: false,
-            through: match settings.is_nominal_first {
+            model_name: match settings.is_nominal_first {
                 true => "the vehicle file's physics".to_owned(),
                 false => "the initial model".to_owned(),
             },
             foreseen_m: None,
-            told: VecDeque::new(),
+            pending_events: VecDeque::new(),
         }
     }
 
-    /// Whether [`hear`](Self::hear) uses this record.
+    /// Whether [`on_record`](Self::on_record) uses this record.
     pub fn uses(record: &Record) -> bool {
         matches!(record, Record::Frame(_) | Record::Tick(_) | Record::Facts(_))
     }
 
     /// Receives a record of the flight. If learning is due, it finishes before this returns.
-    pub fn hear(&mut self, record: &Record) {
+    pub fn on_record(&mut self, record: &Record) {
         self.collected.take(record);
         if let Record::Tick(tick) = record {
             self.tick(tick);
@@ -167,7 +167,7 @@ impl LapLearner {
 
     /// The next event for the log.
     pub fn take_event(&mut self) -> Option<Record> {
-        self.told.pop_front()
+        self.pending_events.pop_front()
     }
 
     /// The laps flown so far.
@@ -207,12 +207,12 @@ impl LapLearner {
     fn end_lap(&mut self, now: HostTime) {
         let Some(errors) = self.on_course.take() else { return };
         let number = errors.number + 1;
-        if errors.share < WHOLE {
-            self.tell(now, Severity::Info, format!("lap {number} is incomplete"));
+        if errors.share < COMPLETE_SHARE {
+            self.report(now, Severity::Info, format!("lap {number} is incomplete"));
             return;
         }
-        let lap = errors.lap(self.through.clone(), self.foreseen_m.take());
-        self.tell(now, Severity::Info, lap.in_words());
+        let lap = errors.lap(self.model_name.clone(), self.foreseen_m.take());
+        self.report(now, Severity::Info, lap.in_words());
         self.laps.push(lap);
         if self.learns_after(number) {
             self.learn(now);
@@ -239,11 +239,11 @@ impl LapLearner {
     fn withdraw_astray(&mut self, now: HostTime) {
         self.exchange.withdraw();
         self.is_over = true;
-        (self.present, self.through) = (None, BEFORE_WITHDRAWN.to_owned());
+        (self.present, self.model_name) = (None, BEFORE_WITHDRAWN.to_owned());
         let text = "learned model withdrawn: the vehicle strays further from the course than in the \
                     previous lap although the model predicts better, so a sensor may be wrong; \
                     continuing with the previous model, without further learning";
-        self.tell(now, Severity::Warning, text.to_owned());
+        self.report(now, Severity::Warning, text.to_owned());
     }
 
     /// Runs the long searches on the flight so far, without the times that the audit excludes.
@@ -255,7 +255,7 @@ impl LapLearner {
             Ok(prepared) => self.prepared = Some(prepared),
             Err(why) => {
                 self.prepared = None;
-                self.tell(now, Severity::Warning, format!("cannot learn yet: {why}"));
+                self.report(now, Severity::Warning, format!("cannot learn yet: {why}"));
             }
         }
     }
@@ -297,7 +297,7 @@ impl LapLearner {
                     }
                 };
                 let foreseen_m = self.foreseen_m(&learned);
-                self.tell(now, Severity::Info, in_words(&learned, &effort));
+                self.report(now, Severity::Info, in_words(&learned, &effort));
                 let (last_sample, stage) = (now, Stage::Ready);
                 self.candidate =
                     Some(Candidate { learned, last_sample, ready, stage, effort, foreseen_m });
@@ -315,12 +315,12 @@ impl LapLearner {
     }
 
     fn discard(&mut self, now: HostTime, why: &Discarded) {
-        let through = &self.through;
-        let text = format!("learned model discarded: {why}; continuing with {through}");
+        let model_name = &self.model_name;
+        let text = format!("learned model discarded: {why}; continuing with {model_name}");
         // Expected once noise limits the laps.
         let is_expected = matches!(why, Discarded::NoBetter { .. });
         let severity = if is_expected { Severity::Info } else { Severity::Warning };
-        self.tell(now, severity, text);
+        self.report(now, severity, text);
     }
 
     /// Offers a candidate that is ready, and tracks it until its first setpoint.
@@ -369,15 +369,15 @@ impl LapLearner {
         }
         let latency_s = now.since(candidate.last_sample).as_secs_f64();
         let lap = self.laps.len() + 1;
-        self.through = format!(
+        self.model_name = format!(
             "the model learned in {} from {:.0} s of flight",
             candidate.effort, candidate.learned.flown_s
         );
         let text = format!(
             "lap {lap} now uses {}: first setpoint {latency_s:.3} s after the last sample",
-            self.through
+            self.model_name
         );
-        self.tell(now, Severity::Info, text);
+        self.report(now, Severity::Info, text);
         self.foreseen_m = candidate.foreseen_m;
         self.present = Some(candidate.learned);
     }
@@ -386,7 +386,7 @@ impl LapLearner {
     /// one.
     fn withdraw(&mut self, now: HostTime, why: &str) {
         self.refuse(now, why);
-        (self.present, self.through) = (None, BEFORE_WITHDRAWN.to_owned());
+        (self.present, self.model_name) = (None, BEFORE_WITHDRAWN.to_owned());
     }
 
     fn refuse(&mut self, now: HostTime, why: &str) {
@@ -394,11 +394,16 @@ impl LapLearner {
             "learned model discarded: no flyable plan with it: {why}; continuing with the previous \
              model"
         );
-        self.tell(now, Severity::Warning, text);
+        self.report(now, Severity::Warning, text);
     }
 
-    fn tell(&mut self, host: HostTime, severity: Severity, text: String) {
-        self.told.push_back(Record::Event { host, severity, source: Source::Daemon, text });
+    fn report(&mut self, host: HostTime, severity: Severity, text: String) {
+        self.pending_events.push_back(Record::Event {
+            host,
+            severity,
+            source: Source::Daemon,
+            text,
+        });
     }
 }
 

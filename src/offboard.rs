@@ -23,7 +23,7 @@ pub use self::tick::Tick;
 
 use crate::clock::HostTime;
 use crate::control::{
-    AdaptationNotice, Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation,
+    AdaptationEvent, Controller, HoverVehicle, Limits, OffsetFreeSettings, Saturation,
 };
 use crate::guard::{Answered, Cleared, Guard, Order, Proposal, Withheld};
 use crate::link::received::Received;
@@ -103,7 +103,7 @@ pub struct OffboardController {
     guidance: Guidance,
     guard: Guard,
     /// When the last event reported a stall of this process.
-    stall_told: Option<HostTime>,
+    stall_reported_at: Option<HostTime>,
     standing_checks: Vec<PreflightCheck>,
     /// The checks that failed when last run, before the stream.
     failed_checks: Vec<PreflightCheck>,
@@ -113,9 +113,9 @@ pub struct OffboardController {
     tracking_error: f64,
     jumped: bool,
     /// The last time at which setpoints may not have reached the vehicle.
-    unheard: Option<HostTime>,
+    unreachable_at: Option<HostTime>,
     /// When the last event reported a slide of the estimate.
-    slide_told: Option<HostTime>,
+    slide_reported_at: Option<HostTime>,
     /// How long this process was paused before the next observation, s.
     paused_s: f64,
 }
@@ -140,7 +140,7 @@ impl OffboardController {
             supervisor,
             guidance: Guidance::new(settings.guidance, hover_thrust_n, trajectory),
             guard: Guard::new(settings.limits, airframe.thrust_full_n, now),
-            stall_told: None,
+            stall_reported_at: None,
             settings,
             policy,
             airframe,
@@ -151,8 +151,8 @@ impl OffboardController {
             round_trip: None,
             tracking_error: 0.0,
             jumped: false,
-            unheard: None,
-            slide_told: None,
+            unreachable_at: None,
+            slide_reported_at: None,
             paused_s: 0.0,
         }
     }
@@ -179,7 +179,7 @@ impl OffboardController {
         }
         if !(phase.is_flying() && guided.feedback) {
             self.controller.reset();
-        } else if guided.aloft && !self.may_be_unheard(now) {
+        } else if guided.aloft && !self.may_be_unreachable(now) {
             let thrust_gain = self.voltage_gain();
             // The expectation before the trajectory must match the one along it. Otherwise what was
             // learned on the way there would count twice.
@@ -200,12 +200,12 @@ impl OffboardController {
         let proposal = Proposal { setpoint: command.setpoint, sample: answered(&sample) };
         let proposed = self.guard.propose(now, &proposal, self.order(now));
         if proposed == Err(Withheld::Stalled) {
-            self.tell_stall(now);
+            self.report_stall(now);
         }
         let sent = proposed.ok();
         self.controller.sent(sent.map(|(setpoint, _)| setpoint));
         self.controller.limited(sent.is_some_and(|(_, met)| met.thrust || met.tilt));
-        self.tell_adaptation(now, guided.trajectory_time);
+        self.report_adaptation(now, guided.trajectory_time);
 
         self.tracking_error = (sample.state.position - guided.desired).norm();
         if let Some((trigger, why)) = guided.reached {
@@ -244,31 +244,31 @@ impl OffboardController {
     }
 
     /// Reports what adaptation found, and when it began.
-    fn tell_adaptation(&mut self, now: HostTime, trajectory_time: Option<f64>) {
-        let Some(notice) = self.controller.take_notice() else { return };
-        let (severity, when) = match (notice, trajectory_time) {
-            (AdaptationNotice::SwitchedOff(_), _) => (Severity::Warning, String::new()),
-            (AdaptationNotice::Changed(change), Some(time_s)) => {
+    fn report_adaptation(&mut self, now: HostTime, trajectory_time: Option<f64>) {
+        let Some(event) = self.controller.take_event() else { return };
+        let (severity, when) = match (event, trajectory_time) {
+            (AdaptationEvent::SwitchedOff(_), _) => (Severity::Warning, String::new()),
+            (AdaptationEvent::Changed(change), Some(time_s)) => {
                 let began_s = time_s - change.began_s_ago;
                 (Severity::Info, format!(", at {began_s:.1} s of the trajectory"))
             }
-            (AdaptationNotice::Changed(_), None) => (Severity::Info, String::new()),
+            (AdaptationEvent::Changed(_), None) => (Severity::Info, String::new()),
         };
-        self.supervisor.tell(now, severity, format!("{notice}{when}"));
+        self.supervisor.report(now, severity, format!("{event}{when}"));
     }
 
     /// Reports, at most every two seconds, that messages left unread during a stall of this process
     /// get no answer.
-    fn tell_stall(&mut self, now: HostTime) {
-        if self.stall_told.is_some_and(|told| now.since(told) < STALL_TOLD) {
+    fn report_stall(&mut self, now: HostTime) {
+        if self.stall_reported_at.is_some_and(|at| now.since(at) < STALL_REPORT_PERIOD) {
             return;
         }
-        self.stall_told = Some(now);
+        self.stall_reported_at = Some(now);
         let text = format!(
             "this process stalled for {:.3} s: messages that arrived meanwhile get no answer",
             self.guard.stalled().as_secs_f64()
         );
-        self.supervisor.tell(now, Severity::Warning, text);
+        self.supervisor.report(now, Severity::Warning, text);
     }
 
     /// Records whether the setpoint of the newest tick left. The supervisor requests OFFBOARD, and
@@ -286,7 +286,7 @@ impl OffboardController {
     pub fn catch_up(&mut self, received: &Received) {
         self.guard.turn(received.host);
         self.take(received);
-        self.supervisor.heed_mode(received.host, self.telemetry.status());
+        self.supervisor.check_mode(received.host, self.telemetry.status());
     }
 
     /// Resumes after a pause of `paused_s` seconds, once the unread messages have been read. More
@@ -376,8 +376,8 @@ impl OffboardController {
             Err(fault) if fault.is_jump() => {
                 self.jumped = true;
                 self.controller.jumped();
-                if !self.is_slide_told(received.host, &fault) {
-                    self.supervisor.tell(received.host, Severity::Warning, fault.to_string());
+                if !self.is_slide_reported(received.host, &fault) {
+                    self.supervisor.report(received.host, Severity::Warning, fault.to_string());
                 }
                 None
             }
@@ -387,15 +387,16 @@ impl OffboardController {
 
     /// Whether an event has reported this slide within the last second: a slide is found again at
     /// each sample while it lasts.
-    fn is_slide_told(&mut self, now: HostTime, fault: &TelemetryFault) -> bool {
+    fn is_slide_reported(&mut self, now: HostTime, fault: &TelemetryFault) -> bool {
         if !matches!(fault, TelemetryFault::PositionSlide { .. }) {
             return false;
         }
-        let is_told = self.slide_told.is_some_and(|told| now.since(told) < SLIDE_TOLD);
-        if !is_told {
-            self.slide_told = Some(now);
+        let is_reported =
+            self.slide_reported_at.is_some_and(|at| now.since(at) < SLIDE_REPORT_PERIOD);
+        if !is_reported {
+            self.slide_reported_at = Some(now);
         }
-        is_told
+        is_reported
     }
 
     fn lose_link(&mut self, now: HostTime, why: &str) {
@@ -406,7 +407,7 @@ impl OffboardController {
     fn forget(&mut self) {
         self.telemetry.forget();
         self.guard.forget();
-        (self.round_trip, self.unheard) = (None, None);
+        (self.round_trip, self.unreachable_at) = (None, None);
     }
 }
 
@@ -421,10 +422,10 @@ fn answered(sample: &Sample) -> Answered {
 }
 
 /// Shortest time between events that report a slide of the estimate.
-const SLIDE_TOLD: Duration = Duration::from_secs(1);
+const SLIDE_REPORT_PERIOD: Duration = Duration::from_secs(1);
 
 /// Shortest time between events that report a stall of this process.
-const STALL_TOLD: Duration = Duration::from_secs(2);
+const STALL_REPORT_PERIOD: Duration = Duration::from_secs(2);
 
 /// Messages that the supervisor must see at once. All others wait for the next tick or poll.
 fn concerns_supervisor(message: &Inbound) -> bool {

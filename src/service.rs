@@ -121,7 +121,7 @@ impl Service {
         let address = address.to_owned();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let shown = Arc::new(Mutex::new(Shown::default()));
-        let told = Arc::clone(&shown);
+        let shared = Arc::clone(&shown);
         let (stop, stopped) = oneshot::channel();
         let (started, start) = sync_channel(1);
         let serve = async move {
@@ -140,7 +140,7 @@ impl Service {
                 Ok((listener, at)) => {
                     if started.send(Ok(at)).is_ok() {
                         tokio::select! {
-                            () = http::serve(listener, |stream| answer(stream, Arc::clone(&told))) => {}
+                            () = http::serve(listener, |stream| answer(stream, Arc::clone(&shared))) => {}
                             _ = stopped => {}
                         }
                     }
@@ -229,7 +229,7 @@ fn is_logging_well(status: &Status) -> bool {
 fn status_json(shown: &Shown) -> String {
     let status = &shown.status;
     let named = status.mode_name.map(str::to_owned);
-    let told = ServiceStatus {
+    let document = ServiceStatus {
         schema: "downwash.status",
         schema_version: 1,
         version: env!("CARGO_PKG_VERSION"),
@@ -247,7 +247,7 @@ fn status_json(shown: &Shown) -> String {
         changes: shown.health.count,
         latest_change: shown.health.latest.clone(),
     };
-    serde_json::to_string(&told).unwrap_or_default() + "\n"
+    serde_json::to_string(&document).unwrap_or_default() + "\n"
 }
 
 #[cfg(test)]
@@ -258,7 +258,7 @@ mod tests {
 
     use super::*;
 
-    fn ask(service: &Service, request: &str) -> String {
+    fn exchange(service: &Service, request: &str) -> String {
         let mut stream = net::TcpStream::connect(service.address()).expect("it listens");
         stream.write_all(request.as_bytes()).expect("open");
         let mut answer = String::new();
@@ -267,7 +267,7 @@ mod tests {
     }
 
     fn get(service: &Service, path: &str) -> String {
-        ask(service, &format!("GET {path} HTTP/1.1\r\nHost: a\r\n\r\n"))
+        exchange(service, &format!("GET {path} HTTP/1.1\r\nHost: a\r\n\r\n"))
     }
 
     #[test]
@@ -281,10 +281,13 @@ mod tests {
         let metrics = get(&service, "/metrics");
         assert!(metrics.contains("text/plain; version=0.0.4"), "{metrics}");
         assert!(metrics.contains("\ndownwash_setpoints_total 7\n"), "{metrics}");
-        let told: serde_json::Value =
+        let document: serde_json::Value =
             serde_json::from_str(get(&service, "/status").split("\r\n\r\n").nth(1).expect("body"))
                 .expect("JSON");
-        assert_eq!((&told["schema"], &told["setpoints"]), (&"downwash.status".into(), &7.into()));
+        assert_eq!(
+            (&document["schema"], &document["setpoints"]),
+            (&"downwash.status".into(), &7.into())
+        );
         let blind = Status { log_failures: 1, ..running.clone() };
         service.show(now, &blind, None);
         let answer = get(&service, "/health");
@@ -296,10 +299,10 @@ mod tests {
     #[test]
     fn service_is_read_only_and_loopback_only() {
         let service = Service::start("127.0.0.1:0").expect("loopback");
-        let post = ask(&service, "POST /status HTTP/1.1\r\n\r\n");
+        let post = exchange(&service, "POST /status HTTP/1.1\r\n\r\n");
         assert!(post.starts_with("HTTP/1.1 405"), "{post}");
         assert!(get(&service, "/../etc/passwd").starts_with("HTTP/1.1 404"));
-        assert!(ask(&service, &"A".repeat(9000)).starts_with("HTTP/1.1 400"));
+        assert!(exchange(&service, &"A".repeat(9000)).starts_with("HTTP/1.1 400"));
         let open = Service::start("0.0.0.0:0").err().expect("others could read it");
         assert!(open.to_string().contains("expected a loopback address"), "{open}");
         assert!(Service::start(&service.address().to_string()).is_err(), "the port is taken");

@@ -30,7 +30,7 @@ use crate::clock::HostTime;
 use crate::link::counters::LinkState;
 use crate::link::profile::Profile;
 use crate::link::received::Received;
-use crate::link::session::{Heard, Session, SetpointError};
+use crate::link::session::{Delivery, Session, SetpointError};
 use crate::log::record::{Direction, FrameRecord, Record, Severity, Source};
 use crate::offboard::{Adjustment, LinkEvent, OffboardController, Tick};
 use crate::supervisor::FlightState;
@@ -74,14 +74,14 @@ pub struct Station {
     /// The flight state of the last event.
     event_state: FlightState,
     /// The last reported reaction of the vehicle to the loss of this program.
-    told_loss: Option<String>,
+    reported_loss: Option<String>,
     /// When the vehicle was found, until an event reports its rates.
     found: Option<HostTime>,
     /// Whether to run only the checks before a flight; no setpoint is sent.
     is_check: bool,
     waiting: Waiting,
     is_version_known: bool,
-    is_signing_told: bool,
+    is_signing_reported: bool,
     /// Whether the vehicle has answered a TIMESYNC since it was found.
     is_answered: bool,
     /// Whether no other flight begins: the station ends as soon as it does not fly.
@@ -113,12 +113,12 @@ impl Station {
             is_replaced: false,
             last_trouble: None,
             event_state: FlightState::Connect,
-            told_loss: None,
+            reported_loss: None,
             found: None,
             is_check: false,
             waiting: Waiting::new(now),
             is_version_known: false,
-            is_signing_told: false,
+            is_signing_reported: false,
             is_answered: false,
             is_stopping: false,
             end: None,
@@ -135,14 +135,14 @@ impl Station {
     /// sends the setpoint first.
     pub fn receive(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
         let first_tick = self.ticks.len();
-        self.hear(now, peer, bytes, is_datagram, OffboardController::handle);
+        self.receive_with(now, peer, bytes, is_datagram, OffboardController::handle);
         self.answer(now, first_tick);
     }
 
     /// Takes bytes that were left unread while this process was paused; no setpoint answers them.
     /// Call [`Station::resumed`] after the last of them.
     pub fn catch_up(&mut self, now: HostTime, peer: Peer, bytes: &[u8], is_datagram: bool) {
-        self.hear(now, peer, bytes, is_datagram, |offboard, received| {
+        self.receive_with(now, peer, bytes, is_datagram, |offboard, received| {
             offboard.catch_up(received);
             None
         });
@@ -155,7 +155,7 @@ impl Station {
             "this process was paused for {paused_s:.2} s: nothing is commanded until the vehicle \
              reports its mode again"
         );
-        self.tell(now, Severity::Warning, text);
+        self.report(now, Severity::Warning, text);
         self.session.withdraw_commands();
         if let Some(offboard) = &mut self.offboard {
             offboard.resumed(now, paused_s);
@@ -164,7 +164,7 @@ impl Station {
     }
 
     /// Hands each message to the controller with `take`, and records it.
-    fn hear(
+    fn receive_with(
         &mut self,
         now: HostTime,
         peer: Peer,
@@ -178,19 +178,19 @@ impl Station {
         if let Some(offboard) = offboard {
             offboard.turn(now);
         }
-        session.receive(now, peer, bytes, is_datagram, &mut |heard| match heard {
-            Heard::Frame { bytes, .. } => {
+        session.receive(now, peer, bytes, is_datagram, &mut |delivery| match delivery {
+            Delivery::Frame { bytes, .. } => {
                 records
                     .extend(FrameRecord::from_bytes(Direction::Rx, now, bytes).map(Record::Frame));
             }
             // First, so that the controller does not take that vehicle's mode for its own
             // vehicle's.
-            Heard::Replaced => {
+            Delivery::Replaced => {
                 if let Some(offboard) = offboard {
                     offboard.link_event(now, LinkEvent::Replaced);
                 }
             }
-            Heard::Message(received) => {
+            Delivery::Message(received) => {
                 if let Some(offboard) = offboard {
                     ticks.extend(take(offboard, &received));
                 }
@@ -231,17 +231,18 @@ impl Station {
     }
 
     /// Forwards a frame from another ground station to the vehicle.
-    pub fn pass_on(&mut self, frame: &[u8]) {
-        self.session.pass_on(frame);
+    pub fn forward(&mut self, frame: &[u8]) {
+        self.session.forward(frame);
     }
 
-    /// Takes what a viewer asks to be changed. Never makes a setpoint; an event says what became of it.
-    pub fn adjust(&mut self, now: HostTime, asked: &Adjustment) {
+    /// Takes the change that a viewer requests. Never makes a setpoint; an event reports the
+    /// outcome.
+    pub fn adjust(&mut self, now: HostTime, request: &Adjustment) {
         match &mut self.offboard {
-            Some(offboard) => offboard.adjust(now, asked),
+            Some(offboard) => offboard.adjust(now, request),
             None => {
                 let text = "a viewer's change is refused: no vehicle is flown yet";
-                self.tell(now, Severity::Warning, text.to_owned());
+                self.report(now, Severity::Warning, text.to_owned());
             }
         }
         self.follow_pilot(now);
@@ -252,22 +253,22 @@ impl Station {
         self.session.poll(now);
         if let Some(offboard) = &mut self.offboard {
             offboard.poll(now);
-            if !offboard.telemetry().status().is_heard(now) {
+            if !offboard.telemetry().status().is_live(now) {
                 // The pilot may have taken over meanwhile, so commands are not repeated.
                 self.session.withdraw_commands();
             }
         }
         self.follow_up(now);
-        self.tell_wait(now);
+        self.report_wait(now);
         if self.stats_due <= now {
             self.stats_due = now + STATS_PERIOD;
             self.record_stats(now);
         }
         let silent = matches!(self.session.state(), LinkState::Searching | LinkState::Lost);
-        let heard = self.session.last_heard().unwrap_or(self.started);
+        let last = self.session.last_received().unwrap_or(self.started);
         if let Some(limit) = self.settings.search_timeout_s
             && silent
-            && now.since(heard).as_secs_f64() > limit
+            && now.since(last).as_secs_f64() > limit
         {
             self.end.get_or_insert_with(|| match self.session.vehicle() {
                 None => End::NoVehicle,
@@ -291,13 +292,13 @@ impl Station {
     /// Notes that the endpoint is open, for the first time or again.
     pub fn opened(&mut self, now: HostTime) {
         self.meter.opened();
-        self.tell(now, Severity::Info, "link open".to_owned());
+        self.report(now, Severity::Info, "link open".to_owned());
     }
 
     /// Notes that the endpoint closed, and why.
     pub fn closed(&mut self, now: HostTime, why: &str) {
         self.session.transport_closed();
-        self.tell(now, Severity::Warning, format!("link closed: {why}"));
+        self.report(now, Severity::Warning, format!("link closed: {why}"));
         if let Some(offboard) = &mut self.offboard {
             offboard.link_event(now, LinkEvent::Lost);
         }
@@ -309,7 +310,7 @@ impl Station {
         // Peers other than the vehicle come and go.
         if self.session.peer_closed(peer) {
             let text = "the vehicle's connection closed; waiting for it to connect again";
-            self.tell(now, Severity::Warning, text.to_owned());
+            self.report(now, Severity::Warning, text.to_owned());
         }
     }
 
@@ -382,7 +383,7 @@ impl Station {
                 // Requests are not repeated to a vehicle that someone else controls now.
                 self.session.withdraw_commands();
             }
-            self.tell(now, severity, format!("{}: {}", event.state.name(), event.text));
+            self.report(now, severity, format!("{}: {}", event.state.name(), event.text));
         }
         self.watch(now, state);
     }
@@ -406,7 +407,7 @@ impl Station {
             let limit_s = aftermath::LIMIT.as_secs();
             let text =
                 format!("recording continues until the vehicle is down, for at most {limit_s} s");
-            self.tell(now, Severity::Notice, text);
+            self.report(now, Severity::Notice, text);
         } else if let (Some(aftermath), Some(offboard)) = (&mut self.aftermath, &self.offboard)
             && aftermath.is_over(now, offboard.telemetry().status())
         {
@@ -420,7 +421,7 @@ impl Station {
         }
     }
 
-    fn tell(&mut self, now: HostTime, severity: Severity, text: String) {
+    fn report(&mut self, now: HostTime, severity: Severity, text: String) {
         show(severity, &text);
         self.records.push(Record::Event { host: now, severity, source: Source::Daemon, text });
     }
@@ -438,7 +439,7 @@ impl Station {
                 "receiving attitude at {:.0} Hz, position at {:.0} Hz, odometry at {:.0} Hz",
                 stats.attitude_hz, stats.position_hz, stats.odometry_hz
             );
-            self.tell(now, Severity::Info, text);
+            self.report(now, Severity::Info, text);
         }
         self.records.push(Record::Link { host: now, stats });
     }

@@ -25,11 +25,11 @@ mod event;
 mod health;
 mod modes;
 mod preflight;
+mod reasons;
 mod safety;
 mod settings;
 mod table;
 mod takeover;
-mod words;
 
 use std::collections::BTreeMap;
 
@@ -112,9 +112,9 @@ pub struct Supervisor {
     /// Whether the mode read OFFBOARD at some time in the present state.
     was_offboard: bool,
     other_mode_since: Option<HostTime>,
-    asked: Option<HostTime>,
+    requested_at: Option<HostTime>,
     /// When landing was first requested in the present state.
-    land_asked: Option<HostTime>,
+    landing_requested_at: Option<HostTime>,
     /// Share of the braking time that the cause of a landing allows.
     brake_share: f64,
     refusal: Option<String>,
@@ -127,7 +127,7 @@ pub struct Supervisor {
     /// Since when a landing vehicle has been at rest.
     rest_since: Option<HostTime>,
     /// The unhealthy parts that an event of this flight has named.
-    told_unhealthy: u32,
+    reported_unhealthy: u32,
     actions: Vec<Action>,
     events: Vec<Event>,
 }
@@ -154,15 +154,15 @@ impl Supervisor {
             mode_at_entry: None,
             was_offboard: false,
             other_mode_since: None,
-            asked: None,
-            land_asked: None,
+            requested_at: None,
+            landing_requested_at: None,
             brake_share: 1.0,
             refusal: None,
             faults: BTreeMap::new(),
             control_since: now,
             taken: None,
             rest_since: None,
-            told_unhealthy: 0,
+            reported_unhealthy: 0,
             actions: Vec::new(),
             events: Vec::new(),
         }
@@ -194,7 +194,7 @@ impl Supervisor {
         let text = format!("the vehicle refuses {}: {text}", action.in_words());
         // The request is repeated every second, and mostly refused for the same reason.
         if self.refusal.as_ref() != Some(&text) {
-            self.tell(now, Severity::Warning, text.clone());
+            self.report(now, Severity::Warning, text.clone());
         }
         self.refusal = Some(text);
     }
@@ -229,14 +229,14 @@ impl Supervisor {
         } else if next != FlightState::Connect && next != FlightState::Standby {
             self.preparing_since = None;
         }
-        (self.asked, self.land_asked, self.brake_share) = (None, None, 1.0);
+        (self.requested_at, self.landing_requested_at, self.brake_share) = (None, None, 1.0);
         self.mode_at_entry = None;
         self.was_offboard = false;
         self.streamed = false;
         self.faults.clear();
         self.rest_since = None;
         match next {
-            FlightState::Standby => self.told_unhealthy = 0,
+            FlightState::Standby => self.reported_unhealthy = 0,
             FlightState::Arm => self.control_since = now,
             FlightState::PilotControl => self.taken = Some(ModeTaken::new(now)),
             _ => {}
@@ -246,11 +246,11 @@ impl Supervisor {
             // Requests of a flight do not outlive it.
             self.actions.clear();
         }
-        self.tell(now, severity, refusal.unwrap_or_else(|| why.to_owned()));
+        self.report(now, severity, refusal.unwrap_or_else(|| why.to_owned()));
     }
 
     /// Adds an event in the present state.
-    pub fn tell(&mut self, now: HostTime, severity: Severity, text: impl Into<String>) {
+    pub fn report(&mut self, now: HostTime, severity: Severity, text: impl Into<String>) {
         self.events.push(Event { host: now, severity, state: self.state, text: text.into() });
     }
 
@@ -270,37 +270,37 @@ impl Supervisor {
         } else {
             self.rest_since.get_or_insert(now);
         }
-        self.tell_takeover(now, seen.status);
-        self.tell_unhealthy(now, seen.status);
+        self.report_takeover(now, seen.status);
+        self.report_unhealthy(now, seen.status);
         self.react(now, seen);
         self.request(now, seen);
     }
 
     /// Checks only whether the mode ends control, for messages read after a pause.
-    pub fn heed_mode(&mut self, now: HostTime, status: &VehicleStatus) {
+    pub fn check_mode(&mut self, now: HostTime, status: &VehicleStatus) {
         if self.mode_changed(status.mode) {
             let why = self.control_ends(status);
             self.fire(now, Trigger::ModeChanged, &why);
         }
     }
 
-    fn tell_takeover(&mut self, now: HostTime, status: &VehicleStatus) {
+    fn report_takeover(&mut self, now: HostTime, status: &VehicleStatus) {
         let Some(taken) = &mut self.taken else { return };
-        let words = match taken.settle(now, status, &self.modes) {
+        let text = match taken.settle(now, status, &self.modes) {
             None => return,
             Some(Takeover::Pilot { mode }) => format!("the pilot has control, in {mode}"),
-            Some(Takeover::Failsafe(words)) => words.clone(),
+            Some(Takeover::Failsafe(text)) => text.clone(),
         };
-        self.tell(now, Severity::Warning, words);
+        self.report(now, Severity::Warning, text);
     }
 
     /// Reports what the vehicle calls unhealthy, each part once a flight.
-    fn tell_unhealthy(&mut self, now: HostTime, status: &VehicleStatus) {
-        let new = health::watched(status.unhealthy) & !self.told_unhealthy;
+    fn report_unhealthy(&mut self, now: HostTime, status: &VehicleStatus) {
+        let new = health::watched(status.unhealthy) & !self.reported_unhealthy;
         if new != 0 && self.state.is_in_control() {
-            self.told_unhealthy |= new;
+            self.reported_unhealthy |= new;
             let text = format!("the vehicle reports as unhealthy: {}", health::names(new));
-            self.tell(now, Severity::Warning, text);
+            self.report(now, Severity::Warning, text);
         }
     }
 
@@ -315,7 +315,8 @@ impl Supervisor {
         match self.state {
             FlightState::Standby | FlightState::Engage => Stance::Offer,
             FlightState::Land
-                if now.since(self.land_asked.unwrap_or(self.since)).as_secs_f64() >= handover_s =>
+                if now.since(self.landing_requested_at.unwrap_or(self.since)).as_secs_f64()
+                    >= handover_s =>
             {
                 Stance::Silent
             }
@@ -326,7 +327,7 @@ impl Supervisor {
 
     /// Whether the vehicle obeys setpoints, according to a recently reported mode.
     pub fn obeys(&self, now: HostTime, status: &VehicleStatus) -> Obeys {
-        match status.mode.filter(|_| status.knows_mode(now)) {
+        match status.mode.filter(|_| status.is_mode_known(now)) {
             None => Obeys::Unknown,
             Some(mode) if mode == self.modes.offboard => Obeys::Yes,
             Some(_) => Obeys::No,
@@ -335,7 +336,7 @@ impl Supervisor {
 
     /// Whether viewers may change what is flown: while a trajectory is tracked or a place held, and on
     /// the ground before a flight.
-    pub fn heeds_viewers(&self, airborne: Option<bool>) -> bool {
+    pub fn accepts_adjustments(&self, airborne: Option<bool>) -> bool {
         match self.state {
             FlightState::Track | FlightState::Hold => true,
             FlightState::Standby => airborne == Some(false),
@@ -357,9 +358,9 @@ impl Supervisor {
         let released = mode.is_some()
             && !offboard
             && intended != Some(self.modes.offboard)
-            && (intended.is_some() || self.goes_by_heartbeat(now, seen.status));
+            && (intended.is_some() || self.relies_on_heartbeat(now, seen.status));
         // A doubted mode may hide OFFBOARD: what was read before the doubt does not count.
-        if released && linked && seen.status.mode_heard.is_some() {
+        if released && linked && seen.status.mode_reported.is_some() {
             self.other_mode_since.get_or_insert(now);
         } else {
             self.other_mode_since = None;
@@ -370,7 +371,7 @@ impl Supervisor {
         let in_state_s = self.seconds_in_state(now);
         let armed = seen.status.armed;
         let by_command = self.policy == EngagePolicy::Command;
-        let is_return = offboard && seen.status.mode_came_with_disarming();
+        let is_return = offboard && seen.status.mode_changed_with_disarming();
         let on_ground = seen.airborne == Some(false);
         let rests_s = self.rest_since.map_or(0.0, |since| now.since(since).as_secs_f64());
         // In order of precedence.
@@ -420,7 +421,7 @@ impl Supervisor {
     }
 
     /// Whether not to wait for the intended mode: the vehicle has none, or does not report it.
-    fn goes_by_heartbeat(&self, now: HostTime, status: &VehicleStatus) -> bool {
+    fn relies_on_heartbeat(&self, now: HostTime, status: &VehicleStatus) -> bool {
         let known_s = status.mode_since.map_or(0.0, |since| now.since(since).as_secs_f64());
         !self.modes.reports_intended || known_s > INTENDED_MODE_WAIT_S
     }
@@ -431,9 +432,9 @@ impl Supervisor {
     fn pilot_switched(&self, seen: &Observation) -> bool {
         let status = seen.status;
         let is_confirmed = status
-            .armed_heard
-            .is_some_and(|heard| status.mode_changed.is_none_or(|changed| heard >= changed));
-        seen.airborne == Some(true) || (is_confirmed && !status.mode_came_with_disarming())
+            .armed_reported
+            .is_some_and(|reported| status.mode_changed.is_none_or(|changed| reported >= changed));
+        seen.airborne == Some(true) || (is_confirmed && !status.mode_changed_with_disarming())
     }
 
     /// Whether the mode is one that the controller did not request and that was not there before.
@@ -507,7 +508,7 @@ impl Supervisor {
             }
             // The event of a jump was more detailed where it was found.
             if fault != Fault::TelemetryJump {
-                self.tell(now, Severity::Warning, why);
+                self.report(now, Severity::Warning, why);
             }
         }
     }
@@ -518,9 +519,9 @@ impl Supervisor {
         // After a stop of the state the vehicle's own failsafe may have acted. A mode reported as
         // the silence began does not show that, and a later frame of another kind does not either.
         let stopped_s = seen.condition.sample_age_s;
-        let mode_s = status.mode_heard.map_or(f64::INFINITY, |at| now.since(at).as_secs_f64());
-        let is_told = stopped_s <= STATE_STOPPED_S || mode_s + STATE_STOPPED_S <= stopped_s;
-        if !status.knows_mode(now) || !is_told {
+        let mode_s = status.mode_reported.map_or(f64::INFINITY, |at| now.since(at).as_secs_f64());
+        let is_mode_current = stopped_s <= STATE_STOPPED_S || mode_s + STATE_STOPPED_S <= stopped_s;
+        if !status.is_mode_known(now) || !is_mode_current {
             return;
         }
         let arms = self.policy == EngagePolicy::Command;
@@ -538,7 +539,7 @@ impl Supervisor {
             FlightState::Engage => Action::SetModeOffboard,
             FlightState::Arm if arms && status.armed != Some(true) => Action::Arm,
             FlightState::Land if status.mode == offboard && !self.brakes(now, seen) => {
-                self.land_asked.get_or_insert(now);
+                self.landing_requested_at.get_or_insert(now);
                 Action::SetModeLand
             }
             FlightState::Disarm if self.seconds_in_state(now) >= self.settings.disarm_after_s => {
@@ -547,15 +548,15 @@ impl Supervisor {
             _ => return,
         };
         let retry_s = self.settings.retry_s;
-        if self.asked.is_none_or(|asked| now.since(asked).as_secs_f64() >= retry_s) {
-            self.asked = Some(now);
+        if self.requested_at.is_none_or(|at| now.since(at).as_secs_f64() >= retry_s) {
+            self.requested_at = Some(now);
             self.actions.push(action);
         }
     }
 
     /// Whether to brake a vehicle before it is asked to land.
     fn brakes(&self, now: HostTime, seen: &Observation) -> bool {
-        self.land_asked.is_none()
+        self.landing_requested_at.is_none()
             && seen.condition.sample_age_s <= STATE_STOPPED_S
             && seen.speed_m_s > BRAKED_M_S
             && self.seconds_in_state(now) < self.brake_share * self.settings.land_brake_s

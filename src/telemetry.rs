@@ -344,21 +344,23 @@ impl Telemetry {
 
     /// Selects the attitude source. Two estimates are never mixed: the first one received stays in
     /// use until it is silent, or until only the other keeps the control rate.
-    fn choose_attitude(&mut self, heard: AttitudeSource, stamp: VehicleTime) {
+    fn choose_attitude(&mut self, source: AttitudeSource, stamp: VehicleTime) {
         let Some(used) = self.attitude_source else {
-            self.attitude_source = Some(heard);
+            self.attitude_source = Some(source);
             return;
         };
-        if used == heard {
+        if used == source {
             return;
         }
         let (mine, other) = match used {
             AttitudeSource::Quaternion => (&self.quaternion, &self.euler),
             AttitudeSource::Euler => (&self.euler, &self.quaternion),
         };
-        let wanted = KEEPS_TO * self.settings.rate_hz;
-        if mine.rate.is_silent(stamp) || (mine.rate.hz() < wanted && other.rate.hz() >= wanted) {
-            self.attitude_source = Some(heard);
+        let needed_hz = KEEPS_TO * self.settings.rate_hz;
+        if mine.rate.is_silent(stamp)
+            || (mine.rate.hz() < needed_hz && other.rate.hz() >= needed_hz)
+        {
+            self.attitude_source = Some(source);
         }
     }
 

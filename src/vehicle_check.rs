@@ -122,8 +122,8 @@ mod tests {
     /// A flight of `vehicle` with its PD law, from equations that are independent of the program's.
     fn flown(vehicle: &VehicleParams, size: f64) -> Flight {
         let pd = vehicle.attitude_pd.expect("a PD");
-        flown_by(vehicle, size, |axis, wanted, angle, rate| {
-            (wanted, pd.kp[axis] * (wanted - angle) - pd.kd[axis] * rate)
+        flown_by(vehicle, size, |axis, setpoint_angle, angle, rate| {
+            (setpoint_angle, pd.kp[axis] * (setpoint_angle - angle) - pd.kd[axis] * rate)
         })
     }
 
@@ -142,21 +142,22 @@ mod tests {
         };
         let mut flight = Flight::empty(origin, Clock::Single);
         let (mut angle, mut rate, mut moment) = ([0.0_f64; 3], [0.0_f64; 3], [0.0_f64; 3]);
-        let (mut wanted, mut seed) = ([0.0_f64; 3], 1_u64);
+        let (mut setpoint_angle, mut seed) = ([0.0_f64; 3], 1_u64);
         flight.setpoint_source = SetpointSource::Onboard;
         flight.in_air.push(-1.0, true);
         for k in 0..40_000_u32 {
             let time = f64::from(k) * 1e-3;
             if k.is_multiple_of(1000) {
-                wanted = std::array::from_fn(|_| {
+                setpoint_angle = std::array::from_fn(|_| {
                     seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
                     size * ((seed >> 40) as f64 / f64::from(1 << 23) - 1.0)
                 });
             }
             let mut logged = [0.0; 3];
-            let mut asked = [0.0; 3];
+            let mut moments = [0.0; 3];
             for axis in 0..3 {
-                (logged[axis], asked[axis]) = law(axis, wanted[axis], angle[axis], rate[axis]);
+                (logged[axis], moments[axis]) =
+                    law(axis, setpoint_angle[axis], angle[axis], rate[axis]);
             }
             if k.is_multiple_of(10) {
                 let attitude = Euler::new(logged[0], logged[1], logged[2]).attitude();
@@ -173,7 +174,7 @@ mod tests {
             }
             for axis in 0..3 {
                 let lag = vehicle.motor_time_constant_s;
-                moment[axis] += 1e-3 * (asked[axis] - moment[axis]) / lag;
+                moment[axis] += 1e-3 * (moments[axis] - moment[axis]) / lag;
                 rate[axis] += 1e-3 * moment[axis] / vehicle.inertia[axis];
                 angle[axis] += 1e-3 * rate[axis];
             }
@@ -215,8 +216,8 @@ mod tests {
         };
         vehicle.attitude_cascade = Some(cascade);
         let mut target = [0.0; 3];
-        let flight = flown_by(&vehicle, 0.15, |axis, wanted, angle, rate| {
-            let forward = (wanted - target[axis]) / 0.25;
+        let flight = flown_by(&vehicle, 0.15, |axis, setpoint_angle, angle, rate| {
+            let forward = (setpoint_angle - target[axis]) / 0.25;
             target[axis] += 1e-3 * forward;
             let desired = 4.5 * (target[axis] - angle) + forward;
             (target[axis], 12.0 * inertia[axis] * (desired - rate))

@@ -35,7 +35,7 @@ fn any_frame() -> impl Strategy<Value = Vec<u8>> {
 /// A line of a parameter file: usually a known name, with any number.
 fn any_parameter() -> impl Strategy<Value = String> {
     use downwash::parameters::Autopilot;
-    let names = |autopilot: Autopilot| prop::sample::select(autopilot.wanted());
+    let names = |autopilot: Autopilot| prop::sample::select(autopilot.parameter_names());
     let name = prop_oneof![names(Autopilot::Px4), names(Autopilot::ArduCopter)];
     let value = prop_oneof![
         3 => (-5i32..130).prop_map(f64::from),

@@ -144,7 +144,7 @@ fn fly(
     let mut said = Vec::new();
     let hear = |record: Record| {
         if let Some(record) = tampered(&record) {
-            learner.hear(&record);
+            learner.on_record(&record);
         }
         while let Some(Record::Event { text, .. }) = learner.take_event() {
             said.push(text);

@@ -7,7 +7,7 @@ use std::time::Duration;
 use downwash::clock::HostTime;
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::connection::{Connection, Input};
-use downwash::link::session::{Heard, Session, Settings};
+use downwash::link::session::{Delivery, Session, Settings};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, UdpSocket};
 use tokio_serial::{SerialPort, SerialStream};
@@ -189,8 +189,8 @@ async fn vehicle_over_udp_is_greeted_identified_and_sent_a_setpoint() {
         panic!("no bytes");
     };
     let mut messages = 0;
-    session.receive(now, peer, &buffer[..len], connection.is_datagram(), &mut |heard| {
-        messages += usize::from(matches!(heard, Heard::Message(_)));
+    session.receive(now, peer, &buffer[..len], connection.is_datagram(), &mut |delivery| {
+        messages += usize::from(matches!(delivery, Delivery::Message(_)));
     });
     assert_eq!(messages, 2);
     session.transmit(|_, _| true);

@@ -73,7 +73,7 @@ fn signed(key: Key) -> SigningSettings {
 #[test]
 fn signed_session_accepts_only_its_key_and_reports_rejections() {
     let stamp = Stamp::from_unix_ns(START.as_ns());
-    for (theirs, is_believed) in [(key(), true), (Key::new([4; KEY_LEN]), false)] {
+    for (theirs, is_accepted) in [(key(), true), (Key::new([4; KEY_LEN]), false)] {
         let ours = signed(key());
         let ledger = ours.ledger.clone();
         let settings = downwash::link::session::Settings { signing: Some(ours), ..settings() };
@@ -81,11 +81,11 @@ fn signed_session_accepts_only_its_key_and_reports_rejections() {
         vehicle.encoder.set_signer(Some(Signer::new(theirs, 5, stamp)));
         world.deliver(STRANGER, &beat(2, MavAutopilot::MAV_AUTOPILOT_PX4));
         world.run(&mut vehicle, seconds(3.0));
-        assert_eq!(world.session.vehicle().is_some(), is_believed);
-        let refused: Vec<_> = world.session.disbelieved().filter(|(_, n)| *n > 0).collect();
+        assert_eq!(world.session.vehicle().is_some(), is_accepted);
+        let refused: Vec<_> = world.session.rejected_frames().filter(|(_, n)| *n > 0).collect();
         let whys: Vec<_> = refused.iter().map(|(why, _)| *why).collect();
-        let told = world.events.iter().filter(|event| matches!(event, Event::Disbelieved(_)));
-        if is_believed {
+        let told = world.events.iter().filter(|event| matches!(event, Event::FrameRejected(_)));
+        if is_accepted {
             assert_eq!(whys, [Refused::Unsigned]);
             assert!(world.session.is_signed() && world.session.profile().is_some());
             // The state kept for the next run: the accepted streams and the newest timestamp.

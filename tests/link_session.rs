@@ -7,7 +7,7 @@ use downwash::link::counters::LinkState;
 use downwash::link::external_pose::{ExternalPose, PoseForm};
 use downwash::link::intervals::IntervalEvent;
 use downwash::link::request::{FlightMode, Outcome, Request};
-use downwash::link::session::{Event, Heard, Session, Settings};
+use downwash::link::session::{Delivery, Event, Session, Settings};
 use downwash::link::vehicle_clock::ClockSource;
 use message::Inbound;
 use vehicle::frame::{Attitude, Ned};
@@ -196,7 +196,8 @@ fn byte_streams_of_several_peers_do_not_mix() {
     let frame = vehicle.encode(&vehicle.heartbeat());
     let (first, rest) = frame.split_at(9);
     let mut count = 0;
-    let mut on = |heard: Heard<'_>| count += usize::from(matches!(heard, Heard::Frame { .. }));
+    let mut on =
+        |delivery: Delivery<'_>| count += usize::from(matches!(delivery, Delivery::Frame { .. }));
     session.receive(START, VEHICLE, first, false, &mut on);
     session.receive(START, STRANGER, first, false, &mut on);
     session.receive(START, VEHICLE, rest, false, &mut on);

@@ -39,7 +39,7 @@ fn flown(name: &str, effects: &[&str]) -> (Seen, Vec<Change>) {
     let vehicle = VehicleParams::load("quad1200").unwrap();
     let mut monitor = Monitor::new(&vehicle, Settings::LIVE).unwrap();
     let simulation = Simulation::load(&inputs).unwrap();
-    let (row, _) = simulation.fly_recorded(&folder, |record| monitor.hear(record)).unwrap();
+    let (row, _) = simulation.fly_recorded(&folder, |record| monitor.on_record(record)).unwrap();
     let flight = open(&row.log.unwrap(), None).unwrap();
     let flight = PreparedFlight::new(flight, &vehicle).unwrap();
     let seen = changes(&flight, &vehicle, Settings::LOG).unwrap();

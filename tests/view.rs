@@ -28,7 +28,7 @@ fn start(course: CoursePath) -> (LiveView, LiveFeed) {
 }
 
 fn hear_all(feed: &mut LiveFeed, records: &[Record]) {
-    records.iter().for_each(|record| feed.hear(record));
+    records.iter().for_each(|record| feed.on_record(record));
 }
 
 /// A marker event that ends what was published before it.
@@ -62,7 +62,7 @@ fn viewers_get_log_bytes_of_subscribed_topics_only() {
     viewer.subscribe(&topics);
     let flight = records(1.5);
     hear_all(&mut feed, &flight);
-    feed.hear(&event("that is all"));
+    feed.on_record(&event("that is all"));
     let mut seen = until(&mut viewer, "that is all");
     seen.pop();
 
@@ -110,7 +110,7 @@ fn viewer_receives_server_info_schemas_time_and_parameters() {
     viewer.subscribe(&["/state"]);
     let facts = [("parameter.MPC_XY_P", "0.95"), ("firmware", "1.15")];
     let facts = facts.map(|(name, value)| (name.to_owned(), value.to_owned()));
-    feed.hear(&Record::Facts(Box::new(facts.into())));
+    feed.on_record(&Record::Facts(Box::new(facts.into())));
     hear_all(&mut feed, &records(0.5));
     let times: Vec<u64> = std::iter::repeat_with(|| viewer.receive())
         .filter_map(
@@ -144,7 +144,7 @@ fn late_viewer_receives_vehicle_plan_trail_and_events() {
     let mut viewer = Viewer::ready(view.address(), "/status");
     viewer.subscribe(&["/scene", "/log"]);
     hear_all(&mut feed, &after[..200]);
-    feed.hear(&event("that is all"));
+    feed.on_record(&event("that is all"));
     let seen = until(&mut viewer, "that is all");
     let shows = |text: &str| {
         seen.iter().any(|data| data.body.windows(text.len()).any(|part| part == text.as_bytes()))
@@ -168,7 +168,7 @@ fn stalled_viewer_loses_messages_without_blocking_others() {
     for turn in 0..300 {
         hear_all(&mut feed, &part);
         let end = format!("turn {turn} ends");
-        feed.hear(&event(&end));
+        feed.on_record(&event(&end));
         let seen = until(&mut reading, &end).len();
         assert!(turn == 0 || fed / turn == seen, "the other viewer loses nothing");
         fed += seen;
@@ -221,7 +221,7 @@ fn garbage_ends_only_its_own_connection() {
             texts.send(items);
         }
     }
-    feed.hear(&event("still here"));
+    feed.on_record(&event("still here"));
     assert_eq!(until(&mut watching, "still here").len(), 1);
     let mut newcomer = Viewer::ready(view.address(), "/status");
     newcomer.subscribe(&["/state"]);

@@ -10,7 +10,7 @@ use downwash::control::Limits;
 use downwash::guard::{Answered, Cleared, Guard, Obeys, Order, Proposal, Stance};
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::request::{FlightMode, Request};
-use downwash::link::session::{Heard, Session, Settings};
+use downwash::link::session::{Delivery, Session, Settings};
 use downwash::link::tee::Tee;
 use downwash::log::LogReader;
 use downwash::log::export::{Format, export_topic};
@@ -57,8 +57,8 @@ pub fn link(data: &[u8]) {
         total += chunk.len() as u64;
         let peer = Peer::new(u32::from(control & 3));
         let is_datagram = control & 4 != 0;
-        session.receive(now, peer, chunk, is_datagram, &mut |heard| {
-            if let Heard::Message(received) = heard {
+        session.receive(now, peer, chunk, is_datagram, &mut |delivery| {
+            if let Delivery::Message(received) = delivery {
                 assert!(received.host == now);
             }
         });

@@ -270,14 +270,14 @@ impl<R: Read> LogReader<R> {
         }
         let [opcode, length @ ..] = head;
         let length = u64::from_le_bytes(length);
-        let wanted = matches!(
+        let is_read = matches!(
             opcode,
             op::CHUNK | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA | op::ATTACHMENT
         );
         // The buffer grows with the data read, not with the claimed length.
         self.record.clear();
         self.record.extend_from_slice(&head);
-        let got = if wanted && length <= RECORD_LEN_MAX {
+        let got = if is_read && length <= RECORD_LEN_MAX {
             self.source.by_ref().take(length).read_to_end(&mut self.record)? as u64
         } else {
             io::copy(&mut self.source.by_ref().take(length), &mut io::sink())?
@@ -287,7 +287,7 @@ impl<R: Read> LogReader<R> {
             self.done = true;
             return Ok(None);
         }
-        if wanted && length > RECORD_LEN_MAX {
+        if is_read && length > RECORD_LEN_MAX {
             self.ending.damage(format!("record of {length} bytes at byte {offset}: too long"));
             return Ok(None);
         }
@@ -310,7 +310,7 @@ impl<R: Read> LogReader<R> {
                 self.finish()?;
                 Ok(None)
             }
-            _ if !wanted => Ok(None),
+            _ if !is_read => Ok(None),
             _ => {
                 let record = std::mem::take(&mut self.record);
                 let head = self.accept(opcode, &record[RECORD_HEAD..], offset);

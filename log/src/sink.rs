@@ -25,7 +25,7 @@ const DRAIN_PERIOD: Duration = Duration::from_millis(20);
 /// It must not block.
 pub trait Listener: Send {
     /// Receives one record.
-    fn hear(&mut self, record: &Record);
+    fn on_record(&mut self, record: &Record);
 
     /// Takes a record that the listener adds to the log, if any.
     fn remark(&mut self) -> Option<Record> {
@@ -184,10 +184,10 @@ fn drain(
             match records.try_recv() {
                 Ok(record) => {
                     latest = host_time(&record).unwrap_or(latest);
-                    listeners.iter_mut().for_each(|listener| listener.hear(&record));
+                    listeners.iter_mut().for_each(|listener| listener.on_record(&record));
                     step(&mut file, failures, |target| target.write(record, failures));
                     while let Some(remark) = listeners.iter_mut().find_map(|it| it.remark()) {
-                        listeners.iter_mut().for_each(|listener| listener.hear(&remark));
+                        listeners.iter_mut().for_each(|listener| listener.on_record(&remark));
                         step(&mut file, failures, |target| target.write(remark, failures));
                     }
                 }

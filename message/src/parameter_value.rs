@@ -32,15 +32,15 @@ pub(crate) fn decode(wire: f32, kind: MavParamType, cast: ParameterCast) -> f64 
 /// rounded and clamped to their type's range.
 pub fn encode(value: f64, kind: MavParamType, cast: ParameterCast) -> f32 {
     use MavParamType as T;
-    let whole = value.round();
+    let rounded = value.round();
     match (cast, kind) {
         (ParameterCast::Value, _) => value as f32,
-        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_UINT8) => f32::from_bits((whole as u8).into()),
-        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_INT8) => f32::from_bits(whole as i8 as u32),
-        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_UINT16) => f32::from_bits((whole as u16).into()),
-        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_INT16) => f32::from_bits(whole as i16 as u32),
-        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_UINT32) => f32::from_bits(whole as u32),
-        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_INT32) => f32::from_bits(whole as i32 as u32),
+        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_UINT8) => f32::from_bits((rounded as u8).into()),
+        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_INT8) => f32::from_bits(rounded as i8 as u32),
+        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_UINT16) => f32::from_bits((rounded as u16).into()),
+        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_INT16) => f32::from_bits(rounded as i16 as u32),
+        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_UINT32) => f32::from_bits(rounded as u32),
+        (ParameterCast::Bytes, T::MAV_PARAM_TYPE_INT32) => f32::from_bits(rounded as i32 as u32),
         (ParameterCast::Bytes, _) => value as f32,
     }
 }

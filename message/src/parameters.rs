@@ -44,15 +44,16 @@ impl Autopilot {
 
     /// Every parameter that describes a quadrotor, to request over a link. A vehicle need not have
     /// all.
-    pub fn wanted(self) -> Vec<String> {
-        let mut wanted: Vec<String> = self.names().iter().map(|name| (*name).to_owned()).collect();
-        wanted.extend(self.wanted_of_outputs());
-        wanted
+    pub fn parameter_names(self) -> Vec<String> {
+        let mut parameter_names: Vec<String> =
+            self.names().iter().map(|name| (*name).to_owned()).collect();
+        parameter_names.extend(self.output_parameter_names());
+        parameter_names
     }
 
     /// The subset that maps outputs to rotors, with the rotors' positions and the outputs' range.
     /// Logs of the vehicle need it.
-    pub fn wanted_of_outputs(self) -> Vec<String> {
+    pub fn output_parameter_names(self) -> Vec<String> {
         let numbered = |from: u32, to: u32, names: &[[&str; 2]]| -> Vec<String> {
             let each = |[start, end]: &[&str; 2]| {
                 (from..to).map(|at| format!("{start}{at}{end}")).collect::<Vec<_>>()
@@ -306,8 +307,8 @@ pub(crate) mod tests {
     #[test]
     fn wanted_parameters_are_kept_from_logs() {
         for autopilot in [Autopilot::Px4, Autopilot::ArduCopter] {
-            let wanted = autopilot.wanted();
-            let lost: Vec<_> = wanted.iter().filter(|name| !is_of_vehicle(name)).collect();
+            let parameter_names = autopilot.parameter_names();
+            let lost: Vec<_> = parameter_names.iter().filter(|name| !is_of_vehicle(name)).collect();
             assert_eq!(lost, Vec::<&String>::new());
         }
     }

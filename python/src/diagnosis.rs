@@ -65,7 +65,7 @@ pub fn diagnose(
     args.twins = twins.unwrap_or(args.twins);
     let args = DiagnoseArgs { holdout, new, mapping, seed, without, discover, next_flight, ..args };
     let finding = watched(py, None, progress.as_ref(), move |watch| {
-        find(&args, watch.stop(), &|stage| watch.tell(stage, 0, 0))
+        find(&args, watch.stop(), &|stage| watch.report(stage, 0, 0))
     })?;
     Ok(Diagnosis { finding })
 }

@@ -22,8 +22,8 @@ pub fn exception(py: Python<'_>, error: &anyhow::Error) -> PyErr {
     raised(py, in_words(error), exit_of(error))
 }
 
-fn raised(py: Python<'_>, words: String, exit: Exit) -> PyErr {
-    let exception = DownwashError::new_err(words);
+fn raised(py: Python<'_>, text: String, exit: Exit) -> PyErr {
+    let exception = DownwashError::new_err(text);
     match exception.value(py).setattr("exit_code", exit.code()) {
         Ok(()) => exception,
         Err(failed) => failed,
@@ -43,8 +43,8 @@ pub fn wrong(what: impl Into<String>) -> PyErr {
 /// The exception for invalid JSON, without the position, since the user did not write the JSON.
 pub fn unread(what: &str, error: &serde_json::Error) -> PyErr {
     let text = error.to_string();
-    let said = text.rsplit_once(" at line ").map_or(text.as_str(), |(said, _)| said);
-    wrong(format!("{what}: {said}"))
+    let message = text.rsplit_once(" at line ").map_or(text.as_str(), |(message, _)| message);
+    wrong(format!("{what}: {message}"))
 }
 
 /// The exception for a panic, which is a bug in this program.

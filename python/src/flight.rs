@@ -171,7 +171,7 @@ pub fn fly(
                 Some(folder) => simulation.fly_logged(&folder.join(format!("seed-{seed}")), |_| {}),
                 None => simulation.fly(|_| {}),
             }?;
-            watch.tell("flights", done.fetch_add(1, Ordering::Relaxed) + 1, of);
+            watch.report("flights", done.fetch_add(1, Ordering::Relaxed) + 1, of);
             Ok(serde_json::to_string(&row)?)
         };
         seeds.par_iter().map(one).collect()

@@ -88,9 +88,10 @@ impl Model {
         };
         let count = motions.len() / MOTION;
         let lengths = [motions.len(), inputs.len(), accelerations.len()];
-        let wanted = jacobians.as_ref().map_or(0, |jacobians| jacobians.len());
+        let requested = jacobians.as_ref().map_or(0, |jacobians| jacobians.len());
         let expected = if jacobians.is_some() { count * ACCELERATIONS * VARIABLES } else { 0 };
-        if lengths != [MOTION, INPUT, ACCELERATIONS].map(|each| each * count) || wanted != expected
+        if lengths != [MOTION, INPUT, ACCELERATIONS].map(|each| each * count)
+            || requested != expected
         {
             return Err(wrong("x and u: expected 9 and 4 numbers for each point"));
         }

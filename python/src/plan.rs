@@ -104,7 +104,7 @@ pub fn plan(
         Ok(trajectory) => TrajectoryFile::Desired(trajectory.get().trajectory.clone()),
         Err(_) => wish.cast::<Wish>()?.get().file.clone(),
     };
-    let through = match model {
+    let plan_model = match model {
         Some(_) if matches!(wish, TrajectoryFile::Task(_)) => {
             return Err(wrong(
                 "model: expected None, because the fastest plan uses the vehicle's own physics",
@@ -113,18 +113,18 @@ pub fn plan(
         Some(model) => model.plan_model(kind),
         None => PlanModel::nominal(&vehicle),
     };
-    let through = through.map_err(|error| exception(py, &error))?;
+    let plan_model = plan_model.map_err(|error| exception(py, &error))?;
     let (plan, fastest) = watched(py, None, progress.as_ref(), move |watch| {
         let began = Instant::now();
         let limit = TimeLimit::new(config.settings.plan.time_limit_s);
         let ends = |records: &[Record], share: f64| {
-            watch.tell("subproblems", records.len() as u64, 0);
+            watch.report("subproblems", records.len() as u64, 0);
             watch.is_stopped() || limit.is_over(began.elapsed().div_f64(share))
         };
         match &wish {
             TrajectoryFile::Desired(trajectory) => {
                 let ends = |records: &[Record]| ends(records, 1.0);
-                let plan = plan_trajectory(trajectory, &vehicle, &through, &config, &ends)?;
+                let plan = plan_trajectory(trajectory, &vehicle, &plan_model, &config, &ends)?;
                 Ok((plan, None))
             }
             TrajectoryFile::Task(task) => {

@@ -32,7 +32,7 @@ pub fn sweep(
     watched(py, jobs, progress.as_ref(), move |watch| {
         let shard = Shard { index, count };
         let sweep = Sweep { manifest: &manifest, out: &out, shard };
-        let summary = sweep.run(watch.stop(), &|done, of| watch.tell("flights", done, of))?;
+        let summary = sweep.run(watch.stop(), &|done, of| watch.report("flights", done, of))?;
         Ok(serde_json::to_string(&summary)?)
     })
 }

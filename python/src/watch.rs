@@ -42,7 +42,7 @@ impl Watch {
     }
 
     /// Reports progress.
-    pub fn tell(&self, stage: &str, done: u64, of: u64) {
+    pub fn report(&self, stage: &str, done: u64, of: u64) {
         // Nobody listens after Ctrl-C.
         let _ = self.news.send(News { stage: stage.to_owned(), done, of });
     }
@@ -75,10 +75,11 @@ pub fn watched<T: Send + 'static>(
 ) -> PyResult<T> {
     let pool = py.detach(|| pool(threads)).map_err(|error| exception(py, &error))?;
     let stop = Arc::new(AtomicBool::new(false));
-    let (news, heard) = sync_channel(64);
+    let (news, receiver) = sync_channel(64);
     // Nobody else locks it: a value used without the interpreter's lock must be `Sync`.
-    let heard = Mutex::new(heard);
-    let listen = || heard.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(LOOK_EVERY);
+    let receiver = Mutex::new(receiver);
+    let listen =
+        || receiver.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(LOOK_EVERY);
     let (finished, result) = sync_channel(1);
     let watch = Watch { stop: Arc::clone(&stop), news };
     pool.spawn(move || {
@@ -91,8 +92,8 @@ pub fn watched<T: Send + 'static>(
     let stopped = loop {
         match py.detach(listen) {
             Ok(News { stage, done, of }) => {
-                let told = progress.map(|told| told.call1(py, (stage, done, of)));
-                if let Some(Err(error)) = told {
+                let called = progress.map(|progress| progress.call1(py, (stage, done, of)));
+                if let Some(Err(error)) = called {
                     break Some(error);
                 }
             }

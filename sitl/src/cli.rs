@@ -242,10 +242,10 @@ pub fn run_watched(args: &SitlArgs, watch: impl FnMut(&Vehicle)) -> Result<Stop,
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let room = args.room.open(args.seed)?;
-        let told: Vec<_> = room.iter().flat_map(RoomSockets::describe).collect();
+        let room_lines: Vec<_> = room.iter().flat_map(RoomSockets::describe).collect();
         let mut server = Server::open(vehicle, &args.links).await?.inside(room);
         let stop = signals()?;
-        for line in server.describe().chain(told) {
+        for line in server.describe().chain(room_lines) {
             eprintln!("{line}");
         }
         Ok(server.run(args.speed.0, stop, watch).await)

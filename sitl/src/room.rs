@@ -323,35 +323,36 @@ mod tests {
     }
 
     /// Reported positions of `quad`, frame by frame, while it climbs at 1 m/s, armed at 0.
-    fn told(room: &mut Room, seconds: f64) -> Vec<[f64; 3]> {
-        let mut told = Vec::new();
+    fn positions(room: &mut Room, seconds: f64) -> Vec<[f64; 3]> {
+        let mut positions = Vec::new();
         for ms in 0..(seconds * 1e3) as u64 {
             let now_us = 1000 * ms;
             let place = Ned::new(0.0, 0.0, -1e-6 * now_us as f64);
             room.look(now_us, place, Attitude::default(), true);
             while let Some(frame) = room.take(now_us) {
-                told.extend(frame.bodies.iter().filter(|b| b.number == 1).map(|b| b.position_m));
+                positions
+                    .extend(frame.bodies.iter().filter(|b| b.number == 1).map(|b| b.position_m));
             }
         }
-        told
+        positions
     }
 
     #[test]
     fn room_reports_the_vehicle_at_its_rate_with_noise() {
-        let told = told(&mut room(&[]), 2.0);
-        assert_eq!(told.len(), 200);
+        let positions = positions(&mut room(&[]), 2.0);
+        assert_eq!(positions.len(), 200);
         let error = |(k, place): (usize, &[f64; 3])| (place[2] - 0.01 * k as f64).abs();
-        let errors: Vec<f64> = told.iter().enumerate().map(error).collect();
+        let errors: Vec<f64> = positions.iter().enumerate().map(error).collect();
         assert!(errors.iter().all(|e| *e < 2e-3) && errors.iter().sum::<f64>() > 0.01);
     }
 
     #[test]
     fn room_faults_start_and_end_on_time() {
-        assert_eq!(told(&mut room(&["drop-out@0.5+0.5"]), 2.0).len(), 150);
-        let frozen = told(&mut room(&["freeze@0.5+0.5"]), 2.0);
+        assert_eq!(positions(&mut room(&["drop-out@0.5+0.5"]), 2.0).len(), 150);
+        let frozen = positions(&mut room(&["freeze@0.5+0.5"]), 2.0);
         let same = frozen.windows(2).filter(|pair| pair[0] == pair[1]).count();
         assert_eq!((frozen.len(), same), (200, 50));
-        let swapped = told(&mut room(&["swap@0.5+0.5"]), 2.0);
+        let swapped = positions(&mut room(&["swap@0.5+0.5"]), 2.0);
         assert_eq!(swapped.iter().filter(|place| (place[0] - 1.5).abs() < 0.01).count(), 50);
         for wrong in ["", "swap", "swap@", "swap@-1", "melt@3", "freeze@1+x", "freeze@nan"] {
             assert!(wrong.parse::<RoomFault>().is_err(), "{wrong}");

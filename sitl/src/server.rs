@@ -125,8 +125,8 @@ impl Server {
         let mut stop = std::pin::pin!(stop);
         loop {
             let now = Instant::now();
-            let wanted_us = self.vehicle_us(&mut pacer, now);
-            let mut reached_us = wanted_us.min(self.vehicle.now_us() + ADVANCE_MAX_US);
+            let target_us = self.vehicle_us(&mut pacer, now);
+            let mut reached_us = target_us.min(self.vehicle.now_us() + ADVANCE_MAX_US);
             if let Some(room) = &mut self.room {
                 reached_us = reached_us.min(room.next_us().max(self.vehicle.now_us()));
                 self.vehicle.advance_to(reached_us);
@@ -136,7 +136,7 @@ impl Server {
             }
             self.flush();
             watch(&self.vehicle);
-            let due = if reached_us < wanted_us {
+            let due = if reached_us < target_us {
                 now
             } else {
                 pacer.host_time(self.vehicle.clock().host_us(self.next_event_us()))
@@ -288,12 +288,12 @@ impl Pacer {
     /// simulation gives up the lost time and continues from where it is.
     fn simulated_us(&mut self, now: Instant, reached_us: u64) -> u64 {
         let passed = now.saturating_duration_since(self.host).as_secs_f64() * self.speed;
-        let wanted = self.simulated_us + (passed * 1e6) as u64;
+        let target_us = self.simulated_us + (passed * 1e6) as u64;
         let lag_max_us = (LAG_MAX.as_secs_f64() * self.speed * 1e6) as u64;
-        if wanted > reached_us + lag_max_us {
+        if target_us > reached_us + lag_max_us {
             (self.host, self.simulated_us) = (now, reached_us);
         }
-        wanted.min(reached_us + lag_max_us).max(reached_us)
+        target_us.min(reached_us + lag_max_us).max(reached_us)
     }
 
     /// The host time at which the simulation reaches `simulated_us`.

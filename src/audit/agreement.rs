@@ -240,13 +240,14 @@ impl<P: Pair> Comparison<'_, P> {
             let square = |row: &Row<UNKNOWNS>| (back * of(row) - about).map(|part| part * part);
             weighed().map(|(row, w)| square(row) * *w).sum::<Vector3<f64>>()
         };
-        let whole = power(&|row| row.seen, seen);
+        let total_power = power(&|row| row.seen, seen);
         let left = power(&|row| row.misfit, Vector3::zeros());
         let changes = power(&|row| row.slopes.column(DELAY).into_owned(), Vector3::zeros());
-        let over_whole =
-            |of: f64, i: usize, none: f64| if whole[i] > 0.0 { of / whole[i] } else { none };
-        let followed = std::array::from_fn(|i| 1.0 - over_whole(left[i], i, 1.0));
-        let pace = std::array::from_fn(|i| over_whole(changes[i], i, 0.0).sqrt());
+        let share_of_total = |of: f64, i: usize, none: f64| {
+            if total_power[i] > 0.0 { of / total_power[i] } else { none }
+        };
+        let followed = std::array::from_fn(|i| 1.0 - share_of_total(left[i], i, 1.0));
+        let pace = std::array::from_fn(|i| share_of_total(changes[i], i, 0.0).sqrt());
         Some(Compared { fit, followed, pace })
     }
 

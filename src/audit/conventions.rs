@@ -151,7 +151,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             continue;
         }
         if let Some(matters) = &pair.matters {
-            pair.tell(&agreement, matters, &mut audit.findings);
+            pair.report(&agreement, matters, &mut audit.findings);
         }
     }
     let turned = |a: Agreement| {
@@ -264,9 +264,9 @@ impl Pair {
     }
 
     /// Reports delay, drift, rotation, scale and bias that are large enough and certain.
-    fn tell(&self, agreement: &Agreement, matters: &Matters, findings: &mut Vec<Finding>) {
+    fn report(&self, agreement: &Agreement, matters: &Matters, findings: &mut Vec<Finding>) {
         let Self { stream, other, .. } = self;
-        let mut tell = |check, found: f64, expected, unit, what: String, advice| {
+        let mut report = |check, found: f64, expected, unit, what: String, advice| {
             findings.push(Finding {
                 severity: Severity::Measurement,
                 check,
@@ -278,13 +278,14 @@ impl Pair {
                 advice,
             });
         };
-        let is_told = |e: &Estimate, limit: f64| e.value.abs() > limit && e.differs_from_zero(SURE);
+        let is_significant =
+            |e: &Estimate, limit: f64| e.value.abs() > limit && e.differs_from_zero(SURE);
         let delay = agreement.delay_s;
-        if is_told(&delay, matters.delay_s) {
+        if is_significant(&delay, matters.delay_s) {
             let (ms, width) = (1e3 * delay.value.abs(), 1e3 * delay.half_width);
             let side = if delay.value > 0.0 { "late" } else { "early" };
             let what = format!("{ms:.1} +- {width:.1} ms {side} against {other}");
-            tell(
+            report(
                 "delay",
                 delay.value,
                 0.0,
@@ -294,7 +295,7 @@ impl Pair {
             );
         }
         let span = agreement.span_s;
-        let drift = agreement.drift.filter(|drift| is_told(drift, DRIFT_S / span.max(1.0)));
+        let drift = agreement.drift.filter(|drift| is_significant(drift, DRIFT_S / span.max(1.0)));
         if let Some(drift) = drift {
             let what = format!(
                 "its delay against {other} changes by {:.1} +- {:.1} ms within the log",
@@ -302,40 +303,40 @@ impl Pair {
                 1e3 * drift.half_width * span
             );
             let advice = "the two clocks run at different rates, or one stream was resampled";
-            tell("clock_drift", drift.value, 0.0, "", what, advice);
+            report("clock_drift", drift.value, 0.0, "", what, advice);
         }
         let shown = |of: [Option<Estimate>; 3]| {
             AXES.into_iter().zip(of).filter_map(|(axis, of)| Some((axis, of?)))
         };
         for (axis, estimate) in shown(agreement.rotation_rad) {
-            if is_told(&estimate, matters.rotation_rad) {
+            if is_significant(&estimate, matters.rotation_rad) {
                 let what = format!(
                     "rotated by {:.2} +- {:.2} degrees about {axis} against {other}",
                     estimate.value.to_degrees(),
                     estimate.half_width.to_degrees()
                 );
                 let advice = "an attitude trim or a mounting angle, not a force on the vehicle";
-                tell("rotation", estimate.value, 0.0, "rad", what, advice);
+                report("rotation", estimate.value, 0.0, "rad", what, advice);
             }
         }
         for (axis, scale) in shown(agreement.scale) {
             let off = Estimate { value: scale.value - 1.0, ..scale };
-            if is_told(&off, matters.scale) {
+            if is_significant(&off, matters.scale) {
                 let what = format!(
                     "changes {:.3} +- {:.3} times as fast in {axis} as {other} says",
                     scale.value, scale.half_width
                 );
                 let advice = "a scale or a filter of one of the two, not physics";
-                tell("scale", scale.value, 1.0, "", what, advice);
+                report("scale", scale.value, 1.0, "", what, advice);
             }
         }
         for (axis, estimate) in shown(agreement.bias) {
-            if is_told(&estimate, matters.bias) {
+            if is_significant(&estimate, matters.bias) {
                 let what = format!(
                     "{other} is off by {:.3} +- {:.3} {} in {axis}",
                     estimate.value, estimate.half_width, matters.unit
                 );
-                tell("bias", estimate.value, 0.0, matters.unit, what, matters.advice);
+                report("bias", estimate.value, 0.0, matters.unit, what, matters.advice);
             }
         }
     }
@@ -426,7 +427,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
             stated < FITS && otherwise > READS && 1.0 - otherwise < LEAVES * (1.0 - stated);
         is_better.then_some(otherwise)
     };
-    let mut tell = |stream, found: f64, what: &str| {
+    let mut report = |stream, found: f64, what: &str| {
         audit.findings.push(Finding {
             severity: Severity::Fault,
             check: "frame",
@@ -449,7 +450,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
             other.body_rate = by_attitude(flight, &flight.body_rate, body);
         });
         if let Some(found) = follows_better(turning_follows(flight), turning_follows(&other)) {
-            tell("body_rate", found, "matches the attitude in world axes, not in body axes");
+            report("body_rate", found, "matches the attitude in world axes, not in body axes");
         }
     }
     if is_open(position) {
@@ -459,7 +460,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
         });
         let follows = |flight: &Flight| Some(moving_follows(flight)?.0);
         if let Some(found) = follows_better(follows(flight), follows(&other)) {
-            tell("velocity", found, "matches the position in body axes, not in world axes");
+            report("velocity", found, "matches the position in body axes, not in world axes");
         }
     }
     if is_open(velocity) {
@@ -469,7 +470,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
         });
         if let Some(found) = follows_better(gaining_follows(flight), gaining_follows(&other)) {
             let what = "matches the velocity in world axes, not in body axes";
-            tell("specific_force", found, what);
+            report("specific_force", found, what);
         }
     }
 }
@@ -508,7 +509,7 @@ fn check_force(flight: &Flight, audit: &mut Audit) {
     let forces = flight.specific_force.values();
     let size = median(forces.iter().map(|f| f.norm()).collect());
     let down = median(forces.iter().map(|f| f.to_array()[2]).collect());
-    let mut tell = |found: f64, expected: f64, what: String| {
+    let mut report = |found: f64, expected: f64, what: String| {
         audit.findings.push(Finding {
             severity: Severity::Fault,
             check: "gravity",
@@ -521,13 +522,13 @@ fn check_force(flight: &Flight, audit: &mut Audit) {
         });
     };
     if (0.7..1.4).contains(&size) {
-        tell(size, 9.8, format!("its median size is {size:.2}: in g?"));
+        report(size, 9.8, format!("its median size is {size:.2}: in g?"));
     } else if size < 3.0 {
-        tell(size, 9.8, format!("its median size is {size:.2}: was gravity removed?"));
+        report(size, 9.8, format!("its median size is {size:.2}: was gravity removed?"));
     } else if !FORCE.contains(&size) {
-        tell(size, 9.8, format!("its median size is {size:.2}"));
+        report(size, 9.8, format!("its median size is {size:.2}"));
     } else if down > 3.0 {
-        tell(down, -9.8, format!("it points down ({down:.2}): are its axes front, left, up?"));
+        report(down, -9.8, format!("it points down ({down:.2}): are its axes front, left, up?"));
     }
 }
 

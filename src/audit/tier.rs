@@ -42,7 +42,7 @@ impl Channels {
     /// The channels of a flight.
     pub fn of(flight: &Flight) -> Self {
         let setpoints = flight.setpoint.values();
-        let is_whole = setpoints
+        let is_complete = setpoints
             .iter()
             .any(|s| s.attitude.is_some() && s.body_rate.is_some() && s.thrust.is_some());
         let from_ground = flight.setpoint_source == SetpointSource::Ground;
@@ -57,7 +57,7 @@ impl Channels {
             voltage: !flight.voltage.is_empty(),
             rotor_speed: !flight.rotor_speed.is_empty(),
             setpoint: !setpoints.is_empty() && from_ground,
-            whole_setpoint: is_whole && from_ground,
+            whole_setpoint: is_complete && from_ground,
         }
     }
 

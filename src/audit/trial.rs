@@ -60,8 +60,8 @@ impl Trial {
             .collect();
         let (first, last) = (moments.first()?.centre, moments.last()?.centre);
         let power = |moment: &Moment| moment.seen.norm_squared();
-        let whole: f64 = moments.iter().map(power).sum();
-        let middle = moments.iter().map(|m| m.centre * power(m)).sum::<f64>() / whole;
+        let total_power: f64 = moments.iter().map(power).sum();
+        let middle = moments.iter().map(|m| m.centre * power(m)).sum::<f64>() / total_power;
         let half = 0.5 * (last - first);
         let turns = pair.turns();
         let mut best: Option<Self> = None;

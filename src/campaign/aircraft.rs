@@ -15,7 +15,7 @@ use super::judge::{Ending, Judge, Seen};
 use super::kit::Kit;
 use super::script::{Fault, PilotAct, Script, Timed};
 use super::tamper::Tamper;
-use super::{signing, word};
+use super::{frame_content, signing};
 use crate::clock::HostTime;
 
 const STATION: autopilot::Peer = autopilot::Peer(0);
@@ -170,13 +170,13 @@ impl<'a> Aircraft<'a> {
     }
 
     /// Puts the frames of the vehicle and of others at `now_us` onto the link.
-    pub fn speak(&mut self, now_us: u64, channel: &mut Channel) {
+    pub fn send(&mut self, now_us: u64, channel: &mut Channel) {
         let faults = &self.script.faults;
         let Self { vehicle, tamper, .. } = self;
         vehicle.take_output(|peer, frame| {
             if peer == STATION {
-                let told = tamper.apply(faults, now_us, frame);
-                channel.say(faults, now_us, told, true);
+                let tampered = tamper.apply(faults, now_us, frame);
+                channel.send_down(faults, now_us, tampered, true);
             }
         });
         channel.intrude(faults, now_us);
@@ -186,21 +186,21 @@ impl<'a> Aircraft<'a> {
     pub fn listen(&mut self, now_us: u64, channel: &mut Channel, judge: &mut Judge) {
         let refuses = |timed: &Timed| timed.fault == Fault::Refusals && timed.acts(now_us);
         let refuses = self.script.faults.iter().any(refuses);
-        while let Some(frame) = channel.asked(now_us) {
+        while let Some(frame) = channel.receive_up(now_us) {
             judge.reached(now_us, &frame.bytes);
-            match word::message(&frame.bytes) {
+            match frame_content::message(&frame.bytes) {
                 Some(MavMessage::COMMAND_LONG(data)) if refuses => {
                     let denial = self.denial(&data, now_us);
-                    channel.say(&self.script.faults, now_us, denial, false);
+                    channel.send_down(&self.script.faults, now_us, denial, false);
                 }
                 _ => self.vehicle.receive(STATION, &frame.bytes),
             }
         }
     }
 
-    fn denial(&self, asked: &COMMAND_LONG_DATA, now_us: u64) -> Vec<u8> {
+    fn denial(&self, command: &COMMAND_LONG_DATA, now_us: u64) -> Vec<u8> {
         let denied = MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {
-            command: asked.command,
+            command: command.command,
             result: MavResult::MAV_RESULT_DENIED,
             ..Default::default()
         });

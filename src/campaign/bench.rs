@@ -110,7 +110,7 @@ impl Bench<'_> {
         loop {
             self.planner_us.store(self.now_us, Ordering::Relaxed);
             self.begin_faults()?;
-            self.aircraft.speak(self.now_us, &mut self.channel);
+            self.aircraft.send(self.now_us, &mut self.channel);
             self.turn();
             self.aircraft.listen(self.now_us, &mut self.channel, &mut self.judge);
             self.see();
@@ -128,8 +128,8 @@ impl Bench<'_> {
         self.end = ended.as_ref().and_then(Station::end).map(|end| format!("{end:?}"));
         let adrift_us = self.now_us + ADRIFT_US;
         while self.aircraft.ending() == Ending::Adrift && self.now_us < adrift_us {
-            self.aircraft.speak(self.now_us, &mut self.channel);
-            while self.channel.heard(self.now_us).is_some() {}
+            self.aircraft.send(self.now_us, &mut self.channel);
+            while self.channel.receive_down(self.now_us).is_some() {}
             self.aircraft.listen(self.now_us, &mut self.channel, &mut self.judge);
             self.advance();
         }
@@ -178,21 +178,21 @@ impl Bench<'_> {
         let now_us = self.now_us;
         if self.station.is_none() {
             // Nothing reads, so the system drops what arrives.
-            while self.channel.heard(now_us).is_some() {}
+            while self.channel.receive_down(now_us).is_some() {}
             return;
         }
         if self.acts(Fault::Pause) {
             return;
         }
         let now = self.now();
-        let stood = Duration::from_micros(now_us - self.turned_us);
+        let stalled = Duration::from_micros(now_us - self.turned_us);
         self.turned_us = now_us;
         self.judge.runs(now_us);
-        while let Some(frame) = self.channel.heard(now_us) {
+        while let Some(frame) = self.channel.receive_down(now_us) {
             self.digest.update(&frame.bytes);
             let Self { judge, station: Some(station), .. } = self else { return };
-            judge.heard(now_us, &frame);
-            if stood > PAUSE {
+            judge.station_received(now_us, &frame);
+            if stalled > PAUSE {
                 station.catch_up(now, VEHICLE, &frame.bytes, true);
             } else {
                 station.receive(now, VEHICLE, &frame.bytes, true);
@@ -201,8 +201,8 @@ impl Bench<'_> {
         }
         let is_stuck = self.acts(Fault::LogStuck);
         let Some(station) = &mut self.station else { return };
-        if stood > PAUSE {
-            station.resumed(now, stood);
+        if stalled > PAUSE {
+            station.resumed(now, stalled);
         }
         station.poll(now);
         if self.script.policy == EngagePolicy::PilotSwitch && now_us >= SWITCHED_US {
@@ -228,8 +228,8 @@ impl Bench<'_> {
                 return false;
             }
             digest.update(frame);
-            judge.said(now_us, frame);
-            channel.answer(&script.faults, now_us, frame);
+            judge.station_sent(now_us, frame);
+            channel.send_up(&script.faults, now_us, frame);
             true
         });
     }

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, VecDeque};
 use wire::Encoder;
 use wire::dialect::*;
 
+use super::frame_content;
 use super::script::{Fault, Timed, Way};
-use super::word;
 use crate::exam::draw::Draw;
 
 /// Time for which frames are remembered, us.
@@ -29,9 +29,9 @@ pub enum Origin {
 #[derive(Clone, Debug)]
 pub(super) struct Passing {
     /// Time of arrival, us.
-    pub due_us: u64,
+    pub arrival_us: u64,
     /// Time at which the vehicle sent it, us.
-    pub said_us: u64,
+    pub sent_us: u64,
     pub origin: Origin,
     pub bytes: Vec<u8>,
 }
@@ -46,7 +46,7 @@ impl Queue {
     fn push(&mut self, passing: Passing) {
         self.entered += 1;
         if self.frames.len() < FRAMES_MAX {
-            self.frames.insert((passing.due_us, self.entered), passing);
+            self.frames.insert((passing.arrival_us, self.entered), passing);
         }
     }
 
@@ -56,7 +56,7 @@ impl Queue {
     }
 
     fn next_us(&self) -> Option<u64> {
-        self.frames.first_key_value().map(|((due_us, _), _)| *due_us)
+        self.frames.first_key_value().map(|((arrival_us, _), _)| *arrival_us)
     }
 }
 
@@ -67,7 +67,7 @@ pub(super) struct Channel {
     up: Queue,
     remembered: VecDeque<(u64, Vec<u8>)>,
     /// When the next replay, foreign frame and injected setpoint are due, us.
-    due_us: [u64; 3],
+    next_intrusion_us: [u64; 3],
     foreign: Encoder,
     injector: Encoder,
 }
@@ -79,15 +79,15 @@ impl Channel {
             down: Queue::default(),
             up: Queue::default(),
             remembered: VecDeque::new(),
-            due_us: [0; 3],
+            next_intrusion_us: [0; 3],
             foreign: Encoder::new(42, 1),
             injector: Encoder::new(240, 190),
         }
     }
 
     /// Takes a frame from the vehicle; `is_true` means that no fault changed it.
-    pub fn say(&mut self, faults: &[Timed], now_us: u64, bytes: Vec<u8>, is_true: bool) {
-        let is_mode = word::is_mode(&bytes);
+    pub fn send_down(&mut self, faults: &[Timed], now_us: u64, bytes: Vec<u8>, is_true: bool) {
+        let is_mode = frame_content::is_mode(&bytes);
         if is_mode && acting(faults, now_us).any(|fault| fault == Fault::ModeLost) {
             return;
         }
@@ -95,7 +95,7 @@ impl Channel {
     }
 
     /// Takes a frame from the station.
-    pub fn answer(&mut self, faults: &[Timed], now_us: u64, bytes: &[u8]) {
+    pub fn send_up(&mut self, faults: &[Timed], now_us: u64, bytes: &[u8]) {
         self.pass(faults, now_us, bytes.to_vec(), false, true);
     }
 
@@ -107,15 +107,15 @@ impl Channel {
         is_down: bool,
         is_true: bool,
     ) {
-        let goes = |way: Way| if is_down { way.is_down() } else { way.is_up() };
-        let (mut due_us, mut copy_us, mut origin) =
+        let is_affected = |way: Way| if is_down { way.is_down() } else { way.is_up() };
+        let (mut arrival_us, mut copy_us, mut origin) =
             (now_us, None, if is_true { Origin::Vehicle } else { Origin::Nobody });
         for fault in acting(faults, now_us) {
             match fault {
-                Fault::Cut { way } if goes(way) => return,
-                Fault::Loss { way, share } if goes(way) && self.draw.chance(share) => return,
-                Fault::Delay { way, least_s, jitter_s } if goes(way) => {
-                    due_us += ((least_s + self.draw.within([0.0, jitter_s])) * 1e6) as u64;
+                Fault::Cut { way } if is_affected(way) => return,
+                Fault::Loss { way, share } if is_affected(way) && self.draw.chance(share) => return,
+                Fault::Delay { way, least_s, jitter_s } if is_affected(way) => {
+                    arrival_us += ((least_s + self.draw.within([0.0, jitter_s])) * 1e6) as u64;
                 }
                 Fault::Duplicates { share, after_s } if self.draw.chance(share) => {
                     copy_us = Some((after_s * 1e6) as u64);
@@ -134,11 +134,11 @@ impl Channel {
         let queue = if is_down { &mut self.down } else { &mut self.up };
         if let Some(after_us) = copy_us {
             let bytes = bytes.clone();
-            let due_us = due_us + after_us;
+            let arrival_us = arrival_us + after_us;
             let origin = if origin == Origin::Vehicle { Origin::Copy } else { origin };
-            queue.push(Passing { due_us, said_us: now_us, origin, bytes });
+            queue.push(Passing { arrival_us, sent_us: now_us, origin, bytes });
         }
-        queue.push(Passing { due_us, said_us: now_us, origin, bytes });
+        queue.push(Passing { arrival_us, sent_us: now_us, origin, bytes });
     }
 
     /// Adds the frames that others send at `now_us`.
@@ -150,10 +150,10 @@ impl Channel {
                 Fault::Injected { .. } => (2, 20.0),
                 _ => continue,
             };
-            if self.due_us[index] > now_us {
+            if self.next_intrusion_us[index] > now_us {
                 continue;
             }
-            self.due_us[index] = now_us + (1e6 / rate_hz.clamp(0.1, 1000.0)) as u64;
+            self.next_intrusion_us[index] = now_us + (1e6 / rate_hz.clamp(0.1, 1000.0)) as u64;
             match fault {
                 Fault::Replay { age_s, .. } => self.replay(now_us, age_s),
                 Fault::Foreign { system } => self.interfere(now_us, system),
@@ -171,14 +171,14 @@ impl Channel {
             .remembered
             .iter()
             .filter(|(at, bytes)| {
-                (from_us..until_us).contains(at) && (!only_mode || word::is_mode(bytes))
+                (from_us..until_us).contains(at) && (!only_mode || frame_content::is_mode(bytes))
             })
             .collect();
         if old.is_empty() {
             return;
         }
-        let (said_us, bytes) = old[self.draw.below(old.len())].clone();
-        self.down.push(Passing { due_us: now_us, said_us, origin: Origin::Copy, bytes });
+        let (sent_us, bytes) = old[self.draw.below(old.len())].clone();
+        self.down.push(Passing { arrival_us: now_us, sent_us, origin: Origin::Copy, bytes });
     }
 
     /// Sends a frame of a foreign vehicle or ground station.
@@ -218,7 +218,12 @@ impl Channel {
         let message = if self.draw.chance(0.3) { heartbeat } else { odometry };
         let mut bytes = Vec::new();
         self.foreign.encode(&message, &mut bytes);
-        self.down.push(Passing { due_us: now_us, said_us: now_us, origin: Origin::Nobody, bytes });
+        self.down.push(Passing {
+            arrival_us: now_us,
+            sent_us: now_us,
+            origin: Origin::Nobody,
+            bytes,
+        });
     }
 
     fn inject(&mut self, now_us: u64, thrust: f64, pitch_rad: f64) {
@@ -233,14 +238,19 @@ impl Channel {
         });
         let mut bytes = Vec::new();
         self.injector.encode(&target, &mut bytes);
-        self.up.push(Passing { due_us: now_us, said_us: now_us, origin: Origin::Nobody, bytes });
+        self.up.push(Passing {
+            arrival_us: now_us,
+            sent_us: now_us,
+            origin: Origin::Nobody,
+            bytes,
+        });
     }
 
     /// The next frame that has reached the station by `now_us`.
-    pub fn heard(&mut self, now_us: u64) -> Option<Passing> {
+    pub fn receive_down(&mut self, now_us: u64) -> Option<Passing> {
         let passing = self.down.pop(now_us)?;
         if passing.origin == Origin::Vehicle {
-            self.remembered.push_back((passing.said_us, passing.bytes.clone()));
+            self.remembered.push_back((passing.sent_us, passing.bytes.clone()));
         }
         while self.remembered.front().is_some_and(|(at, _)| at + REMEMBERED_US < now_us) {
             self.remembered.pop_front();
@@ -249,7 +259,7 @@ impl Channel {
     }
 
     /// The next frame that has reached the vehicle by `now_us`.
-    pub fn asked(&mut self, now_us: u64) -> Option<Passing> {
+    pub fn receive_up(&mut self, now_us: u64) -> Option<Passing> {
         self.up.pop(now_us)
     }
 

@@ -10,10 +10,10 @@ use wire::dialect::*;
 pub use super::bounds::Bounds;
 use super::bounds::Sent;
 use super::channel::{Origin, Passing};
+use super::frame_content;
 pub use super::rule::{Rule, Violation};
 use super::script::Script;
 use super::truth::Envelope;
-use super::word;
 use crate::supervisor::EngagePolicy;
 
 pub use super::truth::{Ending, Seen};
@@ -36,22 +36,22 @@ const LOOK_S: f64 = 0.03;
 const DRAIN_S: f64 = 0.01;
 /// Time that an answer may take on sockets, s: a stall too short for the guard, and the system
 /// calls.
-pub(super) const ON_ITS_WAY_S: f64 = STALL_S + 0.01;
+pub(super) const IN_TRANSIT_S: f64 = STALL_S + 0.01;
 
 /// A report of the mode and the motors.
 #[derive(Clone, Copy, Debug)]
 struct Mode {
-    word: u32,
-    said_us: u64,
-    heard_us: u64,
+    custom_mode: u32,
+    sent_us: u64,
+    received_us: u64,
 }
 
 /// A received state.
 #[derive(Clone, Copy, Debug)]
 struct State {
-    said_us: u64,
-    heard_us: u64,
-    due_us: u64,
+    sent_us: u64,
+    received_us: u64,
+    arrival_us: u64,
 }
 
 /// Judges one flight.
@@ -63,7 +63,7 @@ pub struct Judge {
     mode: Option<Mode>,
     /// Since when the newest received mode has been other than OFFBOARD.
     left_us: Option<u64>,
-    heard_us: Option<u64>,
+    received_us: Option<u64>,
     /// When the last silence began.
     silent_us: u64,
     armed: Option<bool>,
@@ -81,7 +81,7 @@ pub struct Judge {
     woke_us: u64,
     /// How long an answer may be in transit, s. In lockstep it leaves at the instant of the message
     /// that it answers.
-    on_its_way_s: f64,
+    in_transit_s: f64,
     last: Option<Sent>,
     /// Number of setpoints that left.
     pub setpoints: u64,
@@ -97,7 +97,7 @@ impl Judge {
             violations: Vec::new(),
             mode: None,
             left_us: None,
-            heard_us: None,
+            received_us: None,
             silent_us: 0,
             armed: None,
             rebooted_us: None,
@@ -109,7 +109,7 @@ impl Judge {
             reached_us: None,
             ran_us: 0,
             woke_us: 0,
-            on_its_way_s: 0.0,
+            in_transit_s: 0.0,
             last: None,
             setpoints: 0,
         }
@@ -117,7 +117,7 @@ impl Judge {
 
     /// Makes the judge allow answers `seconds` in transit, for a process on sockets.
     pub(super) fn patient(self, seconds: f64) -> Self {
-        Self { on_its_way_s: seconds, ..self }
+        Self { in_transit_s: seconds, ..self }
     }
 
     /// The broken rules, in order of time.
@@ -138,7 +138,7 @@ impl Judge {
             self.woke(now_us);
         }
         self.ran_us = now_us;
-        self.states.retain(|state| state.due_us + 1_000_000 > now_us);
+        self.states.retain(|state| state.arrival_us + 1_000_000 > now_us);
     }
 
     /// Notes that the station's process runs again after a stall.
@@ -148,7 +148,7 @@ impl Judge {
 
     /// Notes that a new process of the station starts without any knowledge.
     pub fn restarted(&mut self, now_us: u64) {
-        (self.mode, self.left_us, self.heard_us, self.armed) = (None, None, None, None);
+        (self.mode, self.left_us, self.received_us, self.armed) = (None, None, None, None);
         (self.flew, self.disarmed_us, self.land_us, self.last) = (false, None, None, None);
         (self.silent_us, self.woke_us, self.ran_us) = (now_us, now_us, now_us);
         self.states.clear();
@@ -161,37 +161,37 @@ impl Judge {
     }
 
     /// Takes a frame that the station receives.
-    pub(super) fn heard(&mut self, now_us: u64, passing: &Passing) {
-        let Passing { due_us, said_us, origin, bytes } = passing;
-        let (frame, said_us) = (bytes.as_slice(), *said_us);
-        if word::is_state(frame) {
+    pub(super) fn station_received(&mut self, now_us: u64, passing: &Passing) {
+        let Passing { arrival_us, sent_us, origin, bytes } = passing;
+        let (frame, sent_us) = (bytes.as_slice(), *sent_us);
+        if frame_content::is_state(frame) {
             // A state changed by others is still a state, and the controller must take it for one.
-            self.states.push(State { said_us, heard_us: now_us, due_us: *due_us });
-            self.quickest_us = self.quickest_us.min(due_us.saturating_sub(said_us));
+            self.states.push(State { sent_us, received_us: now_us, arrival_us: *arrival_us });
+            self.quickest_us = self.quickest_us.min(arrival_us.saturating_sub(sent_us));
         }
         if *origin == Origin::Nobody {
             return;
         }
         if *origin == Origin::Vehicle {
-            if self.rebooted_us.is_some_and(|rebooted| said_us >= rebooted) {
+            if self.rebooted_us.is_some_and(|rebooted| sent_us >= rebooted) {
                 (self.mode, self.rebooted_us) = (None, None);
             }
-            if self
-                .heard_us
-                .is_none_or(|heard| seconds(heard, now_us) > SILENCE_S + LOOK_S + self.on_its_way_s)
-            {
-                self.silent_us = self.heard_us.unwrap_or(now_us);
+            if self.received_us.is_none_or(|received| {
+                seconds(received, now_us) > SILENCE_S + LOOK_S + self.in_transit_s
+            }) {
+                self.silent_us = self.received_us.unwrap_or(now_us);
             }
-            self.heard_us = Some(now_us);
+            self.received_us = Some(now_us);
         }
-        let Some((word, armed)) = word::told(frame) else { return };
+        let Some((custom_mode, armed)) = frame_content::reported_mode(frame) else { return };
         if self.mode.is_some_and(|mode| {
-            mode.said_us >= said_us && *origin == Origin::Copy || mode.said_us > said_us
+            mode.sent_us >= sent_us && *origin == Origin::Copy || mode.sent_us > sent_us
         }) {
             return;
         }
-        self.mode = Some(Mode { word, said_us, heard_us: now_us });
-        self.left_us = if word == self.bounds.obeys { None } else { self.left_us.or(Some(now_us)) };
+        self.mode = Some(Mode { custom_mode, sent_us, received_us: now_us });
+        self.left_us =
+            if custom_mode == self.bounds.obeys { None } else { self.left_us.or(Some(now_us)) };
         if let Some(armed) = armed {
             if self.flew && self.armed == Some(true) && !armed {
                 self.disarmed_us = self.disarmed_us.or(Some(now_us));
@@ -201,13 +201,15 @@ impl Judge {
     }
 
     /// Takes a frame that the station sends.
-    pub fn said(&mut self, now_us: u64, frame: &[u8]) {
-        match word::id(frame) {
-            Some(word::SET_ATTITUDE_TARGET) => {}
-            Some(word::COMMAND_LONG) => return self.commanded(now_us, frame),
+    pub fn station_sent(&mut self, now_us: u64, frame: &[u8]) {
+        match frame_content::id(frame) {
+            Some(frame_content::SET_ATTITUDE_TARGET) => {}
+            Some(frame_content::COMMAND_LONG) => return self.commanded(now_us, frame),
             _ => return,
         }
-        let Some(MavMessage::SET_ATTITUDE_TARGET(target)) = word::message(frame) else { return };
+        let Some(MavMessage::SET_ATTITUDE_TARGET(target)) = frame_content::message(frame) else {
+            return;
+        };
         self.setpoints += 1;
         self.check_limits(now_us, &target);
         self.check_fresh(now_us);
@@ -220,7 +222,7 @@ impl Judge {
             self.violated(Rule::Limits, now_us, format!("{target:?}"));
         }
         if let Some(last) = self.last.filter(|last| seconds(last.at_us, now_us) < 0.49) {
-            let dt_s = seconds(last.at_us, now_us).max(0.005) + self.on_its_way_s;
+            let dt_s = seconds(last.at_us, now_us).max(0.005) + self.in_transit_s;
             if !self.bounds.admit_change(&last, &sent, dt_s) {
                 self.violated(Rule::Changes, now_us, format!("{last:?}, then {sent:?}"));
             }
@@ -231,26 +233,26 @@ impl Judge {
     /// A setpoint must answer the newest state received at this instant. On sockets it answers one
     /// received just before, and each state is answered once.
     fn check_fresh(&mut self, now_us: u64) {
-        let on_its_way_s = self.on_its_way_s;
-        let is_now = |state: &State| seconds(state.heard_us, now_us).abs() <= on_its_way_s;
+        let in_transit_s = self.in_transit_s;
+        let is_now = |state: &State| seconds(state.received_us, now_us).abs() <= in_transit_s;
         let newest = self.states.iter().copied().filter(is_now);
         // On a socket, an old copy that arrived last need not be the answered state.
-        let came_us = |state: &State| if on_its_way_s > 0.0 { 0 } else { state.due_us };
-        let newest = newest.max_by_key(|state| (came_us(state), state.said_us));
-        let answered = self.states.iter().position(is_now).filter(|_| on_its_way_s > 0.0);
+        let arrival_us = |state: &State| if in_transit_s > 0.0 { 0 } else { state.arrival_us };
+        let newest = newest.max_by_key(|state| (arrival_us(state), state.sent_us));
+        let answered = self.states.iter().position(is_now).filter(|_| in_transit_s > 0.0);
         self.states.drain(..answered.map_or(self.states.len(), |first| first + 1));
         let Some(state) = newest else {
             return self.violated(Rule::Fresh, now_us, "it answers no state that has just arrived");
         };
         // Without a common clock, a constant delay of the link cannot be detected.
         let base_s = self.quickest_us as f64 * 1e-6;
-        let age_s = seconds(state.said_us, now_us);
-        if age_s > LATE_S + LOOK_S + STALL_S + 3.0 * base_s + on_its_way_s {
+        let age_s = seconds(state.sent_us, now_us);
+        if age_s > LATE_S + LOOK_S + STALL_S + 3.0 * base_s + in_transit_s {
             let what =
                 format!("the newest state is {age_s:.3} s old, the fastest one was {base_s:.3} s");
             self.violated(Rule::Fresh, now_us, what);
         }
-        let early_s = seconds(state.due_us, self.woke_us);
+        let early_s = seconds(state.arrival_us, self.woke_us);
         if early_s > 0.015 {
             let what = format!("the newest state arrived {early_s:.3} s before the stall's end");
             self.violated(Rule::Stalled, now_us, what);
@@ -263,7 +265,7 @@ impl Judge {
     }
 
     fn check_mode(&mut self, now_us: u64) {
-        self.notice_release(now_us);
+        self.detect_release(now_us);
         let is_stopped = self.disarmed_us.is_some_and(|at| self.is_known_since(at, now_us));
         if is_stopped && self.policy == EngagePolicy::Command {
             self.violated(
@@ -273,7 +275,7 @@ impl Judge {
             );
         }
         if let Some(land_us) = self.land_us
-            && seconds(land_us, now_us) > HANDOVER_S + LOOK_S + self.on_its_way_s
+            && seconds(land_us, now_us) > HANDOVER_S + LOOK_S + self.in_transit_s
         {
             let what = format!("{:.2} s after the landing request", seconds(land_us, now_us));
             self.violated(Rule::AfterLanding, now_us, what);
@@ -284,22 +286,23 @@ impl Judge {
             }
             return;
         };
-        if mode.word == self.bounds.obeys {
+        if mode.custom_mode == self.bounds.obeys {
             // Under the pilot's switch a hold is offered on the ground, whatever the mode.
             self.flew |= self.policy == EngagePolicy::Command || self.armed == Some(true);
-            let known_s = seconds(mode.heard_us, now_us);
-            if known_s > MODE_KNOWN_S + LOOK_S + self.on_its_way_s {
+            let known_s = seconds(mode.received_us, now_us);
+            if known_s > MODE_KNOWN_S + LOOK_S + self.in_transit_s {
                 let what = format!("the vehicle last reported its mode {known_s:.2} s ago");
                 self.violated(Rule::OldMode, now_us, what);
             }
-            if mode.said_us < self.silent_us {
+            if mode.sent_us < self.silent_us {
                 let what =
                     "the vehicle reported its mode before the link fell silent, and not since";
                 self.violated(Rule::OldMode, now_us, what);
             }
         } else if self.flew && self.left_us.is_none_or(|left| self.is_known_since(left, now_us)) {
             let left_s = self.left_us.map_or(0.0, |left| seconds(left, now_us));
-            let what = format!("{left_s:.3} s after the vehicle reported mode {:#x}", mode.word);
+            let what =
+                format!("{left_s:.3} s after the vehicle reported mode {:#x}", mode.custom_mode);
             self.violated(Rule::AgainstThePilot, now_us, what);
         }
     }
@@ -307,13 +310,13 @@ impl Judge {
     /// Whether a report at `at_us` must be known to a setpoint that leaves now, given its time in
     /// transit.
     fn is_known_since(&self, at_us: u64, now_us: u64) -> bool {
-        seconds(at_us, now_us) >= self.on_its_way_s
+        seconds(at_us, now_us) >= self.in_transit_s
     }
 
     /// Under the pilot's switch a new flight may begin once the vehicle was in another mode for a
     /// while: setpoints that leave then are an offer.
-    fn notice_release(&mut self, now_us: u64) {
-        let least_s = RELEASE_S - LOOK_S - self.on_its_way_s;
+    fn detect_release(&mut self, now_us: u64) {
+        let least_s = RELEASE_S - LOOK_S - self.in_transit_s;
         let is_released = self.left_us.is_some_and(|left| seconds(left, now_us) >= least_s);
         if self.policy == EngagePolicy::PilotSwitch && is_released {
             (self.flew, self.disarmed_us, self.land_us) = (false, None, None);
@@ -321,7 +324,7 @@ impl Judge {
     }
 
     fn commanded(&mut self, now_us: u64, frame: &[u8]) {
-        let Some(MavMessage::COMMAND_LONG(data)) = word::message(frame) else { return };
+        let Some(MavMessage::COMMAND_LONG(data)) = frame_content::message(frame) else { return };
         let sets_mode = data.command == MavCmd::MAV_CMD_DO_SET_MODE;
         // The vehicle itself refuses to disarm in the air.
         let arms = data.command == MavCmd::MAV_CMD_COMPONENT_ARM_DISARM && data.param1 != 0.0;
@@ -337,20 +340,22 @@ impl Judge {
         }
         let led = self.mode.filter(|mode| {
             self.flew
-                && mode.word != self.bounds.obeys
-                && mode.word != self.bounds.lands
+                && mode.custom_mode != self.bounds.obeys
+                && mode.custom_mode != self.bounds.lands
                 && self.left_us.is_none_or(|left| self.is_known_since(left, now_us))
         });
         if let Some(mode) = led.filter(|_| self.policy == EngagePolicy::Command) {
-            let what =
-                format!("{:?} while the vehicle reported mode {:#x}", data.command, mode.word);
+            let what = format!(
+                "{:?} while the vehicle reported mode {:#x}",
+                data.command, mode.custom_mode
+            );
             self.violated(Rule::Commands, now_us, what);
         }
     }
 
     /// Takes a frame from the station that reaches the vehicle.
     pub(super) fn reached(&mut self, now_us: u64, frame: &[u8]) {
-        if word::id(frame) == Some(word::SET_ATTITUDE_TARGET) {
+        if frame_content::id(frame) == Some(frame_content::SET_ATTITUDE_TARGET) {
             self.reached_us = Some(now_us);
         }
     }

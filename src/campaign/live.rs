@@ -11,7 +11,7 @@ use sitl::autopilot::VehicleRefused;
 use super::aircraft::Aircraft;
 use super::channel::Channel;
 use super::coverage::Coverage;
-use super::judge::{Ending, Judge, ON_ITS_WAY_S};
+use super::judge::{Ending, IN_TRANSIT_S, Judge};
 use super::kit::{Flown, Kit};
 use super::process::Process;
 use super::relay::Relay;
@@ -89,14 +89,14 @@ pub fn fly(
         process: Some(process),
         aircraft: Aircraft::new(script, kit, epoch)?,
         channel: Channel::new(script.seed),
-        judge: Judge::new(script, kit.bounds, &kit.path).patient(ON_ITS_WAY_S),
+        judge: Judge::new(script, kit.bounds, &kit.path).patient(IN_TRANSIT_S),
         coverage: Coverage::default(),
         relay,
         now_us: 0,
         begun_us: 0,
         seen_us: 0,
         stopped_us: 0,
-        is_asked: false,
+        is_end_requested: false,
         end: None,
     };
     stage.fly(stop)?;
@@ -121,7 +121,7 @@ struct Stage<'a> {
     /// When the process was stopped.
     stopped_us: u64,
     /// Whether the process was asked to end.
-    is_asked: bool,
+    is_end_requested: bool,
     /// Exit status of the process, once it ended.
     end: Option<ExitStatus>,
 }
@@ -140,7 +140,7 @@ impl Stage<'_> {
                 return Err(NotFlown::Interrupted);
             }
             let wall_us = self.relay.now_us();
-            self.hear_station()?;
+            self.receive_from_station()?;
             self.follow(wall_us)?;
             if self.end.is_none() {
                 self.end = self.process.as_mut().map_or(Ok(None), Process::ended)?;
@@ -175,11 +175,11 @@ impl Stage<'_> {
     }
 
     /// Puts the station's frames onto the way up.
-    fn hear_station(&mut self) -> io::Result<()> {
+    fn receive_from_station(&mut self) -> io::Result<()> {
         let Self { relay, judge, channel, script, .. } = self;
         relay.take(|sent_us, frame| {
-            judge.said(sent_us, frame);
-            channel.answer(&script.faults, sent_us, frame);
+            judge.station_sent(sent_us, frame);
+            channel.send_up(&script.faults, sent_us, frame);
         })
     }
 
@@ -187,9 +187,9 @@ impl Stage<'_> {
     fn follow(&mut self, wall_us: u64) -> Result<(), NotFlown> {
         loop {
             self.begin_faults()?;
-            self.aircraft.speak(self.now_us, &mut self.channel);
-            while let Some(frame) = self.channel.heard(self.now_us) {
-                self.judge.heard(self.relay.now_us(), &frame);
+            self.aircraft.send(self.now_us, &mut self.channel);
+            while let Some(frame) = self.channel.receive_down(self.now_us) {
+                self.judge.station_received(self.relay.now_us(), &frame);
                 self.relay.send(&frame.bytes);
             }
             self.aircraft.listen(self.now_us, &mut self.channel, &mut self.judge);
@@ -238,7 +238,7 @@ impl Stage<'_> {
             None => {
                 let mut command = (self.station)(self.relay.station_port())?;
                 self.judge.restarted(self.now_us);
-                self.is_asked = false;
+                self.is_end_requested = false;
                 self.process.insert(Process::start(&mut command)?)
             }
         };
@@ -251,9 +251,9 @@ impl Stage<'_> {
             process.hold(is_stopped);
         }
         let is_over = self.script.policy == EngagePolicy::PilotSwitch && self.now_us >= SWITCHED_US;
-        if is_over && !self.is_asked {
-            self.is_asked = true;
-            process.ask_to_end();
+        if is_over && !self.is_end_requested {
+            self.is_end_requested = true;
+            process.request_end();
         }
         Ok(())
     }

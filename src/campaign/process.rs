@@ -39,7 +39,7 @@ impl Process {
     }
 
     /// Asks it to land and to end, like Ctrl-C.
-    pub fn ask_to_end(&mut self) {
+    pub fn request_end(&mut self) {
         self.signal(libc::SIGINT);
     }
 

@@ -41,10 +41,10 @@ impl Relay {
     /// # Errors
     /// The station does not listen within `limit`.
     pub fn await_station(&mut self, limit: Duration) -> io::Result<()> {
-        let asked = Instant::now();
+        let started = Instant::now();
         // If nothing listens at the port, the send after an empty datagram is refused.
         while self.is_refused() {
-            if asked.elapsed() > limit {
+            if started.elapsed() > limit {
                 let message = "it does not listen on its port";
                 return Err(io::Error::new(io::ErrorKind::TimedOut, message));
             }

@@ -3,7 +3,7 @@
 use wire::dialect::*;
 
 use super::script::{Fault, Timed};
-use super::{signing, word};
+use super::{frame_content, signing};
 
 /// A clock offset this close to the 32-bit wrap of milliseconds, us.
 const BEFORE_WRAP_US: i64 = 4_294_967_296_000 - 12_000_000;
@@ -23,12 +23,13 @@ impl Tamper {
         if !is_frozen {
             self.frozen = None;
         }
-        let is_told = acting().any(|timed| changes_state(&timed.fault)) && word::is_state(frame);
-        let is_stamped = offset_us != 0 && !word::is_mode(frame);
-        if !(is_told || is_stamped) {
+        let is_changed =
+            acting().any(|timed| changes_state(&timed.fault)) && frame_content::is_state(frame);
+        let is_stamped = offset_us != 0 && !frame_content::is_mode(frame);
+        if !(is_changed || is_stamped) {
             return frame.to_vec();
         }
-        let Some(mut message) = word::message(frame) else { return frame.to_vec() };
+        let Some(mut message) = frame_content::message(frame) else { return frame.to_vec() };
         if is_frozen {
             self.freeze(&mut message);
         }
@@ -36,9 +37,9 @@ impl Tamper {
             spoil(&timed.fault, &mut message);
         }
         let old_s: f64 = acting().map(|timed| old_by_s(&timed.fault)).sum();
-        let old_us = if word::is_state(frame) { (old_s * 1e6) as i64 } else { 0 };
+        let old_us = if frame_content::is_state(frame) { (old_s * 1e6) as i64 } else { 0 };
         stamp(&mut message, offset_us, offset_us - old_us);
-        word::in_place_of(frame, &message, &signing::key())
+        frame_content::in_place_of(frame, &message, &signing::key())
     }
 
     /// Replaces a state by an earlier one, under the new stamp.

@@ -11,7 +11,7 @@ use super::lap_course::{self, Lines};
 use super::screen::Screen;
 use super::status_line::StatusLine;
 use super::stop::Stop;
-use super::{Exit, ExitContext, say};
+use super::{Exit, ExitContext, print_status};
 use crate::cli::{
     FlightViewArgs, ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs,
 };
@@ -43,7 +43,7 @@ pub(super) struct Audience {
     line: Option<StatusLine>,
     health: Option<HealthView>,
     /// Changes of the vehicle that were said.
-    said: u64,
+    reported: u64,
     /// Messages of a learner for the terminal.
     lines: Option<Lines>,
 }
@@ -56,8 +56,8 @@ impl Audience {
         run: &RunInfo,
         course: &Course,
     ) -> anyhow::Result<Self> {
-        let Some(asked) = &args.view else { return Ok(Self::default()) };
-        Self::seen(view_settings(asked, run, config), run, course)
+        let Some(requested) = &args.view else { return Ok(Self::default()) };
+        Self::seen(view_settings(requested, run, config), run, course)
     }
 
     /// The same of a flight, in which viewers may have a say.
@@ -67,12 +67,12 @@ impl Audience {
         run: &RunInfo,
         course: &Course,
     ) -> anyhow::Result<Self> {
-        let Some(asked) = &args.watch.view else { return Ok(Self::default()) };
+        let Some(requested) = &args.watch.view else { return Ok(Self::default()) };
         let is_writable = args.view_write;
-        let settings = ViewSettings { is_writable, ..view_settings(asked, run, config) };
+        let settings = ViewSettings { is_writable, ..view_settings(requested, run, config) };
         let audience = Self::seen(settings, run, course)?;
         if is_writable {
-            say(format_args!("viewers may move the goal and scale the feedback"));
+            print_status(format_args!("viewers may move the goal and scale the feedback"));
         }
         Ok(audience)
     }
@@ -80,7 +80,7 @@ impl Audience {
     fn seen(settings: ViewSettings, run: &RunInfo, course: &Course) -> anyhow::Result<Self> {
         let (view, feed) =
             LiveView::start(settings, &run.rotors, path(course)).or_exit(Exit::Usage)?;
-        say_address(view.address());
+        print_address(view.address());
         Ok(Self { view: Some(view), listeners: vec![Box::new(feed)], ..Self::default() })
     }
 
@@ -110,8 +110,8 @@ impl Audience {
     /// Adds a learner as a listener, if there is one.
     pub fn learning(mut self, learner: Option<LapLearner>) -> anyhow::Result<Self> {
         if let Some(learner) = learner {
-            let (ear, lines) = lap_course::start(learner)?;
-            self.listeners.push(Box::new(ear));
+            let (queue, lines) = lap_course::start(learner)?;
+            self.listeners.push(Box::new(queue));
             self.lines = Some(lines);
         }
         Ok(self)
@@ -119,17 +119,18 @@ impl Audience {
 
     /// The same, with what monitors ask.
     pub fn served(mut self, args: &ServiceArgs) -> anyhow::Result<Self> {
-        if let Some(asked) = &args.metrics {
-            let service = Service::start(&address(asked, METRICS_ADDRESS)).or_exit(Exit::Usage)?;
-            say(format_args!("metrics at http://{}/metrics", service.address()));
+        if let Some(requested) = &args.metrics {
+            let service =
+                Service::start(&address(requested, METRICS_ADDRESS)).or_exit(Exit::Usage)?;
+            print_status(format_args!("metrics at http://{}/metrics", service.address()));
             self.service = Some(service);
         }
         Ok(self)
     }
 
     /// The same, on the whole terminal.
-    pub fn on_screen(mut self, is_asked: bool, run: &RunInfo) -> anyhow::Result<Self> {
-        if is_asked {
+    pub fn on_screen(mut self, is_requested: bool, run: &RunInfo) -> anyhow::Result<Self> {
+        if is_requested {
             let view = self.view.as_ref().map(|view| format!("   http://{}/", view.address()));
             let view = view.unwrap_or_default();
             let screen = Screen::start(format!("downwash: {}, {}{view}", run.vehicle, run.run))?;
@@ -167,15 +168,15 @@ impl Audience {
             view.show(now, status);
         }
         if let Some(health) = self.health.as_ref().map(HealthView::get)
-            && health.count > self.said
+            && health.count > self.reported
         {
-            self.said = health.count;
+            self.reported = health.count;
             if self.screen.is_none() {
-                say(format_args!("{}", health.latest.unwrap_or_default()));
+                print_status(format_args!("{}", health.latest.unwrap_or_default()));
             }
         }
         if let Some(lines) = self.lines.as_ref().filter(|_| self.screen.is_none()) {
-            lines.try_iter().for_each(|line| say(format_args!("{line}")));
+            lines.try_iter().for_each(|line| print_status(format_args!("{line}")));
         }
         if let Some(service) = &self.service {
             service.show(now, status, self.health.as_ref());
@@ -196,21 +197,21 @@ impl Audience {
 }
 
 /// Says where the view is.
-pub(super) fn say_address(address: std::net::SocketAddr) {
-    say(format_args!("view at http://{address}/ (Foxglove: ws://{address})"));
+pub(super) fn print_address(address: std::net::SocketAddr) {
+    print_status(format_args!("view at http://{address}/ (Foxglove: ws://{address})"));
     if !address.ip().is_loopback() {
-        say(format_args!("anyone who can reach {address} can watch"));
+        print_status(format_args!("anyone who can reach {address} can watch"));
     }
 }
 
-/// `asked` may leave the host or the port out.
-pub(super) fn view_settings(asked: &str, run: &RunInfo, config: &Config) -> ViewSettings {
+/// `requested` may leave the host or the port out.
+pub(super) fn view_settings(requested: &str, run: &RunInfo, config: &Config) -> ViewSettings {
     let settings = config.rows().map(|(name, value, _)| {
         let text = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
         (name, text)
     });
     ViewSettings {
-        address: address(asked, VIEW_ADDRESS),
+        address: address(requested, VIEW_ADDRESS),
         name: format!("downwash: {}, {}", run.vehicle, run.run),
         parameters: settings.collect::<BTreeMap<_, _>>(),
         playback: None,
@@ -218,18 +219,18 @@ pub(super) fn view_settings(asked: &str, run: &RunInfo, config: &Config) -> View
     }
 }
 
-/// `HOST:PORT`, of which `asked` may lack either: `usual` has them.
-pub(super) fn address(asked: &str, usual: &str) -> String {
+/// `HOST:PORT`, of which `requested` may lack either: `usual` has them.
+pub(super) fn address(requested: &str, usual: &str) -> String {
     let (host, port) = usual.split_once(':').unwrap_or((usual, "0"));
     let is_port = |text: &str| text.parse::<u16>().is_ok();
-    match asked.rsplit_once(':') {
+    match requested.rsplit_once(':') {
         Some(("", given)) if is_port(given) => format!("{host}:{given}"),
         // The colons of an IPv6 address stand in brackets.
         Some((given, end)) if is_port(end) && (!given.contains(':') || given.ends_with(']')) => {
-            asked.to_owned()
+            requested.to_owned()
         }
-        None if is_port(asked) => format!("{host}:{asked}"),
-        _ => format!("{asked}:{port}"),
+        None if is_port(requested) => format!("{host}:{requested}"),
+        _ => format!("{requested}:{port}"),
     }
 }
 
@@ -254,7 +255,7 @@ mod tests {
 
     #[test]
     fn address_host_and_port_have_defaults() {
-        for (asked, expected) in [
+        for (requested, expected) in [
             ("9000", "127.0.0.1:9000"),
             (":9000", "127.0.0.1:9000"),
             ("0.0.0.0", "0.0.0.0:8765"),
@@ -262,7 +263,7 @@ mod tests {
             ("[::1]:9000", "[::1]:9000"),
             ("lab:0", "lab:0"),
         ] {
-            assert_eq!(address(asked, VIEW_ADDRESS), expected, "{asked}");
+            assert_eq!(address(requested, VIEW_ADDRESS), expected, "{requested}");
         }
     }
 }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::{Exit, ExitContext, print_json, print_text, say};
+use super::{Exit, ExitContext, print_json, print_status, print_text};
 use crate::audit::{Agreement, Audit, Estimate, Severity};
 use crate::cli::FailOnFinding;
 use crate::diagnose::verdict::untestable::{self, Untestable};
@@ -62,7 +62,7 @@ pub(super) fn run(
     let logs = &summary.logs;
     // One log that is none keeps nothing back of the others.
     let last = refused.pop();
-    refused.iter().for_each(|error| say(format_args!("{error}")));
+    refused.iter().for_each(|error| print_status(format_args!("{error}")));
     if logs.is_empty() {
         return last.map_or(Ok(()), Err).or_exit(Exit::Usage).map(|()| Exit::Ok);
     }

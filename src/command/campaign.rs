@@ -20,7 +20,9 @@ use vehicle::bounded;
 use self::kit::kit;
 use super::progress::count_bar;
 use super::rows::{Folder, Header, Numbered, Rows, interrupted};
-use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say, write_file};
+use super::{
+    Exit, ExitContext, Interruption, in_words, print_json, print_status, print_text, write_file,
+};
 use crate::campaign::bench;
 use crate::campaign::coverage::Coverage;
 use crate::campaign::draw;
@@ -168,7 +170,10 @@ pub(super) fn run(args: &CampaignArgs, interruption: &Interruption) -> anyhow::R
     let flown = campaign.fly(&stop)?;
     let summary = campaign.summary(&stop)?;
     let wall_s = began.elapsed().as_secs_f64();
-    say(format_args!("{flown} flights in {wall_s:.1} s: {:.1} a second", flown as f64 / wall_s));
+    print_status(format_args!(
+        "{flown} flights in {wall_s:.1} s: {:.1} a second",
+        flown as f64 / wall_s
+    ));
     if args.json {
         print_json(&summary)?;
     } else {

@@ -23,7 +23,9 @@ use super::setup::{capability, required};
 use super::simulation::Truth;
 use super::stop::StopSignals;
 use super::vehicle_file::VehicleFile;
-use super::{Exit, ExitContext, Interruption, config, print_json, print_text, say, write_file};
+use super::{
+    Exit, ExitContext, Interruption, config, print_json, print_status, print_text, write_file,
+};
 use crate::cli::CollectArgs;
 use crate::config::Config;
 use crate::log::info::TrackingInfo;
@@ -205,7 +207,7 @@ fn fly(
     if strange > 0 {
         let (logs, are, them) =
             if strange == 1 { ("log", "is", "it") } else { ("logs", "are", "them") };
-        say(format_args!(
+        print_status(format_args!(
             "{}: {strange} {logs} of another programme, vehicle or truth {are} there too; training \
              on the whole folder includes {them}",
             args.out.display()
@@ -213,9 +215,9 @@ fn fly(
     }
     let (mut rows, mut ahead) = (Vec::new(), Vec::new());
     for (index, (flight, fingerprint)) in flights.iter().zip(own).enumerate() {
-        let whole = |log: &&LogOf| log.is_whole(flight.trajectory.duration());
+        let is_complete = |log: &&LogOf| log.is_complete(flight.trajectory.duration());
         let here = || logs.get(&fingerprint).into_iter().flatten();
-        if let Some(log) = here().find(whole) {
+        if let Some(log) = here().find(is_complete) {
             rows.push(FlightRow::flown(flight, "kept", Exit::Ok, Some(log)));
             continue;
         }

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::output::refuse_input;
 use super::patience::Patience;
-use super::{Exit, ExitContext, print_json, print_text, say, write_file};
+use super::{Exit, ExitContext, print_json, print_status, print_text, write_file};
 use crate::cli::{AlignChoice, CompareArgs, PairChoice};
 use crate::log::LogReader;
 use crate::log::import::{self, Flight, ImportError};
@@ -105,7 +105,7 @@ pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
     }
     let flight = flight?;
     if is_own {
-        say(format_args!(
+        print_status(format_args!(
             "{}: no trajectory was followed; comparing the whole flight",
             log.display()
         ));
@@ -130,9 +130,10 @@ fn run_facts(run: &BTreeMap<String, String>) -> BTreeMap<String, String> {
 fn recorded_facts(flight: &Flight) -> BTreeMap<String, String> {
     let mut facts = BTreeMap::from([("format".to_owned(), flight.origin.format.to_owned())]);
     let stated = &flight.facts;
-    let said = [("autopilot", &stated.autopilot), ("frame", &stated.frame)];
-    facts
-        .extend(said.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value.clone()?))));
+    let texts = [("autopilot", &stated.autopilot), ("frame", &stated.frame)];
+    facts.extend(
+        texts.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value.clone()?))),
+    );
     facts.extend(stated.motors.map(|motors| ("motors".to_owned(), motors.to_string())));
     let parameters = stated.parameters.iter();
     facts.extend(parameters.map(|(key, value)| (format!("parameter {key}"), value.to_string())));

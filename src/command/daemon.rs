@@ -7,13 +7,13 @@ use anyhow::Context;
 
 use super::audience::Audience;
 use super::course::Course;
-use super::fly::{tee, tell_tlog, watch};
+use super::fly::{print_tlog_loss, tee, watch};
 use super::setup::endpoint;
 use super::setup::{required, run_info, station_settings};
 use super::signing_state::SigningState;
 use super::stop::{Stop, StopSignals};
 use super::vehicle_file::VehicleFile;
-use super::{Exit, Interruption, config, say, summary};
+use super::{Exit, Interruption, config, print_status, summary};
 use crate::cli::DaemonArgs;
 use crate::daemon::{self, HostClock, Outlets};
 use crate::link::connection::Connection;
@@ -54,15 +54,15 @@ pub(super) fn run(args: &DaemonArgs, preparation: Interruption) -> anyhow::Resul
     let running = daemon::start(station, clock, Connection::new(endpoint), outlets)
         .context("cannot start the control thread")?;
     let finished = watch(running, clock, &mut audience, &mut signals);
-    tell_tlog(finished.tlog);
+    print_tlog_loss(finished.tlog);
     if let Err(error) = finished.log {
-        say(format_args!("{error}"));
+        print_status(format_args!("{error}"));
     }
     let (end, exit) = match signals.first() {
         // A service manager stops a service with SIGTERM; nothing failed.
         Some(Stop::Terminate) => ("stopped".to_owned(), Exit::Ok),
         stop => summary::end_in_words(finished.end.as_ref(), stop),
     };
-    say(format_args!("daemon {end}"));
+    print_status(format_args!("daemon {end}"));
     Ok(exit)
 }

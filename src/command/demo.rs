@@ -22,7 +22,7 @@ use super::setup::{built_in_trajectory, law_flag};
 use super::simulation::Truth;
 use super::train::{Learning, Resume, learn};
 use super::vehicle_file::VehicleFile;
-use super::{Exit, ExitContext, Interruption, config, say, write_file};
+use super::{Exit, ExitContext, Interruption, config, print_status, write_file};
 use crate::cli::{CollectArgs, Contestant, DemoArgs, SimulationArgs, TrainArgs};
 use crate::config::Config;
 use crate::learn::summary::TrainingSummary;
@@ -94,7 +94,7 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
     };
     let exit = demo.run(given, began)?;
     if exit == Exit::Interrupted {
-        say(format_args!(
+        print_status(format_args!(
             "run the same command again to continue with the complete flights in {}",
             args.out.display()
         ));
@@ -153,7 +153,7 @@ impl Demo<'_> {
         let args = self.args;
         let vehicle = args.out.join("vehicle.toml");
         write_file(&vehicle, self.vehicle.text.as_bytes())?;
-        say(format_args!("collecting {:.0} s of flight", args.learn));
+        print_status(format_args!("collecting {:.0} s of flight", args.learn));
         let out = args.out.join("collected");
         let collect = CollectArgs {
             config: args.config.clone(),
@@ -162,11 +162,11 @@ impl Demo<'_> {
         let (collected, exit) = gather(&collect, &self.config, &self.vehicle, None)?;
         if exit != Exit::Ok {
             for trouble in collected.troubles() {
-                say(format_args!("{trouble}"));
+                print_status(format_args!("{trouble}"));
             }
             return Ok(Err(exit));
         }
-        say(format_args!("learning from {} flights", collected.logs().len()));
+        print_status(format_args!("learning from {} flights", collected.logs().len()));
         let path = args.out.join("model.safetensors");
         let train = TrainArgs {
             report: Some(args.out.join("training")),
@@ -192,12 +192,13 @@ impl Demo<'_> {
             .as_ref()
             .context("a plan cannot be planned again; give a trajectory")
             .or_exit(Exit::Usage)?;
-        say(format_args!("planning through the {} model", kind.name()));
+        print_status(format_args!("planning through the {} model", kind.name()));
         let began = Instant::now();
-        let through = PlanModel::learned(&learned.file, kind, &sha256_of(&learned.path)?)?;
-        let plan = plan_trajectory(desired, &self.vehicle.params, &through, &self.config, &|_| {
-            self.interrupted.load(Ordering::Relaxed)
-        })?;
+        let plan_model = PlanModel::learned(&learned.file, kind, &sha256_of(&learned.path)?)?;
+        let plan =
+            plan_trajectory(desired, &self.vehicle.params, &plan_model, &self.config, &|_| {
+                self.interrupted.load(Ordering::Relaxed)
+            })?;
         let wall_s = began.elapsed().as_secs_f64();
         let path = self.args.out.join(format!("plan-{}.json", contestant.name()));
         write_file(&path, plan.to_json().context("the plan")?.as_bytes())?;
@@ -220,8 +221,8 @@ impl Demo<'_> {
             .clone()
             .context("a plan cannot be planned again; give a trajectory")
             .or_exit(Exit::Usage)?;
-        let through = PlanModel::learned(&learned.file, kind, &sha256_of(&learned.path)?)?;
-        let (planner, answer) = planner(&self.vehicle.params, &through, &self.config)?;
+        let plan_model = PlanModel::learned(&learned.file, kind, &sha256_of(&learned.path)?)?;
+        let (planner, answer) = planner(&self.vehicle.params, &plan_model, &self.config)?;
         let settings = self.config.settings.plan.receding.for_loop(false);
         let reference = RecedingReference::inline(goal.clone(), planner, answer, settings);
         Ok(Course::Receding { goal, reference: Arc::new(reference) })

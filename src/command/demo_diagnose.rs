@@ -27,7 +27,8 @@ use super::setup::built_in_trajectory;
 use super::simulation::{Simulated, SimulatedFlight, Truth};
 use super::vehicle_file::VehicleFile;
 use super::{
-    Exit, ExitContext, Interruption, config, print_json, print_text, say, summary, write_file,
+    Exit, ExitContext, Interruption, config, print_json, print_status, print_text, summary,
+    write_file,
 };
 use crate::cli::{CollectArgs, DemoArgs, SimulationArgs};
 use crate::config::Config;
@@ -181,7 +182,7 @@ impl Loop<'_> {
             Ok(logs) => logs,
             Err(exit) => return Ok(exit),
         };
-        say(format_args!("diagnosing {} flights", logs.len()));
+        print_status(format_args!("diagnosing {} flights", logs.len()));
         let diagnosing = Instant::now();
         let diagnosis = self.diagnose(&logs)?;
         let diagnosis_wall_s = diagnosing.elapsed().as_secs_f64();
@@ -228,7 +229,7 @@ impl Loop<'_> {
     /// told.
     fn excite(&self) -> anyhow::Result<Result<Vec<PathBuf>, Exit>> {
         let args = self.args;
-        say(format_args!("flying {:.0} s to see its effect", args.excite));
+        print_status(format_args!("flying {:.0} s to see its effect", args.excite));
         let out = args.out.join("excited");
         let collect = CollectArgs {
             config: args.config.clone(),
@@ -236,10 +237,13 @@ impl Loop<'_> {
         };
         let (collected, exit) = gather(&collect, &self.config, &self.shipped, None)?;
         for trouble in collected.troubles() {
-            say(format_args!("{trouble}"));
+            print_status(format_args!("{trouble}"));
         }
         if exit == Exit::Interrupted {
-            say(format_args!("interrupted: the flights so far are in {}", args.out.display()));
+            print_status(format_args!(
+                "interrupted: the flights so far are in {}",
+                args.out.display()
+            ));
         }
         Ok(if exit == Exit::Ok { Ok(collected.logs()) } else { Err(exit) })
     }
@@ -275,9 +279,10 @@ impl Loop<'_> {
             twins: TWINS,
             discover: !self.truth.effects.laws().is_empty(),
         };
-        let diagnosis = diagnose(&case, &settings, &|stage| say(format_args!("... {stage}")))
-            .or_exit(Exit::Usage)?;
-        say(format_args!("{}", diagnosis.answer.finding.sentence));
+        let diagnosis =
+            diagnose(&case, &settings, &|stage| print_status(format_args!("... {stage}")))
+                .or_exit(Exit::Usage)?;
+        print_status(format_args!("{}", diagnosis.answer.finding.sentence));
         Ok(diagnosis)
     }
 
@@ -296,10 +301,10 @@ impl Loop<'_> {
 
     /// The trajectory, planned through the physics of a vehicle file.
     fn plan(&self, name: &str, vehicle: &VehicleFile) -> anyhow::Result<(Course, PathBuf)> {
-        say(format_args!("planning with the vehicle file {name}"));
-        let through = PlanModel::nominal(&vehicle.params)?;
+        print_status(format_args!("planning with the vehicle file {name}"));
+        let plan_model = PlanModel::nominal(&vehicle.params)?;
         let plan =
-            plan_trajectory(&self.desired, &vehicle.params, &through, &self.config, &|_| {
+            plan_trajectory(&self.desired, &vehicle.params, &plan_model, &self.config, &|_| {
                 self.interrupted.load(Ordering::Relaxed)
             })?;
         let path = self.args.out.join(format!("plan-{}.json", name.replace(' ', "-")));
@@ -333,12 +338,12 @@ impl Loop<'_> {
             let track = Track::new(&report, &self.desired, reference.as_ref(), hover_thrust_n);
             tracks.extend((!track.is_empty()).then_some(track));
             logs.push(log);
-            let (words, exit) = summary::end_in_words(Some(&end), None);
+            let (text, exit) = summary::end_in_words(Some(&end), None);
             if end != End::Done {
-                say(format_args!("{name} did not end as planned: {words}"));
+                print_status(format_args!("{name} did not end as planned: {text}"));
             }
             if ended.as_ref().is_none_or(|(_, worst)| *worst == Exit::Ok) {
-                ended = Some((words, exit));
+                ended = Some((text, exit));
             }
         }
         let (end, exit) = ended.unwrap_or_else(|| ("not flown".to_owned(), Exit::Failure));

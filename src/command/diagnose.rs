@@ -18,7 +18,9 @@ use super::output::{create_report_folder, refuse_input};
 use super::patience::Patience;
 use super::setup::capability;
 use super::vehicle_file::warn;
-use super::{Exit, ExitContext, config, in_words, print_json, print_text, say, write_file};
+use super::{
+    Exit, ExitContext, config, in_words, print_json, print_status, print_text, write_file,
+};
 use crate::audit::{Audit, UnusableSpan};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::words::report;
@@ -65,7 +67,7 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     }
     // An interruption ends the whole process.
     let never = Arc::default();
-    find(args, &never, &|stage| say(format_args!("... {stage}")))?.tell()
+    find(args, &never, &|stage| print_status(format_args!("... {stage}")))?.print()
 }
 
 /// Diagnoses, and writes what does not hang on the answer's form: the next flight and the evidence.
@@ -108,7 +110,9 @@ pub fn find(
             Ok(flight) if index >= old => new.push(flight),
             Ok(flight) if args.holdout.contains(path) => held_out.push(flight),
             Ok(flight) => fitted.push(flight),
-            Err(error) => say(format_args!("{}: left out: {}", path.display(), in_words(&error))),
+            Err(error) => {
+                print_status(format_args!("{}: left out: {}", path.display(), in_words(&error)))
+            }
         }
         logs.extend(log.audit);
     }
@@ -138,7 +142,7 @@ pub fn find(
     }
     if held_out.is_empty() {
         if blocked {
-            say(format_args!(
+            print_status(format_args!(
                 "one flight: its second part is held out, {GUARD_S} s after the first"
             ));
         }
@@ -162,7 +166,9 @@ pub fn find(
         let next = propose(args, &proposing, &vehicle, &diagnosis)?;
         match &next {
             Some(next) => write_file(path, next.file.as_bytes())?,
-            None => say(format_args!("no next flight is needed, or none would add information")),
+            None => print_status(format_args!(
+                "no next flight is needed, or none would add information"
+            )),
         }
         diagnosis.answer.next_flight = next;
     }
@@ -181,7 +187,7 @@ impl Finding {
     /// # Errors
     /// None that is known: of writing JSON.
     pub fn to_json(&self) -> anyhow::Result<String> {
-        serde_json::to_string_pretty(&self.told()).context("the answer")
+        serde_json::to_string_pretty(&self.answer_document()).context("the answer")
     }
 
     /// The report, one page.
@@ -222,12 +228,12 @@ impl Finding {
         additions.to_file(&text, vehicle, forms)
     }
 
-    fn told(&self) -> Told<'_> {
+    fn answer_document(&self) -> Told<'_> {
         Told { schema: "downwash.diagnose", schema_version: 2, answer: &self.answer }
     }
 
     /// Writes what was asked for, and prints the answer.
-    fn tell(&self) -> anyhow::Result<Exit> {
+    fn print(&self) -> anyhow::Result<Exit> {
         let Self { args, answer, .. } = self;
         if let Some(folder) = &args.report {
             write_file(&folder.join("report.html"), self.to_html().as_bytes())?;
@@ -239,13 +245,14 @@ impl Finding {
         if let Some(path) = &args.law {
             match self.law()? {
                 Some(law) => write_file(path, law.as_bytes())?,
-                None => {
-                    say(format_args!("{}: not written, because no law is named", path.display()))
-                }
+                None => print_status(format_args!(
+                    "{}: not written, because no law is named",
+                    path.display()
+                )),
             }
         }
         if args.json {
-            print_json(&self.told())?;
+            print_json(&self.answer_document())?;
         } else {
             print_text(&self.to_text())?;
         }
@@ -294,7 +301,7 @@ pub(super) fn audited(
     let open = |path: &PathBuf| {
         let mut flight = open_for(path, mapping, vehicle)?;
         if Onboard::new(vehicle)?.complete_outputs(&mut flight) {
-            say(format_args!(
+            print_status(format_args!(
                 "{}: motor outputs are not logged; computing them from the setpoints with the \
                  vehicle file's attitude_pd",
                 path.display()

@@ -12,7 +12,7 @@ use serde::Serialize;
 use self::findings::{Finding, Weight, findings};
 use self::observed::{Observed, Report};
 use super::listen::Listener;
-use super::{Exit, ExitContext, print_json, print_text, say};
+use super::{Exit, ExitContext, print_json, print_status, print_text};
 use crate::cli::DoctorArgs;
 use crate::link::silence::Silence;
 
@@ -41,11 +41,11 @@ pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
     };
     checked().or_exit(Exit::Usage)?;
     let mut listener = Listener::open(&args.listen, args.rates)?;
-    say(format_args!("listening on {} for {seconds} s", listener.endpoint));
+    print_status(format_args!("listening on {} for {seconds} s", listener.endpoint));
     let started = listener.clock.now();
     let mut observed = Observed::new(&listener.config);
     while listener.clock.now().since(started).as_secs_f64() < seconds {
-        listener.listen(STEP, |_, heard| observed.take(heard));
+        listener.listen(STEP, |_, delivery| observed.take(delivery));
         observed.follow(&mut listener);
     }
     let now = listener.clock.now();

@@ -34,7 +34,9 @@ pub(super) use self::laws::LawsSummary;
 pub(super) use self::onsets::OnsetsSummary;
 pub(super) use self::practice::PracticeSummary;
 pub(super) use self::questions::{Questions, settings};
-use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say, write_file};
+use super::{
+    Exit, ExitContext, Interruption, in_words, print_json, print_status, print_text, write_file,
+};
 use crate::cli::ExamArgs;
 use crate::exam::answer::Given;
 use crate::exam::case::Case;
@@ -64,7 +66,7 @@ pub(super) struct ExamSummary<'a> {
 pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     let seed = args.seed.unwrap_or_else(entropy);
     if args.practice.is_none() && args.decide.is_empty() {
-        say(format_args!("seed {seed}"));
+        print_status(format_args!("seed {seed}"));
     }
     if !args.decide.is_empty() {
         return decided::run(args);
@@ -112,7 +114,7 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
     let summary = Summary::new(&rows);
     let wall_s = [flights_s, began.elapsed().as_secs_f64() - flights_s];
     let provenance = exam::Provenance { seed, commitment: &hash, wall_s };
-    let whole = ExamSummary {
+    let exam_summary = ExamSummary {
         schema: "downwash.exam",
         schema_version: 1,
         seed,
@@ -123,8 +125,8 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
         cases: &rows,
     };
     write_file(&out.join("report.html"), exam::html(&summary, &rows, &provenance).as_bytes())?;
-    let exit = hall.conclude(&whole, &exam::text(&summary, &rows))?;
-    say(format_args!("report: {}", out.join("report.html").display()));
+    let exit = hall.conclude(&exam_summary, &exam::text(&summary, &rows))?;
+    print_status(format_args!("report: {}", out.join("report.html").display()));
     let misses = exit == Exit::Ok && args.fail_on_miss && !summary.holds();
     Ok(if misses { Exit::Check } else { exit })
 }
@@ -161,7 +163,7 @@ impl Hall<'_> {
     ) -> anyhow::Result<Vec<T>> {
         // A bar shows only on a terminal.
         if !io::stderr().is_terminal() {
-            say(format_args!("... {what} {count} cases"));
+            print_status(format_args!("... {what} {count} cases"));
         }
         let progress = progress_bar(count as u64, what);
         let next = AtomicUsize::new(0);
@@ -208,7 +210,7 @@ impl Hall<'_> {
             {
                 Ok(case) => case,
                 Err(error) => {
-                    say(format_args!("{name}: left out: {error}"));
+                    print_status(format_args!("{name}: left out: {error}"));
                     return Ok(None);
                 }
             };

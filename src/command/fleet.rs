@@ -25,7 +25,9 @@ use super::progress::count_bar;
 use super::rows::{Folder, Header, Rows, interrupted};
 use super::sweep::alone;
 use super::vehicle_file::warn;
-use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say, write_file};
+use super::{
+    Exit, ExitContext, Interruption, in_words, print_json, print_status, print_text, write_file,
+};
 use crate::cli::{DiagnoseArgs, FailOnVerdict, Shard};
 use crate::diagnose::answer::LogAnswer;
 use crate::diagnose::fleet::answer::{FleetAnswer, State, VehicleAnswer, effects_of};
@@ -86,13 +88,13 @@ pub(super) fn run(
             bar.set_length(of as u64);
             bar.set_position(done as u64);
         } else {
-            say(format_args!("... {stage}: {done} of {of} vehicles"));
+            print_status(format_args!("... {stage}: {done} of {of} vehicles"));
         }
     };
     let found = find(args, source, &stop, &progress);
     bar.finish_and_clear();
     match found? {
-        Some(finding) => finding.tell(args),
+        Some(finding) => finding.print(args),
         None => Ok(interrupted(&args.rows)),
     }
 }
@@ -359,7 +361,7 @@ impl Work<'_> {
 }
 
 impl FleetFinding {
-    fn told(&self) -> Told<'_> {
+    fn answer_document(&self) -> Told<'_> {
         Told { schema: "downwash.diagnose.fleet", schema_version: 1, answer: &self.answer }
     }
 
@@ -385,19 +387,20 @@ impl FleetFinding {
         additions.to_file(&text, &self.vehicle, [Form::of(&args.vehicle, &text), Form::of(out, "")])
     }
 
-    fn tell(&self, args: &DiagnoseArgs) -> anyhow::Result<Exit> {
+    fn print(&self, args: &DiagnoseArgs) -> anyhow::Result<Exit> {
         let Self { answer, vehicle, .. } = self;
         if let Some(folder) = &args.report {
             let page = html(answer, &vehicle.name);
             write_file(&folder.join("report.html"), page.as_bytes())?;
-            let json = serde_json::to_string_pretty(&self.told()).context("the answer")?;
+            let json =
+                serde_json::to_string_pretty(&self.answer_document()).context("the answer")?;
             write_file(&folder.join("report.json"), json.as_bytes())?;
         }
         if let Some(out) = &args.out {
             write_file(out, self.improved(args, out)?.as_bytes())?;
         }
         if args.json {
-            print_json(&self.told())?;
+            print_json(&self.answer_document())?;
         } else {
             print_text(&report(answer))?;
         }

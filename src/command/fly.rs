@@ -19,7 +19,9 @@ use super::setup::{endpoint, law_flag, path_flag, required, run_info, station_se
 use super::signing_state::SigningState;
 use super::stop::StopSignals;
 use super::vehicle_file::VehicleFile;
-use super::{Exit, ExitContext, Interruption, config, plan, print_json, print_text, say, summary};
+use super::{
+    Exit, ExitContext, Interruption, config, plan, print_json, print_status, print_text, summary,
+};
 use crate::cli::FlyArgs;
 use crate::config::Config;
 use crate::daemon::{self, Finished, HostClock, Outlets, Running};
@@ -102,7 +104,7 @@ pub(super) fn run(args: &FlyArgs, preparation: Interruption) -> anyhow::Result<E
     let flight =
         log.as_deref().map(summary::report_on).transpose()?.map(|report| report.summary().clone());
     if exit != Exit::Ok {
-        say(format_args!("flight {end}"));
+        print_status(format_args!("flight {end}"));
     }
     if args.json {
         print_json(&FlySummary {
@@ -168,8 +170,8 @@ fn learned(
     config: &Config,
 ) -> anyhow::Result<(Course, LapLearner)> {
     let lap = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
-    let through = plan::model_for(&vehicle.params, args.model.as_deref(), args.kind)?;
-    lap_course(&args.learning, lap, &through, vehicle, config, Clock::Wall)
+    let plan_model = plan::model_for(&vehicle.params, args.model.as_deref(), args.kind)?;
+    lap_course(&args.learning, lap, &plan_model, vehicle, config, Clock::Wall)
 }
 
 /// The trajectory as a goal that is planned to in flight, and that its file moves.
@@ -179,8 +181,8 @@ fn replanned(
     config: &Config,
 ) -> anyhow::Result<(Course, GoalFile)> {
     let goal = Trajectory::load(&args.trajectory).or_exit(Exit::Usage)?;
-    let through = plan::model_for(&vehicle.params, args.model.as_deref(), args.kind)?;
-    let (planner, answer) = plan::planner(&vehicle.params, &through, config)?;
+    let plan_model = plan::model_for(&vehicle.params, args.model.as_deref(), args.kind)?;
+    let (planner, answer) = plan::planner(&vehicle.params, &plan_model, config)?;
     let is_own_loop = vehicle.params.attitude_pd.is_none();
     let settings = config.settings.plan.receding.for_loop(is_own_loop);
     let reference = RecedingReference::threaded(goal.clone(), planner, answer, settings)
@@ -232,12 +234,15 @@ impl Run {
         let running = daemon::start(station, clock, Connection::new(endpoint), outlets)
             .context("cannot start the control thread")?;
         let finished = watch(running, clock, &mut audience, signals);
-        tell_tlog(finished.tlog);
+        print_tlog_loss(finished.tlog);
         let (end, exit) = summary::end_in_words(finished.end.as_ref(), signals.first());
         match finished.log {
             Ok(_) => Ok(Flown { end, exit, log: Some(path) }),
             Err(error) => {
-                say(format_args!("{error}; {} holds what was written until then", path.display()));
+                print_status(format_args!(
+                    "{error}; {} holds what was written until then",
+                    path.display()
+                ));
                 // A flight without its log did not go well.
                 let exit = if exit == Exit::Ok { Exit::Failure } else { exit };
                 Ok(Flown { end, exit, log: None })
@@ -258,7 +263,7 @@ pub(super) fn watch(
     let mut stopping = false;
     while !running.is_done() {
         let key = audience.show(clock.now(), &running.status());
-        key.into_iter().for_each(|stop| signals.ask(stop));
+        key.into_iter().for_each(|stop| signals.request(stop));
         if signals.wait(WATCH_PERIOD).or(key).is_some() {
             if !stopping {
                 tracing::warn!(
@@ -279,13 +284,13 @@ pub(super) fn system_flag(system: Option<u8>) -> Option<(&'static str, &'static 
 }
 
 /// Says what a telemetry log lacks.
-pub(super) fn tell_tlog(tlog: Option<io::Result<u64>>) {
+pub(super) fn print_tlog_loss(tlog: Option<io::Result<u64>>) {
     match tlog {
         None | Some(Ok(0)) => {}
-        Some(Ok(dropped)) => say(format_args!(
+        Some(Ok(dropped)) => print_status(format_args!(
             "the telemetry log lacks {dropped} messages: the disk was slower than the link"
         )),
-        Some(Err(error)) => say(format_args!("the telemetry log ends early: {error}")),
+        Some(Err(error)) => print_status(format_args!("the telemetry log ends early: {error}")),
     }
 }
 
@@ -300,7 +305,7 @@ pub(super) fn tee(path: &Path) -> anyhow::Result<TeeThread> {
         .with_context(|| format!("cannot create the telemetry log {}", path.display()))
         .or_exit(Exit::Usage)?;
     if at != path {
-        say(format_args!("{} already exists: writing {}", path.display(), at.display()));
+        print_status(format_args!("{} already exists: writing {}", path.display(), at.display()));
     }
     TeeThread::start(BufWriter::new(file)).context("cannot start the telemetry log's thread")
 }

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::output::refuse_input;
-use super::{Exit, ExitContext, print_json, print_text, say};
+use super::{Exit, ExitContext, print_json, print_status, print_text};
 use crate::audit::{Channels, Tier};
 use crate::log::import::{
     self, Choice, Clock, Flight, MotorSource, MotorUnit, SetpointSource, Stream, VehicleFacts,
@@ -85,7 +85,7 @@ pub(super) fn run(import: Import<'_>) -> anyhow::Result<Exit> {
     };
     refuse_input(out, std::iter::once(file).chain(choice.mapping))?;
     let flight = import::open_chosen(file, choice).or_exit(Exit::Usage)?;
-    tell_losses(&flight);
+    print_losses(&flight);
     let messages = import::write(&flight, out)?;
     let summary = summary(&flight, out, messages);
     if json {
@@ -97,13 +97,13 @@ pub(super) fn run(import: Import<'_>) -> anyhow::Result<Exit> {
 }
 
 /// Says on stderr what damage took of the file, and what is left.
-fn tell_losses(flight: &Flight) {
+fn print_losses(flight: &Flight) {
     let file = flight.origin.path.display();
     for loss in &flight.losses {
-        say(format_args!("{file}: damaged: {loss}"));
+        print_status(format_args!("{file}: damaged: {loss}"));
     }
     if let (false, Some((start, end))) = (flight.losses.is_empty(), flight.span()) {
-        say(format_args!("{file}: the readable part goes from {start:.3} to {end:.3} s"));
+        print_status(format_args!("{file}: the readable part goes from {start:.3} to {end:.3} s"));
     }
 }
 

@@ -187,7 +187,7 @@ fn toml_value(value: &Value) -> toml_edit::Value {
         Value::Null => false.into(),
         Value::Bool(value) => (*value).into(),
         Value::Number(number) => match number.as_i64() {
-            Some(whole) => whole.into(),
+            Some(integer) => integer.into(),
             None => number.as_f64().unwrap_or(f64::NAN).into(),
         },
         Value::String(text) => text.as_str().into(),

@@ -11,11 +11,11 @@ use serde::Serialize;
 use wire::Frame;
 
 use super::listen::Listener;
-use super::{Exit, ExitContext, print_json, print_text, say};
+use super::{Exit, ExitContext, print_json, print_status, print_text};
 use crate::cli::ListenArgs;
 use crate::clock::HostTime;
 use crate::link::budget::message_name;
-use crate::link::session::Heard;
+use crate::link::session::Delivery;
 
 /// How long is listened where nobody watches, s.
 const SECONDS: f64 = 8.0;
@@ -71,8 +71,10 @@ pub(super) fn run(args: &ListenArgs) -> anyhow::Result<Exit> {
     checked().or_exit(Exit::Usage)?;
     let mut listener = Listener::open(args, false)?;
     match limit_s {
-        Some(limit) => say(format_args!("listening on {} for {limit} s", listener.endpoint)),
-        None => say(format_args!("listening on {} until Ctrl-C", listener.endpoint)),
+        Some(limit) => {
+            print_status(format_args!("listening on {} for {limit} s", listener.endpoint))
+        }
+        None => print_status(format_args!("listening on {} until Ctrl-C", listener.endpoint)),
     }
     let started = listener.clock.now();
     let mut table = Table::new();
@@ -101,8 +103,8 @@ pub(super) fn run(args: &ListenArgs) -> anyhow::Result<Exit> {
             print_text(&format!("\x1b[H\x1b[2J{}{}\n", text(&rows), listener.endpoint))?;
         }
         let step = if is_live { REDRAW } else { Duration::from_secs_f64(left_s) };
-        listener.listen(step.min(Duration::from_secs_f64(left_s.min(60.0))), |now, heard| {
-            if let Heard::Frame { bytes, .. } = heard {
+        listener.listen(step.min(Duration::from_secs_f64(left_s.min(60.0))), |now, delivery| {
+            if let Delivery::Frame { bytes, .. } = delivery {
                 count(&mut table, now, bytes);
             }
         });

@@ -9,15 +9,15 @@ use anyhow::Context;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::{Handle, Signals};
 
-use super::{Exit, say};
+use super::{Exit, print_status};
 use crate::log::partial;
 
 /// How long a command that looks for the end may take to keep what it has done.
 const GRACE: Duration = Duration::from_millis(1200);
 
-/// Whether the end of the command is wanted.
+/// Whether the end of the command is requested.
 pub(super) struct Interruption {
-    wanted: Arc<AtomicBool>,
+    requested: Arc<AtomicBool>,
     looked_for: Arc<AtomicBool>,
     signals: Handle,
 }
@@ -28,9 +28,9 @@ impl Interruption {
     /// second one ends it at once. Files that are not complete go.
     pub fn watch() -> anyhow::Result<Self> {
         let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot watch for Ctrl-C")?;
-        let (wanted, looked_for) = (Arc::default(), Arc::default());
+        let (requested, looked_for) = (Arc::default(), Arc::default());
         let this = Self {
-            wanted: Arc::clone(&wanted),
+            requested: Arc::clone(&requested),
             looked_for: Arc::clone(&looked_for),
             signals: signals.handle(),
         };
@@ -39,7 +39,7 @@ impl Interruption {
             if signals.next().is_none() {
                 return;
             }
-            wanted.store(true, Ordering::Relaxed);
+            requested.store(true, Ordering::Relaxed);
             if looked_for.load(Ordering::Relaxed) {
                 let limit = thread::Builder::new().name("grace".into()).spawn(|| {
                     thread::sleep(GRACE);
@@ -61,7 +61,7 @@ impl Interruption {
     /// Set by the first signal. Who takes it looks at it often, and ends the command soon.
     pub fn flag(&self) -> Arc<AtomicBool> {
         self.looked_for.store(true, Ordering::Relaxed);
-        Arc::clone(&self.wanted)
+        Arc::clone(&self.requested)
     }
 
     /// Leaves the signals from now on to who watches them.
@@ -72,6 +72,6 @@ impl Interruption {
 
 fn end() {
     partial::discard_unfinished();
-    say(format_args!("interrupted"));
+    print_status(format_args!("interrupted"));
     std::process::exit(Exit::Interrupted.code().into());
 }

@@ -39,11 +39,11 @@ pub(super) enum Clock {
 }
 
 /// Makes laps of a trajectory, planned in flight, and their learner. The first lap is planned with
-/// the model `through`.
+/// the model `plan_model`.
 pub(super) fn lap_course(
     args: &LearnArgs,
     lap: Trajectory,
-    through: &PlanModel,
+    plan_model: &PlanModel,
     vehicle: &VehicleFile,
     config: &Config,
     clock: Clock,
@@ -55,11 +55,11 @@ pub(super) fn lap_course(
             .or_exit(Exit::Usage);
     }
     let laps = args.laps.unwrap_or(LAPS).get();
-    let is_nominal_first = through.is_nominal();
+    let is_nominal_first = plan_model.is_nominal();
     let settings = LapSettings { lap_s: lap.duration(), laps, newest_s, is_nominal_first };
     let goal = lap.laps(laps).or_exit(Exit::Usage)?;
     let params = &vehicle.params;
-    let (first, answer) = planner(params, through, config)?;
+    let (first, answer) = planner(params, plan_model, config)?;
     // Cautious for any attitude loop: a plan that starts afresh from each estimate hides the
     // model's errors from the laps and follows the noise of the estimate.
     let receding = config.settings.plan.receding.for_loop(true);
@@ -98,9 +98,9 @@ pub(super) fn simulated(
         ))
         .or_exit(Exit::Usage);
     };
-    let through = PlanModel::nominal(&vehicle.params)?;
+    let plan_model = PlanModel::nominal(&vehicle.params)?;
     let learning_s = config.settings.learn.simulated_latency_s;
-    lap_course(args, lap, &through, vehicle, config, Clock::Virtual { learning_s })
+    lap_course(args, lap, &plan_model, vehicle, config, Clock::Virtual { learning_s })
 }
 
 /// Returns a function that makes the vehicle's planner from a learned model.
@@ -110,7 +110,7 @@ fn planning(vehicle: &VehicleFile, config: &Config) -> Planning {
         let note = PlannedThrough { kind: "learned in flight".to_owned(), sha256: None };
         let model = Arc::new(learned.model.clone());
         PlanModel::of(model, &learned.actuation, &params, note)
-            .and_then(|through| planner(&params, &through, &config))
+            .and_then(|plan_model| planner(&params, &plan_model, &config))
             .map_err(|error| in_words(&error))
     })
 }
@@ -127,7 +127,7 @@ fn stopwatch() -> Box<dyn Fn() -> Spent + Send> {
 }
 
 /// A listener in the log's thread that queues a flight's records for the learner's thread.
-pub(super) struct Ear {
+pub(super) struct RecordQueue {
     queue: SyncSender<Record>,
     events: Receiver<Record>,
 }
@@ -135,11 +135,12 @@ pub(super) struct Ear {
 /// Messages of a learner for the terminal.
 pub(super) type Lines = Receiver<String>;
 
-/// Starts the learner's thread, which uses at most one core and ends when the [`Ear`] is dropped.
-pub(super) fn start(mut learner: LapLearner) -> anyhow::Result<(Ear, Lines)> {
+/// Starts the learner's thread, which uses at most one core and ends when the
+/// [`RecordQueue`] is dropped.
+pub(super) fn start(mut learner: LapLearner) -> anyhow::Result<(RecordQueue, Lines)> {
     let (queue, records) = sync_channel(QUEUE);
-    let (events, heard) = channel();
-    let (lines, said) = channel();
+    let (events, received) = channel();
+    let (lines, output) = channel();
     // One thread: the control line and the planner keep the other cores.
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(1)
@@ -148,7 +149,7 @@ pub(super) fn start(mut learner: LapLearner) -> anyhow::Result<(Ear, Lines)> {
         .context("cannot start the learning thread")?;
     // The task outlives the pool: a dropped pool finishes what was spawned.
     pool.spawn(move || attend(&mut learner, &records, &events, &lines));
-    Ok((Ear { queue, events: heard }, said))
+    Ok((RecordQueue { queue, events: received }, output))
 }
 
 fn attend(
@@ -158,7 +159,7 @@ fn attend(
     lines: &Sender<String>,
 ) {
     while let Ok(record) = records.recv() {
-        learner.hear(&record);
+        learner.on_record(&record);
         while let Some(event) = learner.take_event() {
             if let Record::Event { text, .. } = &event {
                 // The receiver may be gone.
@@ -169,8 +170,8 @@ fn attend(
     }
 }
 
-impl Listener for Ear {
-    fn hear(&mut self, record: &Record) {
+impl Listener for RecordQueue {
+    fn on_record(&mut self, record: &Record) {
         if LapLearner::uses(record) {
             // A full queue leaves a gap in the samples.
             match self.queue.try_send(record.clone()) {

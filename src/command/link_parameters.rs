@@ -6,7 +6,7 @@ use anyhow::anyhow;
 use wire::Endpoint;
 
 use super::setup::baud;
-use super::{Exit, ExitContext, say};
+use super::{Exit, ExitContext, print_status};
 use crate::clock::HostTime;
 use crate::daemon::HostClock;
 use crate::link::attitude_target::ThrustMap;
@@ -21,7 +21,7 @@ const AT_ONCE: usize = 16;
 /// Wait for a vehicle.
 const SEARCH: Duration = Duration::from_secs(20);
 /// After this time the user reads what the command waits for.
-const TELL: Duration = Duration::from_secs(3);
+const WAIT_REPORTED_AFTER: Duration = Duration::from_secs(3);
 /// All of it.
 const LIMIT: Duration = Duration::from_secs(120);
 /// The longest sleep between two looks at the clock.
@@ -47,10 +47,10 @@ pub(super) fn read(endpoint: Endpoint, system: Option<u8>) -> anyhow::Result<Par
         session: Session::new(settings, clock.now()),
         connection: Connection::new(endpoint),
         clock,
-        wanted: Vec::new(),
+        requested: Vec::new(),
         under_way: 0,
         found: Parameters::default(),
-        is_told: false,
+        is_reported: false,
     };
     runtime.block_on(reading.run())
 }
@@ -60,10 +60,10 @@ struct Reading {
     connection: Connection,
     clock: HostClock,
     /// Names that are still to be asked for, last first.
-    wanted: Vec<String>,
+    requested: Vec<String>,
     under_way: usize,
     found: Parameters,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl Reading {
@@ -81,7 +81,7 @@ impl Reading {
             while let Some(event) = self.session.next_event() {
                 match event {
                     Event::Identified { profile, .. } if !is_identified => {
-                        self.ask_for(&profile)?;
+                        self.request_parameters(&profile)?;
                         is_identified = true;
                     }
                     Event::Request { request: Request::ReadParameter(name), outcome, .. } => {
@@ -94,17 +94,17 @@ impl Reading {
                 }
             }
             while self.under_way < AT_ONCE
-                && let Some(name) = self.wanted.pop()
+                && let Some(name) = self.requested.pop()
             {
                 self.under_way += 1;
                 self.session.request(now, Request::ReadParameter(name));
             }
             let Self { session, connection, .. } = &mut self;
             session.transmit(|peer, frame| connection.send(peer, frame));
-            if is_identified && self.under_way == 0 && self.wanted.is_empty() {
+            if is_identified && self.under_way == 0 && self.requested.is_empty() {
                 return self.answer();
             }
-            self.tell_wait(now, start, is_identified)?;
+            self.print_wait(now, start, is_identified)?;
         }
     }
 
@@ -115,9 +115,9 @@ impl Reading {
                 self.session.receive(now, peer, &buffer[..len], is_datagram, &mut |_| {});
             }
             Input::Failed { error, .. } => {
-                if !self.is_told {
-                    say(format_args!("{error}; trying again until it opens"));
-                    self.is_told = true;
+                if !self.is_reported {
+                    print_status(format_args!("{error}; trying again until it opens"));
+                    self.is_reported = true;
                 }
             }
             Input::Lost(_) => self.session.transport_closed(),
@@ -128,7 +128,7 @@ impl Reading {
         }
     }
 
-    fn ask_for(&mut self, profile: &Profile) -> anyhow::Result<()> {
+    fn request_parameters(&mut self, profile: &Profile) -> anyhow::Result<()> {
         let vehicle = self.session.vehicle().map(|id| id.to_string()).unwrap_or_default();
         let autopilot = if profile.name == Profile::ARDUCOPTER.name {
             Autopilot::ArduCopter
@@ -140,13 +140,13 @@ impl Reading {
         } else {
             Autopilot::Px4
         };
-        self.wanted = autopilot.wanted();
-        self.wanted.reverse();
-        say(format_args!("{vehicle}: reading {} parameters", self.wanted.len()));
+        self.requested = autopilot.parameter_names();
+        self.requested.reverse();
+        print_status(format_args!("{vehicle}: reading {} parameters", self.requested.len()));
         Ok(())
     }
 
-    fn tell_wait(
+    fn print_wait(
         &mut self,
         now: HostTime,
         start: HostTime,
@@ -167,9 +167,9 @@ impl Reading {
                 anyhow!("{endpoint}: no HEARTBEAT from an autopilot; {bytes} bytes received");
             return Err(error).or_exit(Exit::Link);
         }
-        if waited > TELL && !self.is_told {
-            self.is_told = true;
-            say(format_args!(
+        if waited > WAIT_REPORTED_AFTER && !self.is_reported {
+            self.is_reported = true;
+            print_status(format_args!(
                 "waiting for the HEARTBEAT of an autopilot on {endpoint}; {bytes} bytes received \
                  so far"
             ));
@@ -185,7 +185,7 @@ impl Reading {
             );
             return Err(error).or_exit(Exit::Link);
         }
-        say(format_args!("received {} of them", self.found.len()));
+        print_status(format_args!("received {} of them", self.found.len()));
         Ok(self.found)
     }
 }

@@ -13,7 +13,7 @@ use super::fly::system_flag;
 use super::setup::endpoint;
 use super::setup::required;
 use super::signing_state::SigningState;
-use super::{config, say};
+use super::{config, print_status};
 use crate::cli::ListenArgs;
 use crate::clock::HostTime;
 use crate::config::Config;
@@ -21,7 +21,7 @@ use crate::daemon::HostClock;
 use crate::link::attitude_target::ThrustMap;
 use crate::link::connection::{Connection, Input};
 use crate::link::profile::MessageRate;
-use crate::link::session::{Heard, Session, Settings};
+use crate::link::session::{Delivery, Session, Settings};
 use crate::link::signing::SigningSettings;
 
 /// A session that flies nothing, over a connection.
@@ -41,9 +41,10 @@ pub(super) struct Listener {
 impl Listener {
     /// Opens the link of the flags or of the configuration. Messages and rates are asked for as a
     /// flight does, or not at all.
-    pub fn open(args: &ListenArgs, is_asking: bool) -> anyhow::Result<Self> {
+    pub fn open(args: &ListenArgs, is_requesting: bool) -> anyhow::Result<Self> {
         let state = SigningState::open(&Self::config(args)?.settings.link.signing)?;
-        let listener = Self::signed(args, is_asking, state.as_ref().map(SigningState::settings))?;
+        let listener =
+            Self::signed(args, is_requesting, state.as_ref().map(SigningState::settings))?;
         Ok(Self { _signing: state, ..listener })
     }
 
@@ -73,15 +74,15 @@ impl Listener {
     /// The same as [`open`](Self::open) with another key, or none.
     pub fn signed(
         args: &ListenArgs,
-        is_asking: bool,
+        is_requesting: bool,
         signing: Option<SigningSettings>,
     ) -> anyhow::Result<Self> {
-        Self::changed(args, is_asking, signing, |_| {})
+        Self::changed(args, is_requesting, signing, |_| {})
     }
 
     fn changed(
         args: &ListenArgs,
-        is_asking: bool,
+        is_requesting: bool,
         signing: Option<SigningSettings>,
         change: impl FnOnce(&mut Settings),
     ) -> anyhow::Result<Self> {
@@ -100,7 +101,7 @@ impl Listener {
             component: link.component,
             vehicle_system: link.vehicle_system,
             answer_timesync: link.answer_timesync,
-            telemetry: (!is_asking).then(Vec::<MessageRate>::new),
+            telemetry: (!is_requesting).then(Vec::<MessageRate>::new),
             baud,
             endpoint: Some(endpoint.to_string()),
             signing,
@@ -123,7 +124,7 @@ impl Listener {
     }
 
     /// Listens for a while; every frame and message goes to `on`.
-    pub fn listen(&mut self, duration: Duration, mut on: impl FnMut(HostTime, Heard<'_>)) {
+    pub fn listen(&mut self, duration: Duration, mut on: impl FnMut(HostTime, Delivery<'_>)) {
         let end = Instant::now() + duration;
         loop {
             let left = end.saturating_duration_since(Instant::now());
@@ -139,7 +140,7 @@ impl Listener {
         &mut self,
         limit: Duration,
         other: impl Future<Output = T>,
-        mut on: impl FnMut(HostTime, Heard<'_>),
+        mut on: impl FnMut(HostTime, Delivery<'_>),
     ) -> Option<T> {
         let Self { session, connection, runtime, buffer, clock, failure, .. } = self;
         let wait = session.next_deadline().since(clock.now()).min(limit);
@@ -155,7 +156,7 @@ impl Listener {
             Some(Input::Bytes { peer, len }) => {
                 let bytes = buffer.get(..len).unwrap_or_default();
                 let is_datagram = connection.is_datagram();
-                session.receive(now, peer, bytes, is_datagram, &mut |heard| on(now, heard));
+                session.receive(now, peer, bytes, is_datagram, &mut |delivery| on(now, delivery));
             }
             Some(Input::PeerClosed(peer)) => {
                 session.peer_closed(peer);
@@ -164,7 +165,7 @@ impl Listener {
             Some(Input::Failed { error, .. }) => {
                 let text = error.to_string();
                 if failure.as_ref() != Some(&text) {
-                    say(format_args!("{text}; trying again until it opens"));
+                    print_status(format_args!("{text}; trying again until it opens"));
                     *failure = Some(text);
                 }
             }

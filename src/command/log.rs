@@ -9,7 +9,7 @@ use anyhow::{Context, anyhow};
 use super::import::Import;
 use super::output::{Output, refuse_input};
 use super::patience::Patience;
-use super::{Exit, ExitContext, audit, import, print_json, say, summary, write_file};
+use super::{Exit, ExitContext, audit, import, print_json, print_status, summary, write_file};
 use crate::cli::{ExportFormat, LogCommand};
 use crate::log::LogReader;
 use crate::log::export::{Format, export_all, export_topic};
@@ -139,7 +139,7 @@ fn export(
             }
             export_all(&mut reader, &folder, format).with_context(name).map(|written| {
                 for (path, rows) in written {
-                    say(format_args!("{}: {rows} rows", path.display()));
+                    print_status(format_args!("{}: {rows} rows", path.display()));
                 }
             })
         }
@@ -151,15 +151,15 @@ fn export(
     // Also where the export failed: the topic may have been in the damaged part.
     let (file, ending) = (file.display(), reader.ending());
     for damage in &ending.damages {
-        say(format_args!("{file}: damaged, rows left out: {damage}"));
+        print_status(format_args!("{file}: damaged, rows left out: {damage}"));
     }
     let more = ending.damaged.saturating_sub(ending.damages.len() as u64);
     if more > 0 {
-        say(format_args!("{file}: and {more} more damaged parts"));
+        print_status(format_args!("{file}: and {more} more damaged parts"));
     }
     exported?;
     if !ending.finished {
-        say(format_args!("{file}: unfinished log, exported its complete part"));
+        print_status(format_args!("{file}: unfinished log, exported its complete part"));
     }
     Ok(Exit::Ok)
 }

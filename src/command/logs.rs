@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow};
 use rayon::prelude::*;
 use vehicle::VehicleParams;
 
-use super::{in_words, say};
+use super::{in_words, print_status};
 use crate::audit::Audit;
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
@@ -59,7 +59,7 @@ impl Logs {
                 Ok(flight) => logs.flights.push(flight),
                 Err(error) => {
                     let reason = in_words(&error);
-                    say(format_args!("{}: left out: {reason}", path.display()));
+                    print_status(format_args!("{}: left out: {reason}", path.display()));
                     logs.refused.push(RefusedLog { path: path.to_path_buf(), reason });
                 }
             }

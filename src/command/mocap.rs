@@ -17,12 +17,12 @@ pub(super) use self::summary::MocapSummary;
 use super::fly::system_flag;
 use super::listen::Listener;
 use super::stop::{Stop, StopSignals};
-use super::{Exit, ExitContext, Interruption, config, print_json, say};
+use super::{Exit, ExitContext, Interruption, config, print_json, print_status};
 use crate::cli::{ListenArgs, MocapArgs, UpChoice};
 use crate::clock::HostTime;
 use crate::config::Config;
 use crate::link::external_pose::{ExternalPose, PoseForm};
-use crate::link::session::{Heard, Session};
+use crate::link::session::{Delivery, Session};
 use crate::link::silence::Silence;
 use crate::mocap::bridge::{Bridge, Pose};
 use crate::mocap::natnet::{self, Packet, Version};
@@ -33,8 +33,8 @@ use message::Inbound;
 /// One look at all there is takes this long at most.
 const LOOK: Duration = Duration::from_millis(20);
 /// What is waited for is said after this long, and then every so often.
-const FIRST_WORD: Duration = Duration::from_secs(2);
-const NEXT_WORD: Duration = Duration::from_secs(10);
+const FIRST_REPORT_AFTER: Duration = Duration::from_secs(2);
+const NEXT_REPORT_AFTER: Duration = Duration::from_secs(10);
 /// A server of NatNet is asked, or told to go on, this often.
 const KEEP_ALIVE: Duration = Duration::from_secs(1);
 /// A vehicle that has said nothing of its motors for this long may be armed.
@@ -75,13 +75,13 @@ pub(super) fn run(args: &MocapArgs, preparation: Interruption) -> anyhow::Result
     if args.json {
         print_json(&summary)?;
     } else {
-        say(format_args!("{summary}"));
+        print_status(format_args!("{summary}"));
     }
     match (failed, stopped) {
         (Some(error), _) => Err(error),
         (None, Some(Stop::Interrupt)) => Ok(Exit::Interrupted),
         (None, Some(Stop::Terminate)) => Ok(Exit::Ok),
-        (None, None) if !summary.was_vehicle_heard() => {
+        (None, None) if !summary.was_vehicle_found() => {
             Err(anyhow!("no vehicle was found")).or_exit(Exit::Link)
         }
         (None, None) if summary.sent() == 0 => bail!("no pose was sent to the vehicle"),
@@ -96,17 +96,17 @@ fn flags(args: &MocapArgs) -> Vec<(&'static str, &'static str, Value)> {
         flags.push(("--connect", "connect", Value::String(url.clone())));
     }
     flags.extend(system_flag(args.system));
-    let word = |word: &str| Value::String(word.to_owned());
+    let text = |text: &str| Value::String(text.to_owned());
     flags.extend(args.form.map(|form| {
         let form = match form {
-            PoseForm::Vision => word("vision"),
-            PoseForm::Odometry => word("odometry"),
+            PoseForm::Vision => text("vision"),
+            PoseForm::Odometry => text("odometry"),
         };
         ("--as", "mocap.as", form)
     }));
     flags.extend(args.rate.map(|hz| ("--rate", "mocap.rate_hz", Value::Float(hz))));
     flags.extend(args.up.map(|up| {
-        let up = if up == UpChoice::Z { word("z") } else { word("y") };
+        let up = if up == UpChoice::Z { text("z") } else { text("y") };
         ("--up", "mocap.up", up)
     }));
     let degrees = Value::Float;
@@ -144,10 +144,10 @@ struct Line {
     bridge: Bridge,
     buffer: Vec<u8>,
     started: HostTime,
-    asked: Option<HostTime>,
+    requested_at: Option<HostTime>,
     /// What the last HEARTBEAT said of the motors.
     armed: Option<(HostTime, bool)>,
-    /// What is waited for, since when, and when it was said.
+    /// What is waited for, since when, and when it was reported.
     waiting: Option<(String, HostTime, Option<HostTime>)>,
     sent: u64,
     /// Poses that no vehicle was there to take, or whose clock is not known.
@@ -169,8 +169,13 @@ impl Line {
             .or_exit(Exit::Usage)?;
         let local = socket.local_addr().context("the room's socket")?;
         match &room {
-            Room::Stream(_) => say(format_args!("listening to the room on stream:{local}")),
-            _ => say(format_args!("listening to the room on {room} (port {})", local.port())),
+            Room::Stream(_) => {
+                print_status(format_args!("listening to the room on stream:{local}"))
+            }
+            _ => print_status(format_args!(
+                "listening to the room on {room} (port {})",
+                local.port()
+            )),
         }
         let [major, minor] = settings.natnet_version;
         let started = listener.clock.now();
@@ -185,7 +190,7 @@ impl Line {
             server,
             buffer: vec![0; RECEIVE_LEN],
             started,
-            asked: None,
+            requested_at: None,
             armed: None,
             waiting: None,
             sent: 0,
@@ -200,25 +205,25 @@ impl Line {
 
     /// Waits for what comes next, from either side, and does what follows from it.
     fn turn(&mut self) -> anyhow::Result<()> {
-        self.ask_server();
+        self.request_stream();
         let Self { listener, socket, buffer, armed, .. } = self;
-        let heard = listener.look(LOOK, receive(socket, buffer), |now, heard| {
-            if let Heard::Message(message) = heard
+        let received = listener.look(LOOK, receive(socket, buffer), |now, delivery| {
+            if let Delivery::Message(message) = delivery
                 && let Inbound::Heartbeat { armed: is_armed, .. } = message.message
             {
                 *armed = Some((now, is_armed));
             }
         });
         let now = self.now();
-        if let Some(length) = heard {
+        if let Some(length) = received {
             self.take(now, length);
         }
         self.bridge.tick(now);
         while let Some(news) = self.bridge.next_news() {
-            say(format_args!("{news}"));
+            print_status(format_args!("{news}"));
         }
         self.look_at_vehicle()?;
-        self.say_what_is_waited_for(now);
+        self.print_wait(now);
         Ok(())
     }
 
@@ -280,7 +285,7 @@ impl Line {
             return Ok(());
         }
         self.is_vehicle_known = true;
-        say(format_args!("heard {vehicle} on {}", self.listener.endpoint));
+        print_status(format_args!("heard {vehicle} on {}", self.listener.endpoint));
         if self.form == PoseForm::Odometry && vehicle.autopilot == ARDUPILOT {
             let error = anyhow!(
                 "--as odometry: ArduPilot fuses the velocity in ODOMETRY, which a room does not measure; use \
@@ -291,22 +296,22 @@ impl Line {
         Ok(())
     }
 
-    fn ask_server(&mut self) {
+    fn request_stream(&mut self) {
         let now = self.now();
         let Some(server) = self.server else { return };
-        if self.asked.is_none_or(|at| now.since(at) >= KEEP_ALIVE) {
+        if self.requested_at.is_none_or(|at| now.since(at) >= KEEP_ALIVE) {
             // Whoever does not answer is asked again.
             let _ = self.socket.try_send_to(&natnet::connect(), server);
             let _ = self.socket.try_send_to(&natnet::keep_alive(), server);
-            self.asked = Some(now);
+            self.requested_at = Some(now);
         }
     }
 
     /// What keeps poses from the vehicle now.
     fn waits_for(&self, now: HostTime) -> Option<String> {
         let session = &self.listener.session;
-        let is_heard = session.last_heard().is_some_and(|at| now.since(at) < FIRST_WORD);
-        if session.vehicle().is_none() || !is_heard {
+        let is_live = session.last_received().is_some_and(|at| now.since(at) < FIRST_REPORT_AFTER);
+        if session.vehicle().is_none() || !is_live {
             return Some(format!("waiting for the vehicle: {}", Silence::of(session, now).line));
         }
         if session.clock().is_none() {
@@ -318,19 +323,19 @@ impl Line {
         self.bridge.waits_for(now)
     }
 
-    fn say_what_is_waited_for(&mut self, now: HostTime) {
-        let Some(words) = self.waits_for(now) else {
+    fn print_wait(&mut self, now: HostTime) {
+        let Some(text) = self.waits_for(now) else {
             self.waiting = None;
             return;
         };
-        let (_, since, said) = self.waiting.get_or_insert_with(|| (words.clone(), now, None));
-        let is_due = match said {
-            None => now.since(*since) >= FIRST_WORD,
-            Some(at) => now.since(*at) >= NEXT_WORD,
+        let (_, since, reported) = self.waiting.get_or_insert_with(|| (text.clone(), now, None));
+        let is_due = match reported {
+            None => now.since(*since) >= FIRST_REPORT_AFTER,
+            Some(at) => now.since(*at) >= NEXT_REPORT_AFTER,
         };
         if is_due {
-            say(format_args!("{words}"));
-            *said = Some(now);
+            print_status(format_args!("{text}"));
+            *reported = Some(now);
         }
     }
 

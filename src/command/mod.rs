@@ -120,13 +120,13 @@ pub fn main(program: Option<PathBuf>, args: impl IntoIterator<Item = OsString>) 
         }
     };
     // A flight prints what happens; other commands only what is wrong.
-    let told = matches!(cli.command, Command::Fly(_) | Command::Daemon(_));
+    let is_flight = matches!(cli.command, Command::Fly(_) | Command::Daemon(_));
     // Thousands of stations that others judge say nothing themselves.
     let is_judged = matches!(cli.command, Command::Campaign(_)) && cli.verbose == 0;
     let level = if is_judged {
         "off"
     } else {
-        ["warn", "info", "debug"][usize::from(cli.verbose).saturating_add(told.into()).min(2)]
+        ["warn", "info", "debug"][usize::from(cli.verbose).saturating_add(is_flight.into()).min(2)]
     };
     let filter = EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| EnvFilter::new(format!("{level},foxglove=off")));
@@ -256,15 +256,15 @@ impl<T, E: Into<anyhow::Error>> ExitContext<T> for Result<T, E> {
 /// An error with its causes. What one says that its neighbour says too, is said once: many errors
 /// name their cause, or their file, themselves.
 pub fn in_words(error: &anyhow::Error) -> String {
-    let mut said: Vec<String> = Vec::new();
+    let mut causes: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {
-        match said.last_mut() {
+        match causes.last_mut() {
             Some(last) if last.contains(&cause) => {}
             Some(last) if cause.contains(last.as_str()) => *last = cause,
-            _ => said.push(cause),
+            _ => causes.push(cause),
         }
     }
-    said.join(": ")
+    causes.join(": ")
 }
 
 /// The exit code of an error: the one attached to it, else [`Exit::Failure`].
@@ -280,7 +280,7 @@ fn end_on_broken_pipe() {
 }
 
 /// Writes a line to stderr, and goes on where nobody reads it.
-fn say(line: std::fmt::Arguments<'_>) {
+fn print_status(line: std::fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr(), "{line}");
 }
 

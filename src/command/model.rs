@@ -13,7 +13,7 @@ use vehicle::VehicleParams;
 use super::logs::{Logs, listed};
 use super::output::{Output, refuse_input};
 use super::progress::StageBar;
-use super::{Exit, ExitContext, print_json, print_text, say, write_file};
+use super::{Exit, ExitContext, print_json, print_status, print_text, write_file};
 use crate::cli::ModelCommand;
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
@@ -238,7 +238,7 @@ fn predict(
         }
     }
     sink.finish()?;
-    say(format_args!(
+    print_status(format_args!(
         "{}: {written} predictions, {steps} samples of {:.1} ms ahead",
         log.display(),
         1e3 * period

@@ -11,7 +11,7 @@ use super::logs::listed;
 use super::output::create_report_folder;
 use super::patience::Patience;
 use super::vehicle_file::warn;
-use super::{Exit, ExitContext, in_words, print_json, print_text, say, write_file};
+use super::{Exit, ExitContext, in_words, print_json, print_status, print_text, write_file};
 use crate::cli::OnsetArgs;
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::onset::{Seen, changes};
@@ -84,7 +84,9 @@ pub fn changed(args: &OnsetArgs) -> anyhow::Result<Changes> {
     {
         match log.flight {
             Ok(flight) => flights.push((path.display().to_string(), flight)),
-            Err(error) => say(format_args!("{}: left out: {}", path.display(), in_words(&error))),
+            Err(error) => {
+                print_status(format_args!("{}: left out: {}", path.display(), in_words(&error)))
+            }
         }
     }
     if flights.is_empty() {
@@ -95,9 +97,9 @@ pub fn changed(args: &OnsetArgs) -> anyhow::Result<Changes> {
         flights.par_iter().map(|(_, flight)| changes(flight, &vehicle, settings)).collect();
     let seen = seen.or_exit(Exit::Usage)?;
     // A flight too short to examine says nothing of the vehicle.
-    let told: Vec<_> = seen.iter().map(|seen| of_flight(&seen.present)).collect();
-    let known: Vec<usize> = (0..told.len()).filter(|index| told[*index].is_some()).collect();
-    let values: Vec<_> = told.into_iter().flatten().collect();
+    let dated: Vec<_> = seen.iter().map(|seen| of_flight(&seen.present)).collect();
+    let known: Vec<usize> = (0..dated.len()).filter(|index| dated[*index].is_some()).collect();
+    let values: Vec<_> = dated.into_iter().flatten().collect();
     let mut steps = steps(&values);
     steps.iter_mut().for_each(|step| step.from = known[step.from]);
     let answer = OnsetAnswer {

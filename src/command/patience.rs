@@ -4,7 +4,7 @@ use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::say;
+use super::print_status;
 
 /// Time until the first notice.
 const QUIET: Duration = Duration::from_millis(2500);
@@ -20,23 +20,27 @@ pub(super) struct Patience {
 impl Patience {
     /// Starts waiting for the step `what`, such as "reading flight.ulg".
     pub fn with(what: String) -> Self {
-        Self::told(QUIET, AGAIN, move |waited| {
-            say(format_args!("... {what}, for {:.0} s so far", waited.as_secs_f64()));
+        Self::with_report(QUIET, AGAIN, move |waited| {
+            print_status(format_args!("... {what}, for {:.0} s so far", waited.as_secs_f64()));
         })
     }
 
-    fn told(quiet: Duration, again: Duration, tell: impl Fn(Duration) + Send + 'static) -> Self {
+    fn with_report(
+        quiet: Duration,
+        again: Duration,
+        report: impl Fn(Duration) + Send + 'static,
+    ) -> Self {
         let (ended, waiting) = mpsc::channel::<()>();
-        let telling = move || {
+        let reporting = move || {
             let start = Instant::now();
             let mut pause = quiet;
             while waiting.recv_timeout(pause) == Err(RecvTimeoutError::Timeout) {
-                tell(start.elapsed());
+                report(start.elapsed());
                 pause = again;
             }
         };
         // If no thread can be started, there are no notices.
-        let _ = thread::Builder::new().name("patience".into()).spawn(telling);
+        let _ = thread::Builder::new().name("patience".into()).spawn(reporting);
         Self { _ended: ended }
     }
 }
@@ -47,25 +51,25 @@ mod tests {
 
     #[test]
     fn long_wait_is_reported_repeatedly_until_done() {
-        let (said, heard) = mpsc::channel();
+        let (sender, receiver) = mpsc::channel();
         let pause = Duration::from_millis(1);
-        let patience = Patience::told(pause, pause, move |waited| {
-            let _ = said.send(waited);
+        let patience = Patience::with_report(pause, pause, move |waited| {
+            let _ = sender.send(waited);
         });
-        let (first, second) = (heard.recv().expect("a word"), heard.recv().expect("another"));
+        let (first, second) = (receiver.recv().expect("a word"), receiver.recv().expect("another"));
         assert!(pause <= first && first < second);
         drop(patience);
         // The reporting thread ends and closes its end of the channel.
-        while heard.recv().is_ok() {}
+        while receiver.recv().is_ok() {}
     }
 
     #[test]
     fn short_wait_is_not_reported() {
-        let (said, heard) = mpsc::channel();
+        let (sender, receiver) = mpsc::channel();
         let hour = Duration::from_secs(3600);
-        drop(Patience::told(hour, hour, move |waited| {
-            let _ = said.send(waited);
+        drop(Patience::with_report(hour, hour, move |waited| {
+            let _ = sender.send(waited);
         }));
-        assert!(heard.recv().is_err());
+        assert!(receiver.recv().is_err());
     }
 }

@@ -23,7 +23,9 @@ use super::output::{create_report_folder, refuse_input, sha256};
 use super::sent_thrust::behind_the_map;
 use super::vehicle_file::VehicleFile;
 use super::vehicle_file::refuse_grounded;
-use super::{Exit, ExitContext, Interruption, config, print_json, print_text, say, write_file};
+use super::{
+    Exit, ExitContext, Interruption, config, print_json, print_status, print_text, write_file,
+};
 use crate::cli::PlanArgs;
 use crate::config::Config;
 use crate::model::Model;
@@ -133,7 +135,7 @@ pub fn sha256_of(path: &Path) -> anyhow::Result<String> {
 /// What plans for a vehicle, and how the vehicle answers the plans' inputs.
 pub(super) fn planner(
     vehicle: &VehicleParams,
-    through: &PlanModel,
+    plan_model: &PlanModel,
     config: &Config,
 ) -> anyhow::Result<(Planner, Answer)> {
     let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
@@ -155,13 +157,13 @@ pub(super) fn planner(
     };
     let settings = config.settings.plan.clone();
     let receding = settings.receding.for_loop(!effective.is_pd);
-    let planner = Planner::new(Arc::clone(&through.model), planned, settings)
+    let planner = Planner::new(Arc::clone(&plan_model.model), planned, settings)
         .or_exit(Exit::Usage)?
         .cautious(&receding);
     let answer = Answer {
-        delay_s: through.delay_s,
-        lag_s: through.lag_s,
-        voltage_exponent: through.voltage_exponent,
+        delay_s: plan_model.delay_s,
+        lag_s: plan_model.lag_s,
+        voltage_exponent: plan_model.voltage_exponent,
         attitude_pd,
     };
     Ok((planner, answer))
@@ -174,23 +176,23 @@ pub(super) fn planner(
 pub fn plan_trajectory(
     trajectory: &Trajectory,
     vehicle: &VehicleParams,
-    through: &PlanModel,
+    plan_model: &PlanModel,
     config: &Config,
     watch: &dyn Fn(&[Record]) -> bool,
 ) -> anyhow::Result<Plan> {
-    plan_within(trajectory, vehicle, through, config, None, watch)
+    plan_within(trajectory, vehicle, plan_model, config, None, watch)
 }
 
 /// As [`plan_trajectory`], with the tube's radius as the margin to keep-out regions.
 fn plan_within(
     trajectory: &Trajectory,
     vehicle: &VehicleParams,
-    through: &PlanModel,
+    plan_model: &PlanModel,
     config: &Config,
     tube: Option<&ChosenTube>,
     watch: &dyn Fn(&[Record]) -> bool,
 ) -> anyhow::Result<Plan> {
-    let (planner, answer) = planner(vehicle, through, config)?;
+    let (planner, answer) = planner(vehicle, plan_model, config)?;
     let desire = planner.desire(trajectory).or_exit(Exit::Usage)?;
     let mut start = desire.states[0];
     // The vehicle begins at rest, where the desired trajectory does.
@@ -204,7 +206,7 @@ fn plan_within(
         trajectory: trajectory.name().to_owned(),
         vehicle: vehicle.name.clone(),
         body: EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?.body(),
-        model: through.note.clone(),
+        model: plan_model.note.clone(),
         period_s: planner.period_s(),
         answer,
         desired: desire.states,
@@ -354,22 +356,22 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
     let watch = Watch::begin(&config, interruption);
     let (plan, fastest) = match TrajectoryFile::load(&args.trajectory).or_exit(Exit::Usage)? {
         TrajectoryFile::Desired(trajectory) => {
-            let through = model_for(&vehicle, args.model.as_deref(), args.kind)?;
-            say(format_args!(
+            let plan_model = model_for(&vehicle, args.model.as_deref(), args.kind)?;
+            print_status(format_args!(
                 "planning {} ({:.1} s) through the {} model",
                 trajectory.name(),
                 trajectory.duration(),
-                through.note.kind
+                plan_model.note.kind
             ));
             let tube = args.tube.as_deref();
             let load = |path| ChosenTube::load(path, args.confidence, args.keep_out_confidence);
             let tube = tube.map(load).transpose()?;
             if let Some(tube) = &tube {
-                tube.check(&vehicle, &through.note)?;
+                tube.check(&vehicle, &plan_model.note)?;
             }
             let watched = |records: &[Record]| watch.is_over(records);
             let plan =
-                plan_within(&trajectory, &vehicle, &through, &config, tube.as_ref(), &watched)?;
+                plan_within(&trajectory, &vehicle, &plan_model, &config, tube.as_ref(), &watched)?;
             (plan, None)
         }
         TrajectoryFile::Task(task) => {
@@ -390,7 +392,7 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
                 ))
                 .or_exit(Exit::Usage);
             }
-            say(format_args!(
+            print_status(format_args!(
                 "planning the fastest trajectory through {} passages",
                 task.passages.len()
             ));
@@ -454,14 +456,14 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
         print_text(&summary.in_words(&plan))?;
     }
     if is_late && plan.status == Status::Stopped {
-        say(format_args!(
+        print_status(format_args!(
             "the search ended at its limit of {} s, and this is its best plan so far; to give it \
              more time, use --time-limit SECONDS or [plan] time_limit_s",
             config.settings.plan.time_limit_s
         ));
     }
     if let Some(reason) = &summary.not_flyable {
-        say(format_args!("this plan cannot be flown: {reason}"));
+        print_status(format_args!("this plan cannot be flown: {reason}"));
     }
     Ok(match (interrupted.load(Ordering::Relaxed), &summary.not_flyable) {
         (true, _) => Exit::Interrupted,

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use super::say;
+use super::print_status;
 use crate::learn::networks::Progress;
 use crate::learn::networks::Watch;
 
@@ -58,7 +58,7 @@ impl Watch for StageBar {
     fn stage(&mut self, name: &str, steps: u64) {
         // A bar shows only on a terminal.
         if !io::stderr().is_terminal() {
-            say(format_args!("... {name}"));
+            print_status(format_args!("... {name}"));
         }
         self.bar.set_prefix(name.to_owned());
         self.bar.set_length(steps);

@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 
-use super::audience::{address, say_address};
+use super::audience::{address, print_address};
 use super::stop::{Stop, StopSignals};
-use super::{Exit, ExitContext, Interruption, say};
+use super::{Exit, ExitContext, Interruption, print_status};
 use crate::cli::{ReplayArgs, VIEW_ADDRESS};
 use crate::log::reader::ReadError;
 use crate::log::{LogReader, import};
@@ -25,7 +25,7 @@ pub(super) fn run(args: &ReplayArgs, preparation: Interruption) -> anyhow::Resul
         .ok_or_else(|| anyhow!("{}: it holds no messages to play", args.log.display()))
         .or_exit(Exit::Usage)?;
     for damage in &recording.damages {
-        say(format_args!("{}: left out: {damage}", args.log.display()));
+        print_status(format_args!("{}: left out: {damage}", args.log.display()));
     }
     let name = args.log.file_name().unwrap_or_default().to_string_lossy();
     let settings = ViewSettings {
@@ -34,8 +34,8 @@ pub(super) fn run(args: &ReplayArgs, preparation: Interruption) -> anyhow::Resul
         ..ViewSettings::default()
     };
     let playback = Playback::start(settings, recording, args.paused).or_exit(Exit::Usage)?;
-    say(format_args!("{}: {:.1} s", args.log.display(), last.since(first).as_secs_f64()));
-    say_address(playback.address());
+    print_status(format_args!("{}: {:.1} s", args.log.display(), last.since(first).as_secs_f64()));
+    print_address(playback.address());
     loop {
         match signals.wait(WATCH_PERIOD) {
             Some(Stop::Interrupt) => return Ok(Exit::Interrupted),

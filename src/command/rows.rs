@@ -11,12 +11,15 @@ use anyhow::{Context, bail};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::{Exit, say};
+use super::{Exit, print_status};
 use crate::cli::Shard;
 
 /// Says how a run that was interrupted goes on.
 pub fn interrupted(out: &Path) -> Exit {
-    say(format_args!("run the same command again to continue with the rows in {}", out.display()));
+    print_status(format_args!(
+        "run the same command again to continue with the rows in {}",
+        out.display()
+    ));
     Exit::Interrupted
 }
 

@@ -48,7 +48,7 @@ impl Scene {
 }
 
 impl Listener for Scene {
-    fn hear(&mut self, record: &Record) {
+    fn on_record(&mut self, record: &Record) {
         match record {
             Record::Tick(tick) => self.lock().tick = Some(*tick),
             Record::Link { stats, .. } => self.lock().link = Some(*stats),

@@ -21,14 +21,14 @@ use super::stop::Stop;
 use super::{Exit, ExitContext, status_line};
 use crate::station::Status;
 
-/// What a key asks for.
-enum Asked {
+/// What a key requests.
+enum KeyRequest {
     Stop,
     Scroll(isize),
     Nothing,
 }
 
-impl Asked {
+impl KeyRequest {
     fn of(key: KeyEvent) -> Self {
         let is_control = key.modifiers.contains(KeyModifiers::CONTROL);
         match key.code {
@@ -83,14 +83,14 @@ impl Screen {
         while event::poll(Duration::ZERO).unwrap_or(false) {
             let Ok(event) = event::read() else { break };
             if let Event::Key(key) = event {
-                match Asked::of(key) {
-                    Asked::Stop => stop = Some(Stop::Interrupt),
-                    Asked::Scroll(by) => {
+                match KeyRequest::of(key) {
+                    KeyRequest::Stop => stop = Some(Stop::Interrupt),
+                    KeyRequest::Scroll(by) => {
                         let mut seen = self.scene.lock();
                         let most = seen.messages.len().saturating_sub(1);
                         seen.scrolled = seen.scrolled.saturating_add_signed(by).min(most);
                     }
-                    Asked::Nothing => {}
+                    KeyRequest::Nothing => {}
                 }
             }
         }
@@ -106,7 +106,7 @@ impl Drop for Screen {
         restore();
         status_line::print_on(None);
         for message in &self.scene.lock().messages {
-            super::say(format_args!("{message}"));
+            super::print_status(format_args!("{message}"));
         }
     }
 }

@@ -67,7 +67,7 @@ fn flight(status: &Status) -> Line<'_> {
     let state = status.phase.map_or("connect", |phase| phase.name());
     let mode = match (status.mode_name, status.mode) {
         (Some(name), _) => name.to_owned(),
-        (None, Some(word)) => format!("{word:#010x}"),
+        (None, Some(mode)) => format!("{mode:#010x}"),
         (None, None) => "-".to_owned(),
     };
     let armed = match status.armed {
@@ -104,8 +104,8 @@ fn position<'a>(status: &Status, seen: &Seen) -> Line<'a> {
         false => "-".to_owned(),
     };
     let error = seen.tick.and_then(|tick| {
-        let wanted = tick.desired.or(tick.reference.map(|reference| reference.position))?;
-        Some(tick.state.position - wanted)
+        let desired = tick.desired.or(tick.reference.map(|reference| reference.position))?;
+        Some(tick.state.position - desired)
     });
     let error = error.map_or("-".to_owned(), |e| {
         let (n, e, d, all) = (e.north(), e.east(), e.down(), e.norm());

@@ -44,7 +44,7 @@ pub(super) fn behind_the_map(
 struct SentThrust {
     model: Arc<dyn Model>,
     map: ThrustMap,
-    asked_full_n: f64,
+    requested_full_n: f64,
     /// Of the firmware's mixer.
     nominal_full_n: f64,
 }
@@ -52,17 +52,17 @@ struct SentThrust {
 impl SentThrust {
     fn new(model: Arc<dyn Model>, params: &VehicleParams, vehicle: &EffectiveVehicle) -> Self {
         let nominal_full_n = params.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
-        let (map, asked_full_n) = (vehicle.thrust, vehicle.thrust_full_n);
-        Self { model, map, asked_full_n, nominal_full_n }
+        let (map, requested_full_n) = (vehicle.thrust, vehicle.thrust_full_n);
+        Self { model, map, requested_full_n, nominal_full_n }
     }
 
-    fn nominal(&self, asked_n: f64) -> f64 {
-        self.nominal_full_n * self.map.fraction(asked_n)
+    fn nominal(&self, requested_n: f64) -> f64 {
+        self.nominal_full_n * self.map.fraction(requested_n)
     }
 
     fn behind(&self, at: &Point) -> Point {
-        let [asked_n, roll, pitch, yaw] = at.input;
-        Point { input: [self.nominal(asked_n), roll, pitch, yaw], ..*at }
+        let [requested_n, roll, pitch, yaw] = at.input;
+        Point { input: [self.nominal(requested_n), roll, pitch, yaw], ..*at }
     }
 }
 
@@ -73,9 +73,9 @@ impl Model for SentThrust {
 
     fn linearize(&self, at: &Point) -> ([f64; ACCELERATIONS], Jacobian) {
         let (accelerations, mut jacobian) = self.model.linearize(&self.behind(at));
-        let step = SLOPE_SHARE * self.asked_full_n;
+        let step = SLOPE_SHARE * self.requested_full_n;
         // Within the range of the map, whose ends are flat.
-        let middle = at.input[0].clamp(step, self.asked_full_n - step);
+        let middle = at.input[0].clamp(step, self.requested_full_n - step);
         let slope = (self.nominal(middle + step) - self.nominal(middle - step)) / (2.0 * step);
         for row in &mut jacobian {
             row[INPUT] *= slope;
@@ -136,14 +136,14 @@ impl Model for LinearisedRotors {
         let (_, slopes) = self.outputs(at.input);
         let inverse = self.mixer.inverse();
         // Of the wrench that the outputs nominally are, by each component that is asked for.
-        let by_asked: [[f64; 4]; 4] = std::array::from_fn(|j| {
+        let by_requested: [[f64; 4]; 4] = std::array::from_fn(|j| {
             let full = self.mixer.thrust_max();
             self.mixer.wrench(std::array::from_fn(|i| slopes[i] * inverse[i][j] / full[i]))
         });
         for row in &mut jacobian {
             let by_nominal: [f64; 4] = std::array::from_fn(|k| row[INPUT + k]);
-            for (j, by_asked) in by_asked.iter().enumerate() {
-                row[INPUT + j] = by_nominal.iter().zip(by_asked).map(|(a, b)| a * b).sum();
+            for (j, by_requested) in by_requested.iter().enumerate() {
+                row[INPUT + j] = by_nominal.iter().zip(by_requested).map(|(a, b)| a * b).sum();
             }
         }
         (accelerations, jacobian)

@@ -11,10 +11,10 @@ use wire::signing::{KEY_LEN, Key, Stamp};
 
 use super::listen::Listener;
 use super::signing_state::SigningState;
-use super::{Exit, ExitContext, print_text, say};
+use super::{Exit, ExitContext, print_status, print_text};
 use crate::cli::{ListenArgs, SetupArgs, SigningCommand};
 use crate::config::SIGNING_KEY_VARIABLE;
-use crate::link::session::Heard;
+use crate::link::session::Delivery;
 use crate::link::signing::{Ledger, Remembered, SigningSettings};
 use crate::link::silence::Silence;
 
@@ -104,9 +104,9 @@ fn setup(args: &SetupArgs) -> anyhow::Result<Exit> {
     drop(listener);
     let fingerprint = new.key.fingerprint();
     let mut listener = Listener::signed(&listen, false, (!args.off).then_some(new))?;
-    let is_as_asked = |listener: &Listener| listener.session.is_signed() != args.off;
+    let is_as_requested = |listener: &Listener| listener.session.is_signed() != args.off;
     wait(&mut listener, |listener, _| {
-        listener.session.vehicle().is_some() && is_as_asked(listener)
+        listener.session.vehicle().is_some() && is_as_requested(listener)
     })
     .context("the vehicle was sent the change of its key, and did not comply")?;
     let text = match args.off {
@@ -122,15 +122,15 @@ fn wait(
     listener: &mut Listener,
     mut is_done: impl FnMut(&Listener, Option<bool>) -> bool,
 ) -> anyhow::Result<()> {
-    say(format_args!("listening on {}", listener.endpoint));
+    print_status(format_args!("listening on {}", listener.endpoint));
     let started = listener.clock.now();
     while listener.clock.now().since(started) < SEARCH {
         let mut armed = None;
-        listener.listen(STEP, |_, heard| {
-            if let Heard::Message(received) = heard
-                && let Inbound::Heartbeat { armed: told, .. } = received.message
+        listener.listen(STEP, |_, delivery| {
+            if let Delivery::Message(received) = delivery
+                && let Inbound::Heartbeat { armed: is_armed, .. } = received.message
             {
-                armed = Some(told);
+                armed = Some(is_armed);
             }
         });
         if is_done(listener, armed) {

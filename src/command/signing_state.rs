@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use wire::dialect::MavMessage;
 use wire::signing::{Key, Stamp, StreamId, StreamStamp};
 
-use super::{Exit, ExitContext, say, write_file};
+use super::{Exit, ExitContext, print_status, write_file};
 use crate::config::{SIGNING_KEY_VARIABLE, SigningSettings};
 use crate::link::signing::{self, Ledger, Remembered};
 
@@ -97,7 +97,7 @@ impl SigningState {
         let now = Stamp::from_unix_ns(now.as_nanos() as u64);
         let ahead_s = before.newest.seconds_since(now);
         if ahead_s > 3600.0 {
-            say(format_args!(
+            print_status(format_args!(
                 "the stamps in {} are {ahead_s:.0} s ahead of this computer's clock; check the clock",
                 path.display()
             ));
@@ -116,16 +116,16 @@ impl SigningState {
         write(&path, &key, &before)?;
         let (stop, stopped) = channel();
         let thread = thread::Builder::new().name("signing".into()).spawn(move || {
-            let (mut written, mut is_told) = (before, false);
+            let (mut written, mut is_reported) = (before, false);
             loop {
                 let is_over = stopped.recv_timeout(WRITE_PERIOD) != Err(RecvTimeoutError::Timeout);
                 let now = ledger.get();
                 if now.newest > written.newest {
                     match write(&path, &key, &now) {
-                        Ok(()) => (written, is_told) = (now, false),
-                        Err(error) if !is_told => {
+                        Ok(()) => (written, is_reported) = (now, false),
+                        Err(error) if !is_reported => {
                             tracing::warn!("{error:#}; the flight continues");
-                            is_told = true;
+                            is_reported = true;
                         }
                         Err(_) => {}
                     }
@@ -247,15 +247,16 @@ mod tests {
         let streams = vec![StreamStamp { id, newest: Stamp::from_ticks(4) }];
         let first = SigningState::opened(&settings, None).expect("a key").expect("given");
         assert_eq!(first.settings.before, Remembered::default());
-        let told = Remembered { newest: Stamp::from_ticks(1 << 47), streams: streams.clone() };
+        let remembered =
+            Remembered { newest: Stamp::from_ticks(1 << 47), streams: streams.clone() };
         let path = folder.join("key.stamps");
-        write(&path, &Key::new([9; 32]), &told).expect("writable");
+        write(&path, &Key::new([9; 32]), &remembered).expect("writable");
         drop(first);
         let again = SigningState::opened(&settings, None).expect("a key").expect("given");
         assert_eq!(again.settings.before.streams, streams);
         assert_eq!(again.settings.before.newest.ticks(), (1 << 47) + UNWRITTEN);
         drop(again);
-        write(&path, &Key::new([8; 32]), &told).expect("writable");
+        write(&path, &Key::new([8; 32]), &remembered).expect("writable");
         let error = SigningState::opened(&settings, None).err().expect("another key");
         assert!(error.to_string().contains("its own state_file"), "{error:#}");
         fs::write(&path, "{").expect("writable");

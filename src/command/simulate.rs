@@ -20,7 +20,7 @@ use super::progress::flight_bar;
 use super::setup::{built_in_trajectory, run_info};
 use super::simulation::{Simulated, SimulatedFlight, Truth};
 use super::vehicle_file::VehicleFile;
-use super::{Exit, ExitContext, config, print_json, print_text, say, summary, write_file};
+use super::{Exit, ExitContext, config, print_json, print_status, print_text, summary, write_file};
 use crate::cli::{SimulateArgs, ViewArgs};
 use crate::config::Config;
 use crate::lap_learning::Lap;
@@ -141,17 +141,17 @@ pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
     }
     let learn = |record: &Record| {
         let learner = learner.as_mut()?;
-        learner.hear(record);
+        learner.on_record(record);
         let event = learner.take_event()?;
         if let Record::Event { text, .. } = &event {
-            say(format_args!("{text}"));
+            print_status(format_args!("{text}"));
         }
         Some(event)
     };
     let (mut row, exit) = if args.view.view.is_some() {
         simulation.fly_seen(folder, &args.view, learn, watch)?
     } else {
-        simulation.fly_heard(folder, learn, watch)?
+        simulation.fly_with(folder, learn, watch)?
     };
     row.laps = learner.map(|learner| learner.laps().to_vec()).unwrap_or_default();
     bar.finish_and_clear();
@@ -166,7 +166,7 @@ pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
         print_text(&text(&row))?;
     }
     let wall_s = began.elapsed().as_secs_f64();
-    say(format_args!(
+    print_status(format_args!(
         "simulated {:.1} s in {wall_s:.2} s: {:.0} times real time",
         row.simulated_s,
         row.simulated_s / wall_s
@@ -207,7 +207,7 @@ impl Simulation {
     /// # Errors
     /// A vehicle that cannot be simulated, or a flight without an end.
     pub fn fly(&self, watch: impl FnMut(&Status)) -> anyhow::Result<(Row, Exit)> {
-        self.fly_heard(None, |_| None, watch)
+        self.fly_with(None, |_| None, watch)
     }
 
     /// Flies, and writes a log into `folder`.
@@ -219,36 +219,36 @@ impl Simulation {
         folder: &Path,
         watch: impl FnMut(&Status),
     ) -> anyhow::Result<(Row, Exit)> {
-        self.fly_heard(Some(folder), |_| None, watch)
+        self.fly_with(Some(folder), |_| None, watch)
     }
 
-    /// Flies, and writes a log into `folder`; `hear` hears each record.
+    /// Flies, and writes a log into `folder`; `on_record` receives each record.
     ///
     /// # Errors
     /// As [`fly_logged`](Self::fly_logged).
     pub fn fly_recorded(
         &self,
         folder: &Path,
-        mut hear: impl FnMut(&Record),
+        mut on_record: impl FnMut(&Record),
     ) -> anyhow::Result<(Row, Exit)> {
-        let hear = |record: &Record| {
-            hear(record);
+        let on_record = |record: &Record| {
+            on_record(record);
             None
         };
-        self.fly_heard(Some(folder), hear, |_| {})
+        self.fly_with(Some(folder), on_record, |_| {})
     }
 
-    /// Flies, with a log if `folder` is given. `hear` receives each record and may add one.
-    fn fly_heard(
+    /// Flies, with a log if `folder` is given. `on_record` receives each record and may add one.
+    fn fly_with(
         &self,
         folder: Option<&Path>,
-        mut hear: impl FnMut(&Record) -> Option<Record>,
+        mut on_record: impl FnMut(&Record) -> Option<Record>,
         watch: impl FnMut(&Status),
     ) -> anyhow::Result<(Row, Exit)> {
         let mut gatherer = MetricsGatherer::default();
         let mut take = |record: &Record| {
             gatherer.add(record);
-            hear(record)
+            on_record(record)
         };
         let (end, simulated_s, log) = match folder {
             Some(folder) => {
@@ -271,7 +271,7 @@ impl Simulation {
         &self,
         folder: Option<&Path>,
         view: &ViewArgs,
-        mut hear: impl FnMut(&Record) -> Option<Record>,
+        mut on_record: impl FnMut(&Record) -> Option<Record>,
         mut watch: impl FnMut(&Status),
     ) -> anyhow::Result<(Row, Exit)> {
         let info = run_info(&self.config, &self.vehicle, self.course.name(), true, Some(self.seed));
@@ -279,9 +279,9 @@ impl Simulation {
         let mut listeners = audience.take_listeners();
         let (began, start) = (Instant::now(), lockstep::host_time(0));
         let now = Cell::new(start);
-        let hear = |record: &Record| {
-            let more = hear(record);
-            listeners.iter_mut().for_each(|listener| listener.hear(record));
+        let on_record = |record: &Record| {
+            let more = on_record(record);
+            listeners.iter_mut().for_each(|listener| listener.on_record(record));
             // Of the simulated vehicle there is one every 10 ms.
             if let Record::Truth { stamp, .. } = record {
                 now.set(stamp.host);
@@ -290,7 +290,7 @@ impl Simulation {
             }
             more
         };
-        self.fly_heard(folder, hear, |status| {
+        self.fly_with(folder, on_record, |status| {
             let _ = audience.show(now.get(), status);
             watch(status);
         })
@@ -315,7 +315,7 @@ impl Simulation {
         simulated_s: f64,
         gatherer: &MetricsGatherer,
     ) -> (Row, Exit) {
-        let (words, exit) = summary::end_in_words(Some(end), None);
+        let (text, exit) = summary::end_in_words(Some(end), None);
         let row = Row {
             schema: "downwash.simulate",
             schema_version: 1,
@@ -326,7 +326,7 @@ impl Simulation {
             onsets: self.truth.onsets.clone(),
             settings: self.settings.clone(),
             seed: self.seed,
-            end: words,
+            end: text,
             exit: exit.code(),
             simulated_s,
             metrics: gatherer.metrics(self.config.settings.control.rate_hz),

@@ -7,7 +7,7 @@ use sitl::cli::{SitlError, Stop};
 use vehicle::VehicleParams;
 use vehicle::frame::Frd;
 
-use super::audience::{address, say_address};
+use super::audience::{address, print_address};
 use super::vehicle_file::VehicleFile;
 use super::{Exit, ExitContext};
 use crate::cli::{SimulatorArgs, VIEW_ADDRESS};
@@ -25,8 +25,8 @@ pub(super) fn run(args: &SimulatorArgs) -> anyhow::Result<Exit> {
     let vehicle = VehicleFile::load(&args.vehicle.vehicle)?;
     let ended = match &args.view.view {
         None => sitl::cli::run(&args.vehicle),
-        Some(asked) => {
-            let mut watched = Watched::start(asked, &vehicle.params)?;
+        Some(requested) => {
+            let mut watched = Watched::start(requested, &vehicle.params)?;
             sitl::cli::run_watched(&args.vehicle, |vehicle| watched.see(vehicle))
         }
     };
@@ -53,16 +53,16 @@ struct Watched {
 }
 
 impl Watched {
-    fn start(asked: &str, params: &VehicleParams) -> anyhow::Result<Self> {
+    fn start(requested: &str, params: &VehicleParams) -> anyhow::Result<Self> {
         let settings = ViewSettings {
-            address: address(asked, VIEW_ADDRESS),
+            address: address(requested, VIEW_ADDRESS),
             name: format!("downwash sitl: {}", params.name),
             ..ViewSettings::default()
         };
         let rotors = params.rotors.map(|rotor| Frd::from(rotor.position_m));
         let (view, feed) =
             LiveView::start(settings, &rotors, CoursePath::default()).or_exit(Exit::Usage)?;
-        say_address(view.address());
+        print_address(view.address());
         let clock = HostClock::start();
         Ok(Self { _view: view, feed: feed.alone(), clock, next: HostTime::default() })
     }
@@ -71,7 +71,7 @@ impl Watched {
         let now = self.clock.now();
         if now >= self.next {
             self.next = now + VIEW_PERIOD;
-            self.feed.hear(&lockstep::truth(vehicle, now));
+            self.feed.on_record(&lockstep::truth(vehicle, now));
         }
     }
 }

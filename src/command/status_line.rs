@@ -66,7 +66,7 @@ impl StatusLine {
 
     /// Draws the status.
     pub fn show(&self, status: &Status) {
-        self.bar.set_message(words(status));
+        self.bar.set_message(status_text(status));
     }
 
     /// Takes the line away.
@@ -77,14 +77,14 @@ impl StatusLine {
 }
 
 /// Most important first: a narrow terminal cuts the end.
-fn words(status: &Status) -> String {
+fn status_text(status: &Status) -> String {
     let mut parts = Vec::new();
     if status.link != "connected" {
         parts.push(format!("link {}", status.link));
     }
     parts.extend(status.vehicle.map(str::to_owned));
     parts.extend(status.phase.map(|phase| phase.name().to_owned()));
-    let mode = |word| status.mode_name.map_or(format!("mode {word:#010x}"), str::to_owned);
+    let mode = |mode| status.mode_name.map_or(format!("mode {mode:#010x}"), str::to_owned);
     parts.extend(status.mode.map(mode));
     parts.extend(status.armed.map(|armed| if armed { "armed" } else { "disarmed" }.to_owned()));
     let ticks = status.tick_rate_hz > 0.0;

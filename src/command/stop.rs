@@ -54,23 +54,24 @@ impl StopSignals {
     /// Waits for the next request, for at most `period`.
     pub fn wait(&mut self, period: Duration) -> Option<Stop> {
         let Self { runtime, interrupt, terminate, first } = self;
-        let asked = runtime.block_on(async {
+        let requested = runtime.block_on(async {
             tokio::select! {
                 _ = interrupt.recv() => Some(Stop::Interrupt),
                 _ = terminate.recv() => Some(Stop::Terminate),
                 () = tokio::time::sleep(period) => None,
             }
         });
-        *first = first.or(asked);
-        asked
+        *first = first.or(requested);
+        requested
     }
 
     /// A request that came by a key.
-    pub fn ask(&mut self, stop: Stop) {
+    pub fn request(&mut self, stop: Stop) {
         self.first = self.first.or(Some(stop));
     }
 
-    /// The first request, of all that [`wait`](Self::wait) has seen and [`ask`](Self::ask) was given.
+    /// The first request, of all that [`wait`](Self::wait) has seen and
+    /// [`request`](Self::request) was given.
     pub fn first(&self) -> Option<Stop> {
         self.first
     }

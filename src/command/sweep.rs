@@ -33,7 +33,7 @@ use self::manifest::{Manifest, Point};
 use self::subject::Subject;
 use super::progress::count_bar;
 use super::rows::{Folder, Header, Rows, interrupted};
-use super::{Exit, ExitContext, Interruption, in_words, print_json, print_text, say};
+use super::{Exit, ExitContext, Interruption, in_words, print_json, print_status, print_text};
 use crate::cli::{Shard, SweepArgs};
 
 /// What a sweep has come to: the JSON of `sweep`.
@@ -95,7 +95,7 @@ pub(super) fn run(args: &SweepArgs, interruption: &Interruption) -> anyhow::Resu
         bar.set_position(done);
     })?;
     bar.finish_and_clear();
-    say(format_args!("{:.1} s", began.elapsed().as_secs_f64()));
+    print_status(format_args!("{:.1} s", began.elapsed().as_secs_f64()));
     if args.json {
         print_json(&summary)?;
     } else {

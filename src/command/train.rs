@@ -13,7 +13,8 @@ use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::StageBar;
 use super::vehicle_file::warn;
 use super::{
-    Exit, ExitContext, Interruption, in_words, model, print_json, print_text, say, write_file,
+    Exit, ExitContext, Interruption, in_words, model, print_json, print_status, print_text,
+    write_file,
 };
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
 use crate::learn::commands::Onboard;
@@ -33,7 +34,7 @@ pub(super) fn run(args: &TrainArgs, interruption: &Interruption) -> anyhow::Resu
     let Trained { summary, report } = match learn(args, resume, &interruption.flag())? {
         Learning::Done(trained) => *trained,
         Learning::Interrupted(checkpoint) => {
-            say(format_args!(
+            print_status(format_args!(
                 "run the same command with --resume to continue from {}",
                 checkpoint.display()
             ));
@@ -153,7 +154,7 @@ pub fn learn(
             Err(error) => {
                 let Some(found) = best.take() else { return Err(error) };
                 bar.clear();
-                say(format_args!(
+                print_status(format_args!(
                     "warning: with the window of {:.1} ms: {}; using the earlier window's models",
                     1e3 * windows.half_s,
                     in_words(&error)
@@ -181,7 +182,7 @@ pub fn learn(
         }
         Best::NoBetterThanHolding => {
             let reason = standing.best.reason().unwrap_or_default();
-            say(format_args!(
+            print_status(format_args!(
                 "warning: {reason}; check the logs with `downwash log audit`, or give more flights"
             ));
         }
@@ -269,7 +270,7 @@ fn train_with(
     let path = checkpoint_path(&args.out);
     let keep_trained: Box<dyn Fn(&Progress) + Send> = Box::new(move |reached| {
         if let Err(error) = keep(reached, &path) {
-            say(format_args!("warning: {}", in_words(&error)));
+            print_status(format_args!("warning: {}", in_words(&error)));
         }
     });
     // As where it is interrupted.

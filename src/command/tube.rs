@@ -26,7 +26,8 @@ use super::progress::count_bar;
 use super::simulation::Truth;
 use super::vehicle_file::VehicleFile;
 use super::{
-    Exit, ExitContext, Interruption, config, in_words, print_json, print_text, say, write_file,
+    Exit, ExitContext, Interruption, config, in_words, print_json, print_status, print_text,
+    write_file,
 };
 use crate::cli::{TubeCommand, TubeFitArgs};
 use crate::config::Config;
@@ -146,7 +147,7 @@ fn fit(args: &TubeFitArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
         print_text(&summary.in_words())?;
     }
     if let Err(error @ TubeError::TooFew { .. }) = tube.radius(0.95) {
-        say(format_args!("{error}"));
+        print_status(format_args!("{error}"));
     }
     Ok(Exit::Ok)
 }
@@ -188,7 +189,7 @@ fn of_logs(
         match flown {
             Ok(flown) => flights.push(flown),
             Err(error) => {
-                say(format_args!("{}: left out: {}", path.display(), in_words(&error)));
+                print_status(format_args!("{}: left out: {}", path.display(), in_words(&error)));
             }
         }
     }
@@ -206,11 +207,11 @@ fn courses(
             Plan::load(path).or_exit(Exit::Usage)?
         } else {
             let trajectory = Trajectory::load(path).or_exit(Exit::Usage)?;
-            let through = model_for(&vehicle.params, args.model.as_deref(), args.kind)?;
-            say(format_args!("planning {}", trajectory.name()));
+            let plan_model = model_for(&vehicle.params, args.model.as_deref(), args.kind)?;
+            print_status(format_args!("planning {}", trajectory.name()));
             let (began, limit) =
                 (std::time::Instant::now(), TimeLimit::new(config.settings.plan.time_limit_s));
-            plan_trajectory(&trajectory, &vehicle.params, &through, config, &|_| {
+            plan_trajectory(&trajectory, &vehicle.params, &plan_model, config, &|_| {
                 limit.is_over(began.elapsed())
             })?
         };

@@ -11,9 +11,10 @@ use vehicle::{Remark, SHIPPED, VehicleParams};
 
 use super::patience::Patience;
 use super::setup::endpoint;
-use super::vehicle_file::told;
+use super::vehicle_file::remark_text;
 use super::{
-    Exit, ExitContext, in_words, link_parameters, output, print_json, print_text, say, write_file,
+    Exit, ExitContext, in_words, link_parameters, output, print_json, print_status, print_text,
+    write_file,
 };
 use crate::cli::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
 use crate::log::import;
@@ -88,7 +89,7 @@ fn export(file: &Path, to: PeerChoice, out: Option<&Path>, force: bool) -> anyho
     let vehicle = VehicleParams::load(file).or_exit(Exit::Usage)?;
     let exported = vehicle::export::export(&vehicle, peer).or_exit(Exit::Usage)?;
     for lost in &exported.lost {
-        say(format_args!("{} does not express {lost}", peer.name()));
+        print_status(format_args!("{} does not express {lost}", peer.name()));
     }
     match out {
         None => print_text(&exported.text)?,
@@ -128,7 +129,7 @@ fn check(file: &Path, log: Option<&Path>, json: bool) -> anyhow::Result<Exit> {
         })?;
     } else {
         let file = file.display();
-        let mut lines: Vec<String> = remarks.iter().map(told).collect();
+        let mut lines: Vec<String> = remarks.iter().map(remark_text).collect();
         if lines.is_empty() {
             lines.push("the numbers fit each other".to_owned());
         }
@@ -235,18 +236,21 @@ fn init(args: &InitArgs) -> anyhow::Result<Exit> {
     if args.out.is_none() {
         print_text(toml)?;
     }
-    for (word, wanting) in [("missing", missing), ("estimated", estimated)] {
-        for Wanting { key, what, how } in wanting {
+    for (state, keys) in [("missing", missing), ("estimated", estimated)] {
+        for Wanting { key, what, how } in keys {
             let taken = assumptions.get(key).map(|taken| format!(" ({taken})"));
-            say(format_args!("{word}: {key}, {what}{}: {how}", taken.unwrap_or_default()));
+            print_status(format_args!(
+                "{state}: {key}, {what}{}: {how}",
+                taken.unwrap_or_default()
+            ));
         }
     }
     for remark in remarks {
-        say(format_args!("{}", told(remark)));
+        print_status(format_args!("{}", remark_text(remark)));
     }
     if let Some(out) = &args.out {
-        let whole = if missing.is_empty() { "" } else { ", without the missing numbers" };
-        say(format_args!("wrote {}{whole}", out.display()));
+        let suffix = if missing.is_empty() { "" } else { ", without the missing numbers" };
+        print_status(format_args!("wrote {}{suffix}", out.display()));
     }
     Ok(Exit::Ok)
 }

@@ -7,7 +7,7 @@ use vehicle::effects::EffectSet;
 use vehicle::{Doubt, Remark, VehicleParams};
 
 use super::improved::{Additions, Form};
-use super::{Exit, ExitContext, say};
+use super::{Exit, ExitContext, print_status};
 
 /// A vehicle file with its text, as the log keeps it.
 #[derive(Clone, Debug)]
@@ -79,7 +79,7 @@ impl VehicleFile {
     }
 }
 
-pub(super) fn told(remark: &Remark) -> String {
+pub(super) fn remark_text(remark: &Remark) -> String {
     match remark.doubt {
         Doubt::Unlikely => format!("unlikely: {}", remark.what),
         Doubt::CannotFly => format!("cannot fly: {}", remark.what),
@@ -93,9 +93,10 @@ pub(super) fn told(remark: &Remark) -> String {
 pub(super) fn refuse_grounded(file: &str, vehicle: &VehicleParams) -> anyhow::Result<()> {
     for remark in vehicle.remarks() {
         if remark.doubt == Doubt::CannotFly {
-            return Err(anyhow!("vehicle file {file}: {}", told(&remark))).or_exit(Exit::Usage);
+            return Err(anyhow!("vehicle file {file}: {}", remark_text(&remark)))
+                .or_exit(Exit::Usage);
         }
-        say(format_args!("vehicle file {file}: {}", told(&remark)));
+        print_status(format_args!("vehicle file {file}: {}", remark_text(&remark)));
     }
     Ok(())
 }
@@ -104,6 +105,9 @@ pub(super) fn refuse_grounded(file: &str, vehicle: &VehicleParams) -> anyhow::Re
 pub(super) fn warn(file: &Path, vehicle: &VehicleParams) {
     for remark in vehicle.remarks() {
         let file = file.display();
-        say(format_args!("vehicle file {file}: {}; using it as it is", told(&remark)));
+        print_status(format_args!(
+            "vehicle file {file}: {}; using it as it is",
+            remark_text(&remark)
+        ));
     }
 }

@@ -92,12 +92,12 @@ const FADE_S: f64 = 0.5;
 /// Time after a change until its size is known well enough to act on it, s.
 const SIZED_AFTER_S: f64 = 0.2;
 /// Delay of the report of a change, until its size is known, s.
-const TOLD_AFTER_S: f64 = 0.8;
+const REPORT_DELAY_S: f64 = 0.8;
 /// Smallest changes that are reported: of thrust over mass, of a push in m/s^2, of an attitude in
 /// rad.
-const TOLD_SHARE: f64 = 0.05;
-const TOLD_PUSH_M_S2: f64 = 0.4;
-const TOLD_ATTITUDE_RAD: f64 = 0.03;
+const REPORTED_SHARE_MIN: f64 = 0.05;
+const REPORTED_PUSH_MIN_M_S2: f64 = 0.4;
+const REPORTED_ATTITUDE_MIN_RAD: f64 = 0.03;
 /// Tilt offset from which the report names one weak rotor, rad.
 const ROTOR_TILT_RAD: f64 = 0.04;
 
@@ -140,7 +140,7 @@ pub(super) struct Moved {
 
 /// An event of adaptation to report.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum AdaptationNotice {
+pub enum AdaptationEvent {
     /// Parameters have changed.
     Changed(ParameterChange),
     /// Adaptation is off until the next flight.
@@ -177,8 +177,8 @@ pub struct Adaptation {
     is_sized: bool,
     /// Time of the first sample learned from.
     began: Option<VehicleTime>,
-    told: (f64, [f64; 2], [f64; 3]),
-    notice: Option<AdaptationNotice>,
+    reported: (f64, [f64; 2], [f64; 3]),
+    event: Option<AdaptationEvent>,
 }
 
 impl Adaptation {
@@ -205,17 +205,17 @@ impl Adaptation {
             sized: None,
             is_sized: false,
             began: None,
-            told: (0.0, [0.0; 2], [0.0; 3]),
-            notice: None,
+            reported: (0.0, [0.0; 2], [0.0; 3]),
+            event: None,
             settings,
         }
     }
 
-    /// Discards everything learned and restores trust; keeps a pending notice.
+    /// Discards everything learned and restores trust; keeps a pending event.
     pub(super) fn reset(&mut self) {
-        let notice = self.notice;
+        let event = self.event;
         *self = Self::new(self.settings);
-        self.notice = notice;
+        self.event = event;
     }
 
     /// Whether adaptation is still trusted.
@@ -223,9 +223,9 @@ impl Adaptation {
         self.distrust.is_none()
     }
 
-    /// Takes the pending notice.
-    pub(super) fn take_notice(&mut self) -> Option<AdaptationNotice> {
-        self.notice.take()
+    /// Takes the pending event.
+    pub(super) fn take_event(&mut self) -> Option<AdaptationEvent> {
+        self.event.take()
     }
 
     /// The present estimates; drag is at least 0.
@@ -330,18 +330,18 @@ impl Adaptation {
     fn suspect(&mut self, distrust: Option<Distrust>) {
         if self.distrust.is_none() && distrust.is_some() {
             self.distrust = distrust;
-            self.notice = distrust.map(AdaptationNotice::SwitchedOff);
+            self.event = distrust.map(AdaptationEvent::SwitchedOff);
         }
     }
 
     /// Reports what changed, once its size is known.
     fn explain(&mut self, moved: &Moved) {
         let began = *self.began.get_or_insert(moved.at);
-        if moved.at.seconds_since(began) < TOLD_AFTER_S {
+        if moved.at.seconds_since(began) < REPORT_DELAY_S {
             return;
         }
         let began_s_ago = self.changed.map_or(0.0, |changed| moved.at.seconds_since(changed));
-        if self.changed.is_some() && began_s_ago < TOLD_AFTER_S {
+        if self.changed.is_some() && began_s_ago < REPORT_DELAY_S {
             return;
         }
         self.changed = None;
@@ -350,24 +350,28 @@ impl Adaptation {
         let (sin, cos) = moved.attitude.yaw().sin_cos();
         let push = [north + cos * front - sin * right, east + sin * front + cos * right];
         let attitude = self.trims.map(|trim| trim.value);
-        let (share_told, push_told, attitude_told) = &mut self.told;
+        let (share_reported, push_reported, attitude_reported) = &mut self.reported;
         let mut change = ParameterChange { began_s_ago, ..ParameterChange::default() };
-        if (thrust_share - *share_told).abs() > TOLD_SHARE
-            && self.recursion.deviation(0) < 0.5 * TOLD_SHARE
+        if (thrust_share - *share_reported).abs() > REPORTED_SHARE_MIN
+            && self.recursion.deviation(0) < 0.5 * REPORTED_SHARE_MIN
         {
-            *share_told = thrust_share;
+            *share_reported = thrust_share;
             change.thrust_over_mass = Some(1.0 + thrust_share);
         }
-        if (push[0] - push_told[0]).hypot(push[1] - push_told[1]) > TOLD_PUSH_M_S2 {
-            *push_told = push;
+        if (push[0] - push_reported[0]).hypot(push[1] - push_reported[1]) > REPORTED_PUSH_MIN_M_S2 {
+            *push_reported = push;
             change.push = Some(push);
         }
-        if attitude.iter().zip(*attitude_told).any(|(a, b)| (a - b).abs() > TOLD_ATTITUDE_RAD) {
-            *attitude_told = attitude;
+        if attitude
+            .iter()
+            .zip(*attitude_reported)
+            .any(|(a, b)| (a - b).abs() > REPORTED_ATTITUDE_MIN_RAD)
+        {
+            *attitude_reported = attitude;
             change.attitude = Some(attitude);
         }
         if change.thrust_over_mass.is_some() || change.push.is_some() || change.attitude.is_some() {
-            self.notice = Some(AdaptationNotice::Changed(change));
+            self.event = Some(AdaptationEvent::Changed(change));
         }
     }
 }
@@ -472,7 +476,7 @@ impl fmt::Display for ParameterChange {
     }
 }
 
-impl fmt::Display for AdaptationNotice {
+impl fmt::Display for AdaptationEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Changed(change) => write!(f, "adapted: {change}"),

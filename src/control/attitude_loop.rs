@@ -237,7 +237,7 @@ mod tests {
             let natural_frequency = std::array::from_fn(|i| (KP[i] / INERTIA[i]).sqrt());
             let damping =
                 std::array::from_fn(|i| KD[i] / (2.0 * (KP[i] * INERTIA[i]).sqrt()));
-            let whole = AttitudeLoop::Pd { kp: KP, kd: KD };
+            let full = AttitudeLoop::Pd { kp: KP, kd: KD };
             for part in [
                 AttitudeLoop::AttitudePd { kp: KP, kd: KD },
                 AttitudeLoop::Attitude { natural_frequency, damping },
@@ -249,12 +249,12 @@ mod tests {
                     let rates = sent.body_rate.to_array();
                     it.angular_acceleration(INERTIA, error(sent.attitude), rates, rate)
                 };
-                let (folded, both) = (turn(&part, &sent), turn(&whole, &setpoint));
+                let (folded, both) = (turn(&part, &sent), turn(&full, &setpoint));
                 for (folded, both) in folded.into_iter().zip(both) {
                     prop_assert!((folded - both).abs() < 1e-9 * (1.0 + both.abs()));
                 }
             }
-            prop_assert_eq!(whole.folded(setpoint), setpoint);
+            prop_assert_eq!(full.folded(setpoint), setpoint);
         }
 
         #[test]
@@ -266,8 +266,8 @@ mod tests {
                 Setpoint { attitude: Euler::new(roll, pitch, heading), ..Setpoint::default() };
             let sent = AttitudeError::Rotation.addressed(setpoint, yaw);
             let down = |attitude: Euler| attitude.attitude().to_world(Frd::new(0.0, 0.0, 1.0));
-            let wanted = down(Euler::new(roll, pitch, yaw));
-            prop_assert!((down(sent.attitude) - wanted).norm() < 1e-9);
+            let expected = down(Euler::new(roll, pitch, yaw));
+            prop_assert!((down(sent.attitude) - expected).norm() < 1e-9);
             prop_assert!(wrap_angle(sent.attitude.yaw - heading).abs() < 1e-12);
         }
     }

@@ -1,7 +1,7 @@
 //! From state and reference to the setpoint for a vehicle's attitude loop: a law, with what every
 //! law needs around it.
 
-use super::adaptation::{AdaptationNotice, Parameters};
+use super::adaptation::{AdaptationEvent, Parameters};
 use super::attitude_loop::{AttitudeError, AttitudeLoop};
 use super::disturbance::DisturbanceObserver;
 use super::laws::{Command, ControlLaw, ControlProblem, DesignError, Lqr};
@@ -22,7 +22,7 @@ pub struct Controller {
     folds_rates: bool,
     observer: Option<DisturbanceObserver>,
     /// Time of the last call of the law, s.
-    asked_s: Option<f64>,
+    last_call_s: Option<f64>,
     sent: Option<Setpoint>,
     /// The path back to the reference after a change.
     way_back: Option<WayBack>,
@@ -42,7 +42,7 @@ impl Controller {
             error: AttitudeError::Angles,
             folds_rates: true,
             observer: None,
-            asked_s: None,
+            last_call_s: None,
             sent: None,
             way_back: None,
             expected: (false, Expected::default()),
@@ -82,7 +82,7 @@ impl Controller {
     /// Discards every estimate.
     pub fn reset(&mut self) {
         self.law.reset();
-        (self.sent, self.asked_s, self.way_back) = (None, None, None);
+        (self.sent, self.last_call_s, self.way_back) = (None, None, None);
         self.expected = (false, Expected::default());
         if let Some(observer) = &mut self.observer {
             observer.reset();
@@ -116,9 +116,9 @@ impl Controller {
         self.observer.as_ref()?.parameters()
     }
 
-    /// Takes the pending notice of adaptation; returns each notice once.
-    pub fn take_notice(&mut self) -> Option<AdaptationNotice> {
-        self.observer.as_mut()?.take_notice()
+    /// Takes the pending event of adaptation; returns each event once.
+    pub fn take_event(&mut self) -> Option<AdaptationEvent> {
+        self.observer.as_mut()?.take_event()
     }
 
     /// Updates the observer with the state that the last setpoint led to. `expected` is what the
@@ -161,7 +161,8 @@ impl Controller {
 
     /// The setpoint for the vehicle's loop at `time_s` of the vehicle's clock, before any limit.
     pub fn command(&mut self, time_s: f64, state: &State, reference: &Reference) -> Command {
-        let dt_s = self.asked_s.replace(time_s).map_or(0.0, |before| (time_s - before).max(0.0));
+        let dt_s =
+            self.last_call_s.replace(time_s).map_or(0.0, |before| (time_s - before).max(0.0));
         let yaw = state.attitude.yaw();
         let led = self.led_back(time_s, state, reference, yaw);
         let scale = self.feedback_scale;
@@ -203,8 +204,8 @@ impl Controller {
     ) -> Reference {
         let Some(observer) = &mut self.observer else { return *reference };
         if observer.take_change() {
-            let believed = observer.believed(state);
-            self.way_back = WayBack::from(time_s, &believed, reference);
+            let filtered = observer.filtered(state);
+            self.way_back = WayBack::from(time_s, &filtered, reference);
         }
         match self.way_back.filter(|way| !way.is_over(time_s) && observer.parameters().is_some()) {
             Some(way) => way.along(time_s, observer.lead_s(), reference, observer.vehicle(), yaw),

@@ -385,15 +385,15 @@ mod tests {
             let (sin, cos) = (turn * f64::from(tick) * PERIOD_S).sin_cos();
             let position = Ned::new(sin, -cos, 0.0);
             let velocity = Ned::new(cos, sin, 0.0) * turn;
-            let wanted = Ned::new(-sin, cos, 0.0) * turn.powi(2);
-            let carried = wanted + (velocity - wind) * DRAG_PER_S - Ned::new(0.0, 0.0, 9.81);
+            let centripetal = Ned::new(-sin, cos, 0.0) * turn.powi(2);
+            let carried = centripetal + (velocity - wind) * DRAG_PER_S - Ned::new(0.0, 0.0, 9.81);
             let [north, east, down] = carried.to_array();
             let attitude = Euler::new((east / carried.norm()).asin(), (-north).atan2(-down), 0.0);
             let thrust_n = QUAD.mass_kg * carried.norm();
             let state =
                 State { position, velocity, attitude: attitude.attitude(), ..State::default() };
             let (push, _) = body.accelerations(&state, Frd::new(0.0, 0.0, -thrust_n), Frd::zero());
-            assert!((push - wanted - (velocity - wind) * DRAG_PER_S).norm() < 1e-9);
+            assert!((push - centripetal - (velocity - wind) * DRAG_PER_S).norm() < 1e-9);
             let sent = Setpoint { thrust_n, attitude, ..Setpoint::default() };
             observer.observe(at(tick), &state, &sent, &Expected::default());
         }

@@ -15,7 +15,7 @@ mod way_back;
 
 pub use actuation::Actuation;
 pub use adaptation::{
-    Adaptation, AdaptationNotice, AdaptationSettings, Distrust, ParameterChange, Parameters,
+    Adaptation, AdaptationEvent, AdaptationSettings, Distrust, ParameterChange, Parameters,
 };
 pub use attitude_loop::{AttitudeError, AttitudeLoop};
 pub use controller::Controller;

@@ -110,8 +110,8 @@ impl<const X: usize, const M: usize> OutputFeedback<X, M> {
         let weight = (self.input_weight + self.input.transpose() * pb).cholesky()?;
         let measured = covariance.fixed_view::<N, N>(0, 0).into_owned().cholesky()?;
         let seen = covariance.fixed_view::<X, N>(0, 0);
-        let wanted = weight.solve(&(pb.transpose() * self.state * seen));
-        Some(-measured.solve(&wanted.transpose()).transpose() - gain)
+        let projected = weight.solve(&(pb.transpose() * self.state * seen));
+        Some(-measured.solve(&projected.transpose()).transpose() - gain)
     }
 
     fn evaluate<const N: usize>(&self, gain: &SMatrix<f64, M, N>) -> Option<Evaluation<X>> {

@@ -341,8 +341,8 @@ mod tests {
                 };
                 let flown = plant.physics().constants().inertia;
                 for axis in 0..3 {
-                    let said = scale[axis] * bench.nominal.inertia[axis];
-                    assert!((flown[axis] / said - 1.0).abs() < 1e-4);
+                    let stated = scale[axis] * bench.nominal.inertia[axis];
+                    assert!((flown[axis] / stated - 1.0).abs() < 1e-4);
                 }
             }
             let (Ok(with), Ok(without)) = (bench.tracks(&truth), bench.tracks(&Truth::default()))

@@ -277,10 +277,10 @@ impl Deviations {
         }
         if self.delay_s != 0.0 {
             let delay = |value| number("delay_s", value);
-            let said = file.command_delay_s;
+            let stated = file.command_delay_s;
             let off = self.delay_s.abs() / sigma.delay_s;
-            let is = delay(said + self.delay_s);
-            list(EffectId::CommandDelay, is, delay(said), Vec::new(), Some(off));
+            let is = delay(stated + self.delay_s);
+            list(EffectId::CommandDelay, is, delay(stated), Vec::new(), Some(off));
         }
         if self.trim_rad != [0.0; 2] {
             let trim = |[roll, pitch]: [f64; 2]| {
@@ -403,8 +403,8 @@ mod tests {
                 (body.inertia[1] / file.inertia[1] - 1.0) / sigma.inertia
             }),
             ("drag torque", |file, sigma, body| {
-                let [is, said] = [body, file].map(|v| v.rotors[2].drag_torque_per_thrust_m);
-                (is / said - 1.0) / sigma.drag_torque
+                let [is, stated] = [body, file].map(|v| v.rotors[2].drag_torque_per_thrust_m);
+                (is / stated - 1.0) / sigma.drag_torque
             }),
             ("centre", |file, sigma, body| {
                 (file.rotors[0].position_m[0] - body.rotors[0].position_m[0]) / sigma.centre_m

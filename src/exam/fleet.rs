@@ -78,11 +78,11 @@ impl FleetCase {
     }
 
     fn of(bench: &Bench, draw: &mut Draw, shape: &Shape) -> Result<Self, FlightError> {
-        let wanted = bench.measure(RATIOS, SIZES);
+        let target = bench.measure(RATIOS, SIZES);
         let is_build = |effect: EffectId| !WEATHER.contains(&effect);
         let shared = if shape.shares {
             let effect = bench.effect(draw, is_build);
-            Some(bench.sized_effect(draw, &bench.baseline()?, effect, wanted)?.0)
+            Some(bench.sized_effect(draw, &bench.baseline()?, effect, target)?.0)
         } else {
             None
         };
@@ -117,8 +117,8 @@ impl FleetCase {
         if is_damaged {
             let effect = bench
                 .effect(draw, |effect| !WEATHER.contains(&effect) && Some(effect.class()) != class);
-            let wanted = bench.measure(RATIOS, SIZES);
-            let (sized, _) = bench.sized_effect(draw, &bench.baseline()?, effect, wanted)?;
+            let target = bench.measure(RATIOS, SIZES);
+            let (sized, _) = bench.sized_effect(draw, &bench.baseline()?, effect, target)?;
             effects = effects.overlay(&sized);
             own = Some(effect);
         }

@@ -50,7 +50,7 @@ pub(super) struct Stated<'a> {
     pub trap_right: bool,
     /// Number of true effects that are named, and number of true effects.
     pub found: usize,
-    pub wanted: usize,
+    pub expected: usize,
     /// Whether the first named effect is true.
     pub first: bool,
     /// Whether a named effect is false, and whether one is a real deviation.
@@ -61,7 +61,7 @@ pub(super) struct Stated<'a> {
 }
 
 pub(super) fn grade(stated: &Stated<'_>) -> Grade {
-    let Stated { key, verdict, found, wanted, is_false, admits, .. } = *stated;
+    let Stated { key, verdict, found, expected, is_false, admits, .. } = *stated;
     let failed = if is_false { Grade::Wrong } else { Grade::Missed };
     match key.kind {
         Kind::Null => match verdict {
@@ -79,12 +79,10 @@ pub(super) fn grade(stated: &Stated<'_>) -> Grade {
         Kind::Trap if stated.trap_right => Grade::Right,
         Kind::Trap => failed,
         _ if found > 0 && is_false => Grade::Mixed,
-        _ if found >= wanted.max(1) || wanted > 0 && found > 0 && key.kind == Kind::OtherLaw => {
-            if stated.first || wanted > 1 {
-                Grade::Right
-            } else {
-                Grade::Acceptable
-            }
+        _ if found >= expected.max(1)
+            || expected > 0 && found > 0 && key.kind == Kind::OtherLaw =>
+        {
+            if stated.first || expected > 1 { Grade::Right } else { Grade::Acceptable }
         }
         _ if found > 0 || admits => Grade::Acceptable,
         _ if !key.is_practical && verdict == "none" => Grade::Right,

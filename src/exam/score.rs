@@ -145,7 +145,7 @@ impl Row {
         let truth: Vec<String> = findable.iter().map(|effect| class_of(&effect.id)).collect();
         let also: Vec<String> = key.also_right.iter().map(|id| class_of(id)).collect();
         let is_true = |id: &String| truth.contains(id) || also.contains(id);
-        let says_effect = verdict == "effect";
+        let names_effect = verdict == "effect";
         let deviations: Vec<String> = match given {
             Ok(given) => given
                 .effects
@@ -162,7 +162,7 @@ impl Row {
         // An answer `effect` that names nothing asserts its first effect.
         let first = probabilities.first().map(|(id, _)| id).filter(|_| named.is_empty());
         let asserted: Vec<&String> =
-            named.iter().copied().chain(first).filter(|_| says_effect).collect();
+            named.iter().copied().chain(first).filter(|_| names_effect).collect();
         let false_named: Vec<String> =
             asserted.iter().filter(|id| !is_there(id)).map(|id| (*id).clone()).collect();
         let deviations_named: Vec<String> =
@@ -171,7 +171,7 @@ impl Row {
             .iter()
             .map(|(id, _)| id)
             .find(|id| !deviations.contains(id))
-            .filter(|_| says_effect);
+            .filter(|_| names_effect);
         let mut set: Vec<&String> = top.into_iter().chain(&ambiguous).collect();
         set.sort_unstable();
         set.dedup();
@@ -189,14 +189,14 @@ impl Row {
             verdict: &verdict,
             trap_right,
             found,
-            wanted: truth.len(),
+            expected: truth.len(),
             first: asserted.first().is_some_and(|id| is_true(id)),
             is_false: !false_named.is_empty(),
             is_deviation: !deviations_named.is_empty(),
             admits: admits && false_named.len() <= 1 && confidently_wrong.is_none(),
         });
         let (mut errors, mut covered) = (BTreeMap::new(), BTreeMap::new());
-        if let (Ok(given), true) = (given, says_effect) {
+        if let (Ok(given), true) = (given, names_effect) {
             for effect in findable {
                 if effect.parameters.is_empty() {
                     continue;
@@ -223,10 +223,10 @@ impl Row {
             ratio: key.snr.ratio,
             right_verdict: key.verdict.clone(),
             top_right,
-            in_set: says_effect && set.len() <= 2 && set.iter().any(|id| is_true(id)),
+            in_set: names_effect && set.len() <= 2 && set.iter().any(|id| is_true(id)),
             is_definite: top_right && ambiguous.is_empty(),
-            all_named: says_effect && truth.iter().all(|id| named.contains(&id)),
-            exact: says_effect && found == truth.len() && false_named.is_empty(),
+            all_named: names_effect && truth.iter().all(|id| named.contains(&id)),
+            exact: names_effect && found == truth.len() && false_named.is_empty(),
             confidently_wrong,
             trap_right,
             brier: match key.hides_its_effect() {
@@ -447,10 +447,10 @@ mod tests {
 
     /// A mass 10 % above a file whose thrust and inertia are off.
     fn off_file(kind: Kind) -> KeyEntry {
-        let deviation = |id: &str, is: &str, said: &str| Deviation {
+        let deviation = |id: &str, is: &str, stated: &str| Deviation {
             id: id.to_owned(),
             parameters: parameters(is),
-            neutral: parameters(said),
+            neutral: parameters(stated),
             alternatives: Vec::new(),
             tolerances: Some(1.0),
         };

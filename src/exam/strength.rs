@@ -65,7 +65,7 @@ impl Strength {
 #[derive(Clone, Debug, Default)]
 pub struct Errors {
     /// Errors of each window.
-    due: Vec<Table>,
+    window_errors: Vec<Table>,
     noise: Table,
 }
 
@@ -83,13 +83,13 @@ fn mean_squares(errors: &[Table]) -> Table {
 }
 
 /// The largest RMS error beyond `without`, relative to the noise; all three are mean squares.
-fn strongest(due: &Table, without: &Table, noise: &Table) -> Strength {
+fn strongest(total: &Table, without: &Table, noise: &Table) -> Strength {
     let mut best = Strength::none();
     for (place, horizon) in HORIZONS.iter().enumerate() {
         for (channel, name) in NAMES.iter().enumerate() {
-            let due = due[place][channel] - without[place][channel];
+            let excess = total[place][channel] - without[place][channel];
             let noise = (noise[place][channel] + without[place][channel]).max(1e-30);
-            let ratio = (due.max(0.0) / noise).sqrt();
+            let ratio = (excess.max(0.0) / noise).sqrt();
             if ratio > best.ratio {
                 let channel = format!("{name}@{}s", *horizon as f64 * 1e-3);
                 best = Strength { ratio, channel };
@@ -101,14 +101,18 @@ fn strongest(due: &Table, without: &Table, noise: &Table) -> Strength {
 
 impl Errors {
     fn noise(&self) -> Table {
-        let count = self.due.len().max(1) as f64;
+        let count = self.window_errors.len().max(1) as f64;
         each(|place, channel| self.noise[place][channel] / count)
     }
 
     /// The strength of these errors beyond those of the vehicle without the difference, which come
     /// from the link's jitter and slowly logged outputs.
     pub fn strength(&self, without: &Errors) -> Strength {
-        strongest(&mean_squares(&self.due), &mean_squares(&without.due), &self.noise())
+        strongest(
+            &mean_squares(&self.window_errors),
+            &mean_squares(&without.window_errors),
+            &self.noise(),
+        )
     }
 }
 
@@ -208,7 +212,7 @@ impl Predictor {
             let reports = HORIZONS.map(|horizon| reporter.report(track, start + horizon));
             let from = reporter.report(track, start);
             let predicted = self.predict(track, start, &from);
-            errors.due.push(apart(&reports, &predicted));
+            errors.window_errors.push(apart(&reports, &predicted));
             let noisy = self.predict(track, start, &self.noisy(&from, &mut rng));
             let noise = apart(&predicted.map(|s| self.noisy(&s, &mut rng)), &noisy);
             errors.noise = each(|i, j| errors.noise[i][j] + noise[i][j].powi(2));
@@ -228,7 +232,7 @@ impl Predictor {
         without: &Errors,
     ) -> Strength {
         let noise = measured.noise();
-        let baseline = mean_squares(&without.due);
+        let baseline = mean_squares(&without.window_errors);
         let scale = each(|i, j| (noise[i][j] + baseline[i][j]).max(1e-30).sqrt().recip());
         let whitened = |predictor: &Predictor, reporter: &Reporter| -> Vec<Table> {
             windows(tracks, SPARSE)
@@ -456,8 +460,8 @@ fn shrink(left: &mut [Table], columns: &[Vec<Table>], moved: &[Moved]) {
             if norms[number] <= 0.0 {
                 continue;
             }
-            let wanted: f64 = moves[number] - slopes[number] / norms[number];
-            let step = wanted.clamp(-moved.most, moved.most) - moves[number];
+            let ideal: f64 = moves[number] - slopes[number] / norms[number];
+            let step = ideal.clamp(-moved.most, moved.most) - moves[number];
             moves[number] += step;
             for (slope, product) in slopes.iter_mut().zip(&products[number]) {
                 *slope += step * product;

@@ -250,15 +250,15 @@ mod tests {
         let share = |is: &dyn Fn(&Setting) -> bool| {
             drawn.iter().filter(|setting| is(setting)).count() as f64 / drawn.len() as f64
         };
-        let near = |share: f64, wanted: f64| (share - wanted).abs() < 0.04;
-        for (file, wanted) in FILES {
-            assert!(near(share(&|setting| setting.file == file), wanted), "{file:?}");
+        let near = |share: f64, expected: f64| (share - expected).abs() < 0.04;
+        for (file, expected) in FILES {
+            assert!(near(share(&|setting| setting.file == file), expected), "{file:?}");
         }
-        for (on_board, wanted) in LOOPS {
-            assert!(near(share(&|setting| setting.on_board == on_board), wanted), "{on_board:?}");
+        for (on_board, expected) in LOOPS {
+            assert!(near(share(&|setting| setting.on_board == on_board), expected), "{on_board:?}");
         }
-        for (hz, wanted) in OUTPUTS_HZ {
-            assert!(near(share(&|setting| setting.outputs_hz == hz), wanted), "{hz}");
+        for (hz, expected) in OUTPUTS_HZ {
+            assert!(near(share(&|setting| setting.outputs_hz == hz), expected), "{hz}");
         }
         assert!(near(share(&|setting| setting.lost > 0.0), LOST));
         assert!(near(share(&|setting| setting.vibration.gyro_rad_s > 0.0), VIBRATION));

@@ -169,8 +169,8 @@ impl Onboard {
     /// For a flight that logs neither motor outputs nor rotor speeds, computes outputs from its
     /// setpoints with the on-board law, at the reported attitude and rate. Returns whether it did.
     pub fn complete_outputs(&self, flight: &mut Flight) -> bool {
-        let is_told = !(flight.outputs.is_empty() && flight.rotor_speed.is_empty());
-        if is_told || !self.is_commanded(flight) {
+        let is_logged = !(flight.outputs.is_empty() && flight.rotor_speed.is_empty());
+        if is_logged || !self.is_commanded(flight) {
             return false;
         }
         let source = CommandSource::OnboardLaw;
@@ -232,13 +232,13 @@ impl Onboard {
         attitude: vehicle::frame::Attitude,
         body_rate: Frd,
     ) -> Option<[f64; ROTORS]> {
-        let asked = AttitudeSetpoint {
+        let setpoint = AttitudeSetpoint {
             attitude: setpoint.attitude.map(|attitude| attitude.euler()),
             body_rate: setpoint.body_rate.unwrap_or(Frd::zero()),
             thrust: setpoint.thrust?.clamp(0.0, 1.0),
             type_mask: wire::dialect::AttitudeTargetTypemask::empty(),
         };
-        Some(self.law.as_ref()?.outputs(&asked, attitude.euler(), body_rate))
+        Some(self.law.as_ref()?.outputs(&setpoint, attitude.euler(), body_rate))
     }
 
     /// Rotor state at a speed, as a fraction of the nominal thrust.

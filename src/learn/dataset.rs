@@ -174,7 +174,7 @@ impl ObservedFlight {
             }
         }
         // The windows contain at least three samples at any rate.
-        let half = |period: Option<f64>, wanted: f64| wanted.max(1.6 * period.unwrap_or(0.0));
+        let half = |period: Option<f64>, least: f64| least.max(1.6 * period.unwrap_or(0.0));
         let half_s = half(flight.body_rate.period(), settings.half_s);
         let force_half = half(flight.specific_force.period(), settings.half_s);
         let velocity_half = half(velocity.period(), settings.velocity_half_s);

@@ -35,7 +35,7 @@ const CHOICE_WINDOWS: usize = 16;
 /// windows of the labels, whose noise is correlated within a window.
 const LASTING_ROWS: usize = 10;
 /// Index in [`HORIZONS_S`] of the horizon of reported errors.
-const TOLD: usize = 2;
+const REPORTED_HORIZON: usize = 2;
 
 /// Why a flight gives no model to fly with.
 #[derive(Debug, thiserror::Error)]
@@ -86,11 +86,11 @@ pub struct HeldOutErrors {
 impl HeldOutErrors {
     /// Error of the predicted position at [`AFTER_S`](Self::AFTER_S), m.
     pub fn position_m(&self) -> f64 {
-        self.open_loop[TOLD].position_m
+        self.open_loop[REPORTED_HORIZON].position_m
     }
 
     /// The horizon of [`position_m`](Self::position_m), s.
-    pub const AFTER_S: f64 = HORIZONS_S[TOLD];
+    pub const AFTER_S: f64 = HORIZONS_S[REPORTED_HORIZON];
 
     /// Noise of the reported position, m: the error at the shortest horizon, where the model hardly
     /// matters, over the square root of two since both ends contribute.

@@ -174,8 +174,8 @@ impl Segments {
 
     /// The times when the vehicle flew and every stream of its motion has no gap.
     fn of_motion(flight: &Flight, hover: f64) -> Result<Self, Unusable> {
-        let whole = span(&flight.attitude).ok_or(Unusable::Missing("attitude"))?;
-        let mut segments = Self { spans: vec![whole], excluded: Vec::new() };
+        let full = span(&flight.attitude).ok_or(Unusable::Missing("attitude"))?;
+        let mut segments = Self { spans: vec![full], excluded: Vec::new() };
         let in_air = in_air(flight, HOVER_SHARE_IN_AIR * hover);
         segments.keep(&in_air, "on the ground, taking off or landing");
         for (name, spans) in [
@@ -199,7 +199,7 @@ impl Segments {
             let most = self.excluded.iter().max_by(|a, b| a.seconds.total_cmp(&b.seconds));
             return Err(Unusable::TooShort {
                 usable_s,
-                total_s: span(&flight.attitude).map_or(0.0, |whole| whole.end - whole.start),
+                total_s: span(&flight.attitude).map_or(0.0, |full| full.end - full.start),
                 needed_s: Self::USABLE_MIN_S,
                 most: most.cloned(),
             });
@@ -251,9 +251,9 @@ fn merged(mut spans: Vec<Range<f64>>) -> Vec<Range<f64>> {
 /// When the vehicle flew, without the edges. The vehicle's own report has priority; otherwise a
 /// mean output above `lifts` counts, if outputs are logged.
 pub(crate) fn in_air(flight: &Flight, lifts: f64) -> Vec<Range<f64>> {
-    let mut said: Vec<(f64, bool)> = flight.in_air.iter().map(|(t, air)| (t, *air)).collect();
+    let mut states: Vec<(f64, bool)> = flight.in_air.iter().map(|(t, air)| (t, *air)).collect();
     let mut edge = EDGE_S;
-    if said.is_empty() {
+    if states.is_empty() {
         // Logs that were cut to their flight contain no time on the ground.
         edge = 0.0;
         let heights = flight.position.values().iter().map(|p| -p.down());
@@ -261,7 +261,7 @@ pub(crate) fn in_air(flight: &Flight, lifts: f64) -> Vec<Range<f64>> {
         // The world's origin need not be on the floor.
         let floor = if lowest > HEIGHT_IN_AIR { f64::NEG_INFINITY } else { lowest };
         let high = |height: f64| height > floor + HEIGHT_IN_AIR;
-        said = if flight.outputs.is_empty() {
+        states = if flight.outputs.is_empty() {
             flight.position.iter().map(|(t, p)| (t, high(-p.down()))).collect()
         } else {
             let height = |time| flight.position.held_at(time).map(|p| -p.down());
@@ -273,7 +273,7 @@ pub(crate) fn in_air(flight: &Flight, lifts: f64) -> Vec<Range<f64>> {
     }
     let mut spans = Vec::new();
     let mut since: Option<f64> = None;
-    for (time, air) in &said {
+    for (time, air) in &states {
         match (since, air) {
             (None, true) => since = Some(*time),
             (Some(start), false) => {

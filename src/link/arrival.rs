@@ -46,12 +46,12 @@ impl Arrival {
     /// Takes the stamp of a message that just arrived.
     pub(super) fn observe(&mut self, now: HostTime, stamp: VehicleTime) {
         let offset_ns = nanoseconds(stamp).saturating_sub_unsigned(now.as_ns());
-        let heard = Quickest { at: now, offset_ns };
+        let quickest = Quickest { at: now, offset_ns };
         let skew = self.skew;
         match self.spans.back_mut() {
             Some(last) if now.since(self.opened) < SPAN => {
                 if offset_ns as f64 >= last.offset_at(now, skew) {
-                    *last = heard;
+                    *last = quickest;
                 }
             }
             _ => {
@@ -59,7 +59,7 @@ impl Arrival {
                 if self.spans.len() == SPANS {
                     self.spans.pop_front();
                 }
-                self.spans.push_back(heard);
+                self.spans.push_back(quickest);
                 self.opened = now;
             }
         }

@@ -230,8 +230,8 @@ mod tests {
         let command = Attitude::from_wire(data.q).unwrap();
         let sent = [data.body_roll_rate, data.body_pitch_rate, data.body_yaw_rate].map(f64::from);
         let flown = command.to_world(sent.into());
-        for (flown, wanted) in flown.to_array().iter().zip(setpoint().body_rate.to_array()) {
-            assert!((flown - wanted).abs() < 1e-6);
+        for (flown, requested) in flown.to_array().iter().zip(setpoint().body_rate.to_array()) {
+            assert!((flown - requested).abs() < 1e-6);
         }
     }
 

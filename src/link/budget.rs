@@ -60,24 +60,24 @@ pub struct LineBudget {
     pub messages: Vec<MessageRate>,
     /// Share of the line that they use, frames included.
     pub share: f64,
-    /// Share that the wanted rates would have used.
-    pub wanted_share: f64,
-    /// The lowered messages, with the rate that was wanted, Hz.
+    /// Share that the requested rates would have used.
+    pub requested_share: f64,
+    /// The lowered messages, with the rate that was requested, Hz.
     pub lowered: Vec<MessageRate>,
 }
 
 impl LineBudget {
-    /// A budget of exactly the wanted messages, whatever they cost.
-    pub fn unlimited(wanted: &[MessageRate], baud: u32) -> Self {
-        let share = line_share(wanted, baud);
-        let (messages, lowered) = (wanted.to_vec(), Vec::new());
-        Self { baud, messages, share, wanted_share: share, lowered }
+    /// A budget of exactly the requested messages, whatever they cost.
+    pub fn unlimited(requested: &[MessageRate], baud: u32) -> Self {
+        let share = line_share(requested, baud);
+        let (messages, lowered) = (requested.to_vec(), Vec::new());
+        Self { baud, messages, share, requested_share: share, lowered }
     }
 
-    /// Lowers the wanted messages step by step until they use at most [`LINE_SHARE_MAX`] of the
+    /// Lowers the requested messages step by step until they use at most [`LINE_SHARE_MAX`] of the
     /// line, or until no economy is left.
-    pub fn fit(wanted: &[MessageRate], baud: u32) -> Self {
-        let mut budget = Self::unlimited(wanted, baud);
+    pub fn fit(requested: &[MessageRate], baud: u32) -> Self {
+        let mut budget = Self::unlimited(requested, baud);
         for &(id, most_hz) in ECONOMIES {
             if budget.fits() {
                 break;
@@ -87,7 +87,7 @@ impl LineBudget {
             }
             budget.share = line_share(&budget.messages, baud);
         }
-        let pairs = wanted.iter().zip(&budget.messages);
+        let pairs = requested.iter().zip(&budget.messages);
         budget.lowered = pairs.filter(|(w, now)| now.hz < w.hz).map(|(w, _)| *w).collect();
         budget.messages.retain(|rate| rate.hz > 0.0);
         budget
@@ -115,12 +115,12 @@ impl LineBudget {
 
 impl fmt::Display for LineBudget {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (baud, percent) = (self.baud, 100.0 * self.wanted_share);
+        let (baud, percent) = (self.baud, 100.0 * self.requested_share);
         write!(f, "the desired telemetry takes {percent:.0} % of the serial line at {baud} baud")?;
-        for (k, wanted) in self.lowered.iter().enumerate() {
+        for (k, requested) in self.lowered.iter().enumerate() {
             let before = if k == 0 { "; requesting " } else { ", " };
-            write!(f, "{before}{} at ", message_name(wanted.id))?;
-            write!(f, "{:.0} instead of {:.0} Hz", self.hz(wanted.id), wanted.hz)?;
+            write!(f, "{before}{} at ", message_name(requested.id))?;
+            write!(f, "{:.0} instead of {:.0} Hz", self.hz(requested.id), requested.hz)?;
         }
         if !self.lowered.is_empty() {
             write!(f, ": {:.0} %", 100.0 * self.share)?;
@@ -210,8 +210,8 @@ mod tests {
                 assert!(budget.fits(), "{} {baud}: {}", profile.name, budget.share);
                 assert!(budget.hz(ATTITUDE_QUATERNION) >= 25.0, "{} {baud}", profile.name);
                 assert!(budget.hz(LOCAL_POSITION_NED) >= 25.0, "{} {baud}", profile.name);
-                assert!(budget.wanted_share > share_before);
-                share_before = budget.wanted_share;
+                assert!(budget.requested_share > share_before);
+                share_before = budget.requested_share;
             }
         }
     }
@@ -229,9 +229,9 @@ mod tests {
         let hopeless = px4(9600);
         assert!(!hopeless.fits());
         assert!(hopeless.to_string().ends_with("raise the baud rate"), "{hopeless}");
-        let as_asked = LineBudget::unlimited(Profile::PX4.telemetry, 57_600);
-        assert_eq!(as_asked.messages, Profile::PX4.telemetry);
-        assert!(!as_asked.fits());
+        let unlimited = LineBudget::unlimited(Profile::PX4.telemetry, 57_600);
+        assert_eq!(unlimited.messages, Profile::PX4.telemetry);
+        assert!(!unlimited.fits());
     }
 
     #[test]

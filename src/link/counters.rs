@@ -42,7 +42,7 @@ pub struct LinkStats {
     /// Frames from the vehicle whose content is impossible.
     pub refused: u64,
     /// Frames received from the vehicle.
-    pub heard: u64,
+    pub vehicle_frames: u64,
     /// Frames from the vehicle that were lost on the way, counted from gaps in its sequence, less
     /// those that arrived late.
     pub lost: u64,
@@ -123,7 +123,7 @@ pub(super) struct Counters {
     pub(super) stray: u64,
     pub(super) refused: u64,
     /// Frames received from the vehicle.
-    pub(super) heard: u64,
+    pub(super) vehicle_frames: u64,
     pub(super) repeated: u64,
     refusals: Vec<RefusalCount>,
     senders: Vec<Sender>,

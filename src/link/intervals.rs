@@ -32,7 +32,7 @@ pub enum IntervalEvent {
         /// MAVLink message id.
         id: u32,
         /// Requested rate, Hz.
-        asked_hz: f64,
+        requested_hz: f64,
         /// Rate of arrivals, Hz.
         found_hz: f64,
     },
@@ -57,10 +57,10 @@ pub enum IntervalEvent {
 impl fmt::Display for IntervalEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Short { id, asked_hz, found_hz } => {
+            Self::Short { id, requested_hz, found_hz } => {
                 write!(
                     f,
-                    "message {id} arrives at {found_hz:.0} Hz, requested {asked_hz:.0} Hz again"
+                    "message {id} arrives at {found_hz:.0} Hz, requested {requested_hz:.0} Hz again"
                 )
             }
             Self::Served { id, found_hz } => {
@@ -79,7 +79,7 @@ impl fmt::Display for IntervalEvent {
 #[derive(Clone, Debug)]
 struct Interval {
     id: u32,
-    asked_hz: f64,
+    requested_hz: f64,
     /// When to request next; `None` from a request until the rate is found short.
     due: Option<HostTime>,
     tries: u32,
@@ -92,26 +92,28 @@ struct Interval {
 impl Interval {
     /// Time for which arrivals are counted.
     fn span(&self) -> Duration {
-        VERIFY.max(Duration::try_from_secs_f64(COUNT_MIN / self.asked_hz).unwrap_or(Duration::MAX))
+        VERIFY.max(
+            Duration::try_from_secs_f64(COUNT_MIN / self.requested_hz).unwrap_or(Duration::MAX),
+        )
     }
 }
 
-/// The wanted message intervals of one vehicle.
+/// The requested message intervals of one vehicle.
 #[derive(Debug, Default)]
 pub struct Intervals {
-    wanted: Vec<Interval>,
+    intervals: Vec<Interval>,
     /// Index of the message with a pending ACK, and the end of the wait.
     awaiting: Option<(usize, HostTime)>,
 }
 
 impl Intervals {
-    /// Replaces the wanted messages.
+    /// Replaces the requested messages.
     pub fn start(&mut self, now: HostTime, messages: &[MessageRate]) {
         self.awaiting = None;
-        self.wanted.clear();
-        self.wanted.extend(messages.iter().filter(|rate| rate.hz > 0.0).map(|rate| Interval {
+        self.intervals.clear();
+        self.intervals.extend(messages.iter().filter(|rate| rate.hz > 0.0).map(|rate| Interval {
             id: rate.id,
-            asked_hz: rate.hz,
+            requested_hz: rate.hz,
             due: Some(now),
             tries: 0,
             given_up: false,
@@ -121,15 +123,15 @@ impl Intervals {
         }));
     }
 
-    /// Removes all wanted messages.
+    /// Removes all requested messages.
     pub fn stop(&mut self) {
         self.awaiting = None;
-        self.wanted.clear();
+        self.intervals.clear();
     }
 
-    /// Whether a message is wanted.
-    pub fn wants(&self, id: u32) -> bool {
-        self.wanted.iter().any(|wanted| wanted.id == id)
+    /// Whether a message is requested.
+    pub fn is_requested(&self, id: u32) -> bool {
+        self.intervals.iter().any(|interval| interval.id == id)
     }
 
     /// The next message to request, if one is due. Requests go out one at a time, because an ACK
@@ -139,31 +141,31 @@ impl Intervals {
             return None;
         }
         self.awaiting = None;
-        let index = self.wanted.iter().position(|w| w.due.is_some_and(|due| due <= now))?;
-        let wanted = &mut self.wanted[index];
-        wanted.due = None;
-        wanted.tries += 1;
+        let index = self.intervals.iter().position(|w| w.due.is_some_and(|due| due <= now))?;
+        let interval = &mut self.intervals[index];
+        interval.due = None;
+        interval.tries += 1;
         self.awaiting = Some((index, now + ACK_WAIT));
-        Some(MessageRate { id: wanted.id, hz: wanted.asked_hz })
+        Some(MessageRate { id: interval.id, hz: interval.requested_hz })
     }
 
     /// Takes the ACK of the last request.
     pub fn acknowledged(&mut self, now: HostTime, accepted: bool) -> Option<IntervalEvent> {
         let (index, _) = self.awaiting.take()?;
-        let wanted = self.wanted.get_mut(index)?;
+        let interval = self.intervals.get_mut(index)?;
         if accepted {
             return None;
         }
-        let refused_hz = wanted.asked_hz;
+        let refused_hz = interval.requested_hz;
         let next_hz = (refused_hz / 2.0 >= HZ_MIN).then_some(refused_hz / 2.0);
         match next_hz {
             Some(hz) => {
-                wanted.asked_hz = hz;
-                wanted.due = Some(now);
+                interval.requested_hz = hz;
+                interval.due = Some(now);
             }
-            None => wanted.given_up = true,
+            None => interval.given_up = true,
         }
-        Some(IntervalEvent::Refused { id: wanted.id, refused_hz, next_hz })
+        Some(IntervalEvent::Refused { id: interval.id, refused_hz, next_hz })
     }
 
     /// Judges the arrivals; `total` returns the number of arrivals of a message so far.
@@ -173,27 +175,27 @@ impl Intervals {
         total: impl Fn(u32) -> u64,
         mut on_event: impl FnMut(IntervalEvent),
     ) {
-        for wanted in self.wanted.iter_mut().filter(|wanted| !wanted.given_up) {
-            let span = now.since(wanted.judged_at);
-            if span < wanted.span() {
+        for interval in self.intervals.iter_mut().filter(|interval| !interval.given_up) {
+            let span = now.since(interval.judged_at);
+            if span < interval.span() {
                 continue;
             }
             let seconds = span.as_secs_f64();
-            let count = total(wanted.id);
-            let found_hz = count.saturating_sub(wanted.total_then) as f64 / seconds;
-            wanted.judged_at = now;
-            wanted.total_then = count;
-            let (id, asked_hz) = (wanted.id, wanted.asked_hz);
-            if found_hz >= SERVED * asked_hz {
-                wanted.tries = 0;
-                if std::mem::take(&mut wanted.is_short) {
+            let count = total(interval.id);
+            let found_hz = count.saturating_sub(interval.total_then) as f64 / seconds;
+            interval.judged_at = now;
+            interval.total_then = count;
+            let (id, requested_hz) = (interval.id, interval.requested_hz);
+            if found_hz >= SERVED * requested_hz {
+                interval.tries = 0;
+                if std::mem::take(&mut interval.is_short) {
                     on_event(IntervalEvent::Served { id, found_hz });
                 }
-            } else if wanted.due.is_none() {
-                let pause = if wanted.tries < QUICK_TRIES { Duration::ZERO } else { RETRY_SLOW };
-                wanted.due = Some(now + pause);
-                if !std::mem::replace(&mut wanted.is_short, true) {
-                    on_event(IntervalEvent::Short { id, asked_hz, found_hz });
+            } else if interval.due.is_none() {
+                let pause = if interval.tries < QUICK_TRIES { Duration::ZERO } else { RETRY_SLOW };
+                interval.due = Some(now + pause);
+                if !std::mem::replace(&mut interval.is_short, true) {
+                    on_event(IntervalEvent::Short { id, requested_hz, found_hz });
                 }
             }
         }
@@ -202,10 +204,10 @@ impl Intervals {
     /// When the next request or judgement is due.
     pub fn next_deadline(&self) -> Option<HostTime> {
         let blocked_until = self.awaiting.map(|(_, until)| until);
-        let request = self.wanted.iter().filter_map(|wanted| wanted.due).min();
+        let request = self.intervals.iter().filter_map(|interval| interval.due).min();
         let request = request.map(|due| blocked_until.map_or(due, |until| due.max(until)));
-        let open = self.wanted.iter().filter(|wanted| !wanted.given_up);
-        let judgement = open.map(|wanted| wanted.judged_at + wanted.span()).min();
+        let open = self.intervals.iter().filter(|interval| !interval.given_up);
+        let judgement = open.map(|interval| interval.judged_at + interval.span()).min();
         [request, judgement].into_iter().flatten().min()
     }
 }
@@ -248,7 +250,7 @@ mod tests {
         intervals.acknowledged(START, true);
         assert_eq!(verify(&mut intervals, at(2.0), 198), []);
         assert_eq!(intervals.next_request(at(2.0)), None);
-        let short = IntervalEvent::Short { id: 31, asked_hz: 100.0, found_hz: 4.0 };
+        let short = IntervalEvent::Short { id: 31, requested_hz: 100.0, found_hz: 4.0 };
         assert_eq!(verify(&mut intervals, at(4.0), 206), [short]);
         assert_eq!(intervals.next_request(at(4.0)), Some(ATTITUDE));
         intervals.acknowledged(at(4.0), true);

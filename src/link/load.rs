@@ -10,7 +10,7 @@ const SIGNATURE_LEN: usize = 13;
 /// Number of the largest messages that are named.
 const NAMED: usize = 4;
 /// Smaller loads are not worth naming, bytes/s.
-const WORTH_NAMING: f64 = 50.0;
+const NAMED_MIN_BYTES_PER_S: f64 = 50.0;
 
 /// The arriving load in bytes a second, for full payloads without extensions. MAVLink 2 omits
 /// trailing zeros, so the true load may be lower.
@@ -19,31 +19,35 @@ pub struct LinkLoad {
     /// All messages from the vehicle.
     pub bytes_per_s: f64,
     /// Messages that nothing here requested, by id, largest load first.
-    pub unasked: Vec<(u32, f64)>,
+    pub unrequested: Vec<(u32, f64)>,
 }
 
 impl LinkLoad {
-    /// The load of the messages that arrive; `is_asked` returns whether one was requested.
-    pub fn of(messages: &[MessageCount], is_signed: bool, is_asked: impl Fn(u32) -> bool) -> Self {
+    /// The load of the messages that arrive; `is_requested` returns whether one was requested.
+    pub fn of(
+        messages: &[MessageCount],
+        is_signed: bool,
+        is_requested: impl Fn(u32) -> bool,
+    ) -> Self {
         let signature = if is_signed { SIGNATURE_LEN } else { 0 };
         let load = |count: &MessageCount| {
             (count.id, (frame_len(count.id) + signature) as f64 * count.rate_hz)
         };
         let loads: Vec<_> = messages.iter().map(load).collect();
         let bytes_per_s = loads.iter().map(|(_, bytes_per_s)| bytes_per_s).sum();
-        let mut unasked: Vec<_> = loads
+        let mut unrequested: Vec<_> = loads
             .into_iter()
-            .filter(|(id, bytes_per_s)| !is_asked(*id) && *bytes_per_s > WORTH_NAMING)
+            .filter(|(id, bytes_per_s)| !is_requested(*id) && *bytes_per_s > NAMED_MIN_BYTES_PER_S)
             .collect();
-        unasked.sort_by(|a, b| b.1.total_cmp(&a.1));
-        Self { bytes_per_s, unasked }
+        unrequested.sort_by(|a, b| b.1.total_cmp(&a.1));
+        Self { bytes_per_s, unrequested }
     }
 }
 
 impl fmt::Display for LinkLoad {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "about {:.0} bytes/s arrive", self.bytes_per_s)?;
-        for (k, (id, bytes_per_s)) in self.unasked.iter().take(NAMED).enumerate() {
+        for (k, (id, bytes_per_s)) in self.unrequested.iter().take(NAMED).enumerate() {
             let before = if k == 0 { ", including unrequested " } else { ", " };
             write!(f, "{before}{} {bytes_per_s:.0}", message_name(*id))?;
         }

@@ -101,7 +101,7 @@ fn arducopter(read: &Parameters, own_system: u8) -> LossReaction {
         return LossReaction::Unread("MAV_GCS_SYSID");
     };
     let last = read.get("MAV_GCS_SYSID_HI").copied().unwrap_or(0.0).max(first);
-    let is_heard = (first..=last).contains(&f64::from(own_system));
+    let is_monitored = (first..=last).contains(&f64::from(own_system));
     let does = match *enable as i64 {
         0 => {
             return LossReaction::Nothing {
@@ -118,7 +118,7 @@ fn arducopter(read: &Parameters, own_system: u8) -> LossReaction {
         7 => "brakes, or lands",
         _ => "does what FS_GCS_ENABLE says",
     };
-    if !is_heard {
+    if !is_monitored {
         return LossReaction::Nothing {
             why: format!(
                 "its failsafe listens to system {first}, and this program is system {own_system}"

@@ -6,7 +6,7 @@
 //! ```no_run
 //! # use downwash::clock::HostTime;
 //! # use downwash::link::connection::{Connection, Input};
-//! # use downwash::link::session::{Heard, Session};
+//! # use downwash::link::session::{Delivery, Session};
 //! # use std::time::Duration;
 //! # async fn drive(mut connection: Connection, mut session: Session, clock: fn() -> HostTime) {
 //! let mut buffer = vec![0; wire::transport::RECEIVE_LEN];
@@ -17,10 +17,10 @@
 //!     match input {
 //!         Ok(Input::Bytes { peer, len }) => {
 //!             let is_datagram = connection.is_datagram();
-//!             session.receive(now, peer, &buffer[..len], is_datagram, &mut |heard| match heard {
-//!                 Heard::Frame { .. } => {} // to the log
-//!                 Heard::Replaced => {} // to the controller, which ends its flight
-//!                 Heard::Message(_) => {} // for the controller, whose setpoint goes out below
+//!             session.receive(now, peer, &buffer[..len], is_datagram, &mut |it| match it {
+//!                 Delivery::Frame { .. } => {} // to the log
+//!                 Delivery::Replaced => {} // to the controller, which ends its flight
+//!                 Delivery::Message(_) => {} // for the controller, whose setpoint goes out below
 //!             });
 //!         }
 //!         Ok(Input::PeerClosed(peer)) => {
@@ -46,7 +46,7 @@ pub mod external_pose;
 pub mod intervals;
 pub mod load;
 pub mod loss_reaction;
-mod mode_words;
+mod mode_reports;
 pub mod profile;
 pub mod received;
 pub mod request;

@@ -126,7 +126,7 @@ impl ParameterRule {
     /// Whether a value meets the rule.
     pub fn holds(&self, value: f64) -> bool {
         match self.rule {
-            Rule::Equals(wanted) => (value - wanted).abs() <= 1e-6 * wanted.abs().max(1.0),
+            Rule::Equals(required) => (value - required).abs() <= 1e-6 * required.abs().max(1.0),
             Rule::HasBits(bits) => value >= 0.0 && value as u32 & bits == bits,
             Rule::AtMost(limit) => value <= limit * (1.0 + 1e-6),
         }

@@ -88,12 +88,12 @@ pub enum Outcome {
 
 impl fmt::Display for Outcome {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let words = match self {
+        let text = match self {
             Self::Done => "done",
             Self::Parameter(value) => return write!(f, "the value is {value}"),
             Self::Refused { result } => {
-                return match result_in_words(*result) {
-                    Some(words) => f.write_str(words),
+                return match result_text(*result) {
+                    Some(text) => f.write_str(text),
                     None => write!(f, "MAV_RESULT {result}"),
                 };
             }
@@ -105,12 +105,12 @@ impl fmt::Display for Outcome {
             Self::Superseded => "a newer request replaced it",
             Self::Withdrawn => "withdrawn",
         };
-        f.write_str(words)
+        f.write_str(text)
     }
 }
 
 /// A refusing MAV_RESULT, for people.
-fn result_in_words(result: u8) -> Option<&'static str> {
+fn result_text(result: u8) -> Option<&'static str> {
     match result {
         1 => Some("temporarily rejected"),
         2 => Some("denied"),
@@ -268,13 +268,13 @@ impl Requests {
         let mut index = 0;
         while let Some(pending) = self.pending.get_mut(index) {
             let outcome = match (&pending.request, &mut pending.task) {
-                (Request::ReadParameter(wanted), Task::Read) if wanted == name => {
+                (Request::ReadParameter(requested), Task::Read) if requested == name => {
                     Some(Outcome::Parameter(found))
                 }
                 (
-                    Request::SetParameter { name: wanted, .. },
+                    Request::SetParameter { name: requested, .. },
                     Task::Set { value, is_type_known, was_sent },
-                ) if wanted == name => {
+                ) if requested == name => {
                     let is_same = (found - *value).abs() <= SAME * value.abs().max(1.0);
                     if !*is_type_known {
                         *is_type_known = true;

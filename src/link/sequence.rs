@@ -40,7 +40,7 @@ pub(super) enum Order {
 }
 
 #[derive(Clone, Copy, Debug, Default)]
-struct Heard {
+struct ReceivedFrame {
     place: u64,
     hash: u32,
 }
@@ -50,7 +50,7 @@ struct Heard {
 #[derive(Debug)]
 pub(super) struct Sequence {
     /// By number: the newest frames with that number. Places begin at 256, so 0 means none.
-    heard: Box<[[Heard; WRAPS]; 256]>,
+    received: Box<[[ReceivedFrame; WRAPS]; 256]>,
     /// Place of the newest frame; its lowest byte is its number. `None` where any number may
     /// follow.
     newest: Option<u64>,
@@ -95,7 +95,7 @@ impl Pace {
 impl Default for Sequence {
     fn default() -> Self {
         Self {
-            heard: Box::new([[Heard::default(); WRAPS]; 256]),
+            received: Box::new([[ReceivedFrame::default(); WRAPS]; 256]),
             newest: None,
             floor: 256,
             copy: None,
@@ -156,7 +156,7 @@ impl Sequence {
         match step {
             // A sender that does not count its frames.
             0 => self.advance(now, newest + 256, hash),
-            1..=COPY_STEP_MAX => self.go_on(now, newest + u64::from(step), hash),
+            1..=COPY_STEP_MAX => self.continue_with(now, newest + u64::from(step), hash),
             _ if after_copy.is_some() => {
                 let place = after_copy.unwrap_or(newest);
                 self.copy = Some((place, newest));
@@ -164,7 +164,7 @@ impl Sequence {
                 self.remember(place, hash);
                 Order::Overtaken(place)
             }
-            _ if step <= STEP_MAX => self.go_on(now, newest + u64::from(step), hash),
+            _ if step <= STEP_MAX => self.continue_with(now, newest + u64::from(step), hash),
             _ if is_silent => self.begin(now, number, hash),
             _ => {
                 let behind = 256 - u64::from(step);
@@ -189,7 +189,7 @@ impl Sequence {
         self.advance(now, place, hash)
     }
 
-    fn go_on(&mut self, now: HostTime, place: u64, hash: u32) -> Order {
+    fn continue_with(&mut self, now: HostTime, place: u64, hash: u32) -> Order {
         self.lost += place.saturating_sub(self.newest.unwrap_or(place) + 1);
         self.advance(now, place, hash)
     }
@@ -203,9 +203,9 @@ impl Sequence {
     }
 
     fn remember(&mut self, place: u64, hash: u32) {
-        let slots = &mut self.heard[usize::from(place as u8)];
-        if let Some(oldest) = slots.iter_mut().min_by_key(|heard| heard.place) {
-            *oldest = Heard { place, hash };
+        let slots = &mut self.received[usize::from(place as u8)];
+        if let Some(oldest) = slots.iter_mut().min_by_key(|frame| frame.place) {
+            *oldest = ReceivedFrame { place, hash };
         }
     }
 
@@ -215,8 +215,8 @@ impl Sequence {
     fn copied(&self, newest: u64, number: u8, hash: u32, is_unique: bool) -> Option<u64> {
         let is_certain = is_unique || number != (newest as u8).wrapping_add(1);
         let after_copy = self.copy_place(newest, number);
-        let same = self.heard[usize::from(number)].iter().filter(|heard| heard.hash == hash);
-        same.map(|heard| heard.place).filter(|place| *place > 0).find(|place| {
+        let same = self.received[usize::from(number)].iter().filter(|frame| frame.hash == hash);
+        same.map(|frame| frame.place).filter(|place| *place > 0).find(|place| {
             is_certain || newest.saturating_sub(*place) <= BEHIND_MAX || after_copy == Some(*place)
         })
     }
@@ -234,14 +234,14 @@ fn hash(bytes: &[u8]) -> u32 {
     const OFFSET: u64 = 0xcbf2_9ce4_8422_2325;
     const PRIME: u64 = 0x0000_0100_0000_01b3;
     let mut words = bytes.chunks_exact(8);
-    let whole = words.by_ref().fold(OFFSET, |hash, word| {
+    let hash = words.by_ref().fold(OFFSET, |hash, word| {
         let word = u64::from_le_bytes(word.try_into().unwrap_or_default());
         (hash ^ word).wrapping_mul(PRIME).rotate_left(23)
     });
     let hash = words
         .remainder()
         .iter()
-        .fold(whole, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(PRIME));
+        .fold(hash, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(PRIME));
     (hash ^ (hash >> 32)) as u32
 }
 

@@ -29,7 +29,7 @@ use super::load::LinkLoad;
 use super::profile::{FormChoice, MessageRate, Profile};
 use super::received::Received;
 use super::request::{Outcome, Request, RequestId};
-use super::signing::{Disbelief, SigningSettings};
+use super::signing::{FrameRejection, SigningSettings};
 use super::vehicle_clock::ClockEstimate;
 use crate::clock::{HostTime, VehicleTime};
 use crate::guard::Cleared;
@@ -102,9 +102,9 @@ impl Settings {
     }
 }
 
-/// What [`Session::receive`] takes in, in order of arrival.
+/// What [`Session::receive`] delivers, in order of arrival.
 #[derive(Debug)]
-pub enum Heard<'a> {
+pub enum Delivery<'a> {
     /// A frame of any sender, as it was on the wire.
     Frame {
         /// The peer that sent it.
@@ -170,7 +170,7 @@ pub enum Event {
         by_ns: i64,
     },
     /// A frame was rejected, for a new reason.
-    Disbelieved(Disbelief),
+    FrameRejected(FrameRejection),
 }
 
 /// The identity of a vehicle.
@@ -264,7 +264,7 @@ impl Session {
         peer: Peer,
         bytes: &[u8],
         is_datagram: bool,
-        on: &mut impl FnMut(Heard<'_>),
+        on: &mut impl FnMut(Delivery<'_>),
     ) {
         let core = &mut self.core;
         if is_datagram {
@@ -369,7 +369,7 @@ impl Session {
     }
 
     /// Forwards another station's frame to the vehicle, if there is one.
-    pub fn pass_on(&mut self, frame: &[u8]) {
+    pub fn forward(&mut self, frame: &[u8]) {
         let Core { vehicle, outbox, .. } = &mut self.core;
         if let Some(peer) = vehicle.as_ref().and_then(|vehicle| vehicle.peer) {
             outbox.push_frame(peer, frame);
@@ -422,7 +422,7 @@ impl Session {
     }
 
     /// The system id from the settings.
-    pub fn wanted_system(&self) -> Option<u8> {
+    pub fn requested_system(&self) -> Option<u8> {
         self.core.settings.vehicle_system
     }
 
@@ -451,8 +451,8 @@ impl Session {
     /// The load of the vehicle's messages, and the part of it that was not requested.
     pub fn load(&self) -> LinkLoad {
         let Core { counters, intervals, .. } = &self.core;
-        let is_asked = |id| intervals.wants(id) || ANSWERS.contains(&id);
-        LinkLoad::of(&counters.messages(), self.is_signed(), is_asked)
+        let is_requested = |id| intervals.is_requested(id) || ANSWERS.contains(&id);
+        LinkLoad::of(&counters.messages(), self.is_signed(), is_requested)
     }
 
     /// Whether this session signs, and accepts only signed frames.
@@ -461,7 +461,7 @@ impl Session {
     }
 
     /// Frames that were rejected for their signature, by reason.
-    pub fn disbelieved(&self) -> impl Iterator<Item = (Refused, u64)> + '_ {
+    pub fn rejected_frames(&self) -> impl Iterator<Item = (Refused, u64)> + '_ {
         self.core.signing.iter().flat_map(|signing| signing.refused())
     }
 
@@ -485,8 +485,8 @@ impl Session {
     }
 
     /// When the vehicle's last frame arrived, once it was found.
-    pub fn last_heard(&self) -> Option<HostTime> {
-        self.core.vehicle.as_ref().map(|vehicle| vehicle.last_heard)
+    pub fn last_received(&self) -> Option<HostTime> {
+        self.core.vehicle.as_ref().map(|vehicle| vehicle.last_received)
     }
 
     /// The vehicle's profile, once identified and until lost.
@@ -519,7 +519,7 @@ impl Session {
             foreign: core.counters.foreign,
             stray: core.counters.stray,
             refused: core.counters.refused,
-            heard: core.counters.heard,
+            vehicle_frames: core.counters.vehicle_frames,
             lost: core.sequence.lost(),
             repeated: core.counters.repeated,
             sent_frames: core.counters.sent_frames,

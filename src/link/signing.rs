@@ -50,11 +50,11 @@ impl Ledger {
     }
 
     /// Does not wait for a reader, and allocates only for new streams.
-    fn tell(&self, newest: Stamp, streams: &[StreamStamp]) -> bool {
-        let Ok(mut told) = self.0.try_lock() else { return false };
-        told.newest = newest;
-        told.streams.clear();
-        told.streams.extend_from_slice(streams);
+    fn record(&self, newest: Stamp, streams: &[StreamStamp]) -> bool {
+        let Ok(mut remembered) = self.0.try_lock() else { return false };
+        remembered.newest = newest;
+        remembered.streams.clear();
+        remembered.streams.extend_from_slice(streams);
         true
     }
 }
@@ -76,14 +76,14 @@ impl PartialEq for Ledger {
 pub(super) struct Signing {
     verifier: Verifier,
     ledger: Ledger,
-    told: HostTime,
+    recorded_at: HostTime,
     /// The reasons for rejection that were reported.
-    said: Vec<Refused>,
+    reported: Vec<Refused>,
 }
 
 /// A rejected frame, the first for its reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Disbelief {
+pub struct FrameRejection {
     /// Why it was rejected.
     pub why: Refused,
     /// The sender that it claims.
@@ -92,7 +92,7 @@ pub struct Disbelief {
     pub id: u32,
 }
 
-impl fmt::Display for Disbelief {
+impl fmt::Display for FrameRejection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { why, sender: (system, component), id } = self;
         write!(
@@ -128,7 +128,8 @@ impl Signing {
             streams: before.streams.clone(),
         };
         let verifier = Verifier::new(verifier, stamp);
-        let signing = Self { verifier, ledger: ledger.clone(), told: now, said: Vec::new() };
+        let signing =
+            Self { verifier, ledger: ledger.clone(), recorded_at: now, reported: Vec::new() };
         (signing, Signer::new(key.clone(), *link, after))
     }
 
@@ -138,10 +139,10 @@ impl Signing {
         self.verifier.turn(stamp);
         let Some(signer) = signer else { return };
         signer.turn(stamp);
-        if now.since(self.told) >= REMEMBER_PERIOD
-            && self.ledger.tell(signer.newest(), self.verifier.streams())
+        if now.since(self.recorded_at) >= REMEMBER_PERIOD
+            && self.ledger.record(signer.newest(), self.verifier.streams())
         {
-            self.told = now;
+            self.recorded_at = now;
         }
     }
 
@@ -153,17 +154,17 @@ impl Signing {
         &mut self,
         frame: &Frame,
         signer: Option<&mut Signer>,
-    ) -> Result<(), Option<Disbelief>> {
+    ) -> Result<(), Option<FrameRejection>> {
         match self.verifier.check(frame) {
             Ok(stamp) => {
-                signer.zip(stamp).into_iter().for_each(|(signer, stamp)| signer.heard(stamp));
+                signer.zip(stamp).into_iter().for_each(|(signer, stamp)| signer.observe(stamp));
                 Ok(())
             }
-            Err(why) if self.said.contains(&why) => Err(None),
+            Err(why) if self.reported.contains(&why) => Err(None),
             Err(why) => {
-                self.said.push(why);
+                self.reported.push(why);
                 let sender = (frame.system(), frame.component());
-                Err(Some(Disbelief { why, sender, id: frame.id() }))
+                Err(Some(FrameRejection { why, sender, id: frame.id() }))
             }
         }
     }

@@ -18,7 +18,7 @@ impl Silence {
         let received = session.received();
         let endpoint = session.endpoint().unwrap_or("the link");
         if let Some(id) = session.vehicle() {
-            let silent_s = session.last_heard().map_or(0.0, |at| now.since(at).as_secs_f64());
+            let silent_s = session.last_received().map_or(0.0, |at| now.since(at).as_secs_f64());
             let line = format!("nothing received from {id} for {silent_s:.0} s");
             return Self { subject: "lost".to_owned(), line };
         }
@@ -37,12 +37,12 @@ impl Silence {
             );
             return Self { subject: "frames".to_owned(), line };
         }
-        let unbelieved: u64 = session.disbelieved().map(|(_, count)| count).sum();
-        if unbelieved > 0 {
-            let whys = session.disbelieved().filter(|(_, count)| *count > 0);
+        let rejected: u64 = session.rejected_frames().map(|(_, count)| count).sum();
+        if rejected > 0 {
+            let whys = session.rejected_frames().filter(|(_, count)| *count > 0);
             let whys: Vec<_> = whys.map(|(why, count)| format!("{count}: {why}")).collect();
             let line = format!(
-                "{} frames received on {endpoint}, {unbelieved} of them rejected ({}), and no \
+                "{} frames received on {endpoint}, {rejected} of them rejected ({}), and no \
                  HEARTBEAT from an autopilot; check that the vehicle has the key in link.signing",
                 received.frames,
                 whys.join("; ")
@@ -50,13 +50,13 @@ impl Silence {
             return Self { subject: "unbelieved".to_owned(), line };
         }
         let of =
-            session.wanted_system().map_or(String::new(), |id| format!(" with system id {id}"));
-        let heard: Vec<_> = session.senders().iter().map(ToString::to_string).collect();
+            session.requested_system().map_or(String::new(), |id| format!(" with system id {id}"));
+        let senders: Vec<_> = session.senders().iter().map(ToString::to_string).collect();
         let line = format!(
             "{} frames received on {endpoint}, no HEARTBEAT from an autopilot{of}; senders: {}",
             received.frames,
-            heard.join(", ")
+            senders.join(", ")
         );
-        Self { subject: format!("autopilot {heard:?}"), line }
+        Self { subject: format!("autopilot {senders:?}"), line }
     }
 }

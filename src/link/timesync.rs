@@ -35,7 +35,7 @@ const READING_NS: f64 = 1e6;
 /// Exchanges in a row that contradict the estimate before it is dropped.
 const CONTRADICTIONS: usize = 3;
 /// Time without an answer after which the estimate is dropped.
-const BELIEVED: Duration = Duration::from_secs(20);
+const ESTIMATE_AGE_MAX: Duration = Duration::from_secs(20);
 
 #[derive(Clone, Copy, Debug)]
 struct Exchange {
@@ -120,29 +120,29 @@ impl TimeSync {
         let Some(round_trip_ns) = now.as_ns().checked_sub(sent) else { return Answer::NotOurs };
         let middle = ts1.saturating_add_unsigned(round_trip_ns / 2);
         let at = HostTime::from_ns(sent + round_trip_ns / 2);
-        let heard = Exchange { at, offset_ns: tc1.saturating_sub(middle), round_trip_ns };
+        let exchange = Exchange { at, offset_ns: tc1.saturating_sub(middle), round_trip_ns };
         self.round_trip = Some(Duration::from_nanos(round_trip_ns));
         self.answered = now;
 
-        if self.is_contradicted_by(&heard) {
+        if self.is_contradicted_by(&exchange) {
             if self.rivals.len() < CONTRADICTIONS {
                 // A single contradiction is not enough.
                 return Answer::Sample;
             }
             let skew = self.skew.map_or(0.0, |skew| skew.value);
-            let before = self
-                .best
-                .map_or(0.0, |best| best.offset_ns as f64 + skew * ns_between(best.at, heard.at));
+            let before = self.best.map_or(0.0, |best| {
+                best.offset_ns as f64 + skew * ns_between(best.at, exchange.at)
+            });
             let rivals = std::mem::take(&mut self.rivals);
             (self.exchanges, self.best, self.skew) = (rivals.into(), None, None);
             self.choose(now);
-            let best = self.best.map_or(heard.offset_ns, |best| best.offset_ns);
+            let best = self.best.map_or(exchange.offset_ns, |best| best.offset_ns);
             return Answer::Jump { by_ns: (best as f64 - before) as i64 };
         }
         if self.exchanges.len() == WINDOW {
             self.exchanges.pop_front();
         }
-        self.exchanges.push_back(heard);
+        self.exchanges.push_back(exchange);
         self.fit_skew();
         self.choose(now);
         Answer::Sample
@@ -159,17 +159,17 @@ impl TimeSync {
 
     /// Keeps the exchanges that contradict the earlier ones, as long as they agree with one
     /// another.
-    fn is_contradicted_by(&mut self, heard: &Exchange) -> bool {
+    fn is_contradicted_by(&mut self, exchange: &Exchange) -> bool {
         let Skew { value, error } = self.skew.unwrap_or(Skew { value: 0.0, error: SKEW_MAX });
         let drift = DRIFT + error.min(SKEW_MAX);
         let mut known = self.exchanges.iter().chain(&self.best);
-        let is_contradicted = known.any(|known| known.conflict_ns(heard, value, drift) > 0.0);
-        let agrees = |rival: &Exchange| rival.conflict_ns(heard, 0.0, SKEW_MAX) <= 0.0;
+        let is_contradicted = known.any(|known| known.conflict_ns(exchange, value, drift) > 0.0);
+        let agrees = |rival: &Exchange| rival.conflict_ns(exchange, 0.0, SKEW_MAX) <= 0.0;
         if is_contradicted {
             if !self.rivals.iter().all(agrees) {
                 self.rivals.clear();
             }
-            self.rivals.push(*heard);
+            self.rivals.push(*exchange);
         } else if !self.rivals.iter().all(agrees) {
             self.rivals.clear();
         }
@@ -217,7 +217,7 @@ impl TimeSync {
     }
 
     pub(super) fn estimate(&self, now: HostTime) -> Option<ClockEstimate> {
-        let best = self.best.filter(|_| now.since(self.answered) < BELIEVED)?;
+        let best = self.best.filter(|_| now.since(self.answered) < ESTIMATE_AGE_MAX)?;
         Some(ClockEstimate {
             offset_ns: best.offset_ns,
             at: best.at,

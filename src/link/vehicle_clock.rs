@@ -180,7 +180,7 @@ mod tests {
         let mut run = Run::default();
         // (arrival, sent, the answer's ts1 where it is one, reading)
         let mut arriving: Vec<(f64, f64, Option<i64>, f64)> = Vec::new();
-        let mut ask = 0.0;
+        let mut next_request = 0.0;
         for k in 0..(length_s * 1000.0) as u32 {
             let t = f64::from(k) * 1e-3;
             let now = START + seconds(t);
@@ -188,8 +188,8 @@ mod tests {
             if k % 10 == 0 && !model.is_stalled(t) {
                 arriving.push((held(t) + transport(k), t, None, model.reads(t)));
             }
-            if model.is_answering && t >= ask {
-                ask = t + clock.period().as_secs_f64();
+            if model.is_answering && t >= next_request {
+                next_request = t + clock.period().as_secs_f64();
                 let ts1 = clock.request(now);
                 // A stalled vehicle answers when it continues.
                 let mut at = t + transport(k + 7);
@@ -208,7 +208,7 @@ mod tests {
                     continue;
                 }
                 let delay = clock.observe(now, VehicleTime::from_us(us));
-                ask = ask.min(t + clock.period().as_secs_f64());
+                next_request = next_request.min(t + clock.period().as_secs_f64());
                 let is_late = delay.at_least_s > LATE_S;
                 let waited = t - sent;
                 if is_late && waited < 0.5 * LATE_S {

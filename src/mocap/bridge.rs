@@ -21,7 +21,7 @@ const UNIT_TOLERANCE: f64 = 0.01;
 /// Most names of other bodies that are kept for messages.
 const NAMES_MAX: usize = 8;
 /// Time after which a recurring fault is reported again.
-const SAID_AGAIN: Duration = Duration::from_secs(10);
+const REPORTED_AGAIN: Duration = Duration::from_secs(10);
 /// Time without any accepted stamp, with all of them out of order or ahead, after which the room's
 /// clock was set, s.
 const CLOCK_SET_S: f64 = 1.0;
@@ -45,7 +45,7 @@ pub struct Pose {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum News {
     /// The body's poses are accepted, for the first time or again.
-    Believed,
+    Accepted,
     /// Poses are no longer forwarded, or one datagram was not. The text is the reason, where there
     /// is one.
     Fault(Fault, Option<String>),
@@ -56,7 +56,7 @@ pub enum News {
 impl fmt::Display for News {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Believed => f.write_str("the body is seen: its poses are forwarded"),
+            Self::Accepted => f.write_str("the body is seen: its poses are forwarded"),
             Self::Fault(fault, None) => write!(f, "not forwarded: {fault}"),
             Self::Fault(fault, Some(why)) => write!(f, "not forwarded: {fault} ({why})"),
             Self::ClockSet => {
@@ -102,12 +102,12 @@ pub struct Bridge {
     newest: Option<(f64, HostTime)>,
     /// Since when every stamp was wrong.
     wrong_since: Option<HostTime>,
-    heard: Option<HostTime>,
-    anything: Option<HostTime>,
+    last_pose: Option<HostTime>,
+    last_packet: Option<HostTime>,
     /// The earliest capture to forward next, s of the room's clock.
     next_s: f64,
     names: BTreeSet<String>,
-    said: BTreeMap<Fault, HostTime>,
+    reported: BTreeMap<Fault, HostTime>,
     news: VecDeque<News>,
     tally: Tally,
     was_held: bool,
@@ -130,11 +130,11 @@ impl Bridge {
             started: now,
             newest: None,
             wrong_since: None,
-            heard: None,
-            anything: None,
+            last_pose: None,
+            last_packet: None,
             next_s: f64::NEG_INFINITY,
             names: BTreeSet::new(),
-            said: BTreeMap::new(),
+            reported: BTreeMap::new(),
             news: VecDeque::new(),
             tally: Tally::default(),
             was_held: false,
@@ -144,13 +144,13 @@ impl Bridge {
     /// Takes a sample that arrived at `now`; returns the pose to forward, if any. A vehicle that
     /// may be armed counts as armed.
     pub fn take(&mut self, now: HostTime, sample: &Sample, is_armed: bool) -> Option<Pose> {
-        self.anything = Some(now);
+        self.last_packet = Some(now);
         if sample.body != self.body {
             self.take_other(sample);
             return None;
         }
         self.tally.heard += 1;
-        self.heard = Some(now);
+        self.last_pose = Some(now);
         match self.judge(now, sample, is_armed) {
             Ok(pose) => pose,
             Err(fault) => {
@@ -162,14 +162,14 @@ impl Bridge {
 
     /// Notes a datagram that violates its protocol.
     pub fn malformed(&mut self, now: HostTime, why: String) {
-        self.anything = Some(now);
+        self.last_packet = Some(now);
         self.fault(now, Fault::Malformed, Some(why));
     }
 
     /// Checks the time: a body that has been silent for too long is lost.
     pub fn tick(&mut self, now: HostTime) {
         let gap = Duration::from_secs_f64(self.settings.watch.gap_s);
-        if self.watch.holds() && self.heard.is_some_and(|heard| now.since(heard) > gap) {
+        if self.watch.holds() && self.last_pose.is_some_and(|at| now.since(at) > gap) {
             self.watch.lose(Fault::Silent);
             self.fault(now, Fault::Silent, None);
         }
@@ -200,12 +200,12 @@ impl Bridge {
         }
         let body = &self.body;
         let recent = |at: Option<HostTime>| at.filter(|at| now.since(*at) < Duration::from_secs(2));
-        Some(if recent(self.heard).is_some() {
+        Some(if recent(self.last_pose).is_some() {
             format!("waiting for steady and plausible poses of {body:?}")
-        } else if recent(self.anything).is_some() && !self.names.is_empty() {
+        } else if recent(self.last_packet).is_some() && !self.names.is_empty() {
             let names: Vec<_> = self.names.iter().map(|name| format!("{name:?}")).collect();
             format!("waiting for {body:?}: the room sends {} (--body)", names.join(", "))
-        } else if recent(self.anything).is_some() {
+        } else if recent(self.last_packet).is_some() {
             "waiting for the room: its data violates its protocol".to_owned()
         } else {
             "waiting for the room: nothing arrives; check that it streams to this address and \
@@ -224,13 +224,13 @@ impl Bridge {
         let now_s = self.seconds(now);
         let host_s = self.clock.host_s(now_s, seen.at_s).unwrap_or(now_s);
         let at_s = host_s.min(now_s) - self.settings.latency_s;
-        let believed = self.watch.see(seen, is_armed)?;
-        if believed.is_anew {
+        let accepted = self.watch.see(seen, is_armed)?;
+        if accepted.is_anew {
             self.tally.resets += 1;
         }
         if !self.was_held {
             self.was_held = true;
-            self.tell(News::Believed);
+            self.report(News::Accepted);
         }
         let age_s = now_s - at_s;
         if age_s > self.settings.age_max_s {
@@ -311,7 +311,7 @@ impl Bridge {
                 self.watch.shift(by_s);
                 self.next_s = f64::NEG_INFINITY;
             }
-            self.tell(News::ClockSet);
+            self.report(News::ClockSet);
         }
     }
 
@@ -321,23 +321,23 @@ impl Bridge {
             self.was_held = false;
             self.tally.losses += 1;
         }
-        let is_told = match fault {
+        let is_reported = match fault {
             // Either another fault was already reported, or nothing is wrong.
             Fault::Settling => false,
             Fault::Frozen => self.newest.is_some_and(|(at_s, _)| self.watch.is_frozen(at_s)),
             _ => true,
         };
-        let is_new = self.said.get(&fault).is_none_or(|at| now.since(*at) > SAID_AGAIN);
-        if is_told {
+        let is_new = self.reported.get(&fault).is_none_or(|at| now.since(*at) > REPORTED_AGAIN);
+        if is_reported {
             // A continuing fault is not reported again.
-            self.said.insert(fault, now);
+            self.reported.insert(fault, now);
         }
-        if is_told && is_new {
-            self.tell(News::Fault(fault, why));
+        if is_reported && is_new {
+            self.report(News::Fault(fault, why));
         }
     }
 
-    fn tell(&mut self, news: News) {
+    fn report(&mut self, news: News) {
         if self.news.len() < NEWS_MAX {
             self.news.push_back(news);
         }

@@ -8,14 +8,14 @@ use serde::Serialize;
 /// Declares each fault once: its name, its JSON key with what it counts, and its message with the
 /// cure.
 macro_rules! faults {
-    ($($name:ident, $key:ident: $counts:literal, $words:literal;)+) => {
+    ($($name:ident, $key:ident: $counts:literal, $text:literal;)+) => {
         /// Why a pose is not forwarded.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
         pub enum Fault { $(#[doc = $counts] $name,)+ }
 
         impl fmt::Display for Fault {
             fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str(match self { $(Self::$name => $words,)+ })
+                f.write_str(match self { $(Self::$name => $text,)+ })
             }
         }
 

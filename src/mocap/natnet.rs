@@ -347,8 +347,8 @@ mod tests {
     #[test]
     fn server_info_sets_version_and_rate_without_changing_the_clock() {
         let mut decoder = Decoder::new(V31);
-        let said = decoder.datagram(&server(V41, 1_000_000));
-        assert_eq!(said, Ok(Packet::Server { version: V41 }));
+        let decoded = decoder.datagram(&server(V41, 1_000_000));
+        assert_eq!(decoded, Ok(Packet::Server { version: V41 }));
         let one = [(1, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], 1)];
         let Ok(Packet::Frame(found)) = decoder.datagram(&frame(V41, &one)) else { panic!() };
         assert_eq!((found[0].captured_s, found[0].sent_s), (1.0, Some(1.0009)));
@@ -386,11 +386,11 @@ mod tests {
             sized in any::<bool>(),
         ) {
             let version = if sized { V41 } else { V31 };
-            let whole = frame(version, &[(1, [0.5; 7], 1), (2, [0.5; 7], 1)]);
-            let mut bytes = whole.clone();
-            bytes[at.index(whole.len())] = byte;
+            let complete = frame(version, &[(1, [0.5; 7], 1), (2, [0.5; 7], 1)]);
+            let mut bytes = complete.clone();
+            bytes[at.index(complete.len())] = byte;
             let _ = Decoder::new(version).datagram(&bytes);
-            let short = &whole[..cut.index(whole.len())];
+            let short = &complete[..cut.index(complete.len())];
             prop_assert!(Decoder::new(version).datagram(short).is_err());
         }
     }

@@ -44,7 +44,7 @@ pub struct Seen {
 
 /// An accepted pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Believed {
+pub struct Accepted {
     /// Whether it does not continue the pose before: the vehicle must treat it as a restart.
     pub is_anew: bool,
 }
@@ -69,7 +69,7 @@ impl Run {
         self.latest.position + velocity * (at_s - self.latest.at_s).clamp(0.0, COAST_S)
     }
 
-    fn goes_on_with(&self, seen: &Seen, settings: &WatchSettings) -> bool {
+    fn continues_with(&self, seen: &Seen, settings: &WatchSettings) -> bool {
         let dt = seen.at_s - self.latest.at_s;
         let unknown = if self.velocity.is_none() { FIRST_SPEED * dt } else { 0.0 };
         let far = settings.jump_m + unknown + 0.5 * settings.acceleration_max_m_s2 * dt * dt;
@@ -151,7 +151,7 @@ impl Watch {
     /// # Errors
     /// Why it is rejected: [`Fault::Frozen`], [`Fault::Jumped`], [`Fault::Swapped`] or
     /// [`Fault::Settling`].
-    pub fn see(&mut self, seen: Seen, is_armed: bool) -> Result<Believed, Fault> {
+    pub fn see(&mut self, seen: Seen, is_armed: bool) -> Result<Accepted, Fault> {
         if let Some((newest, since_s)) = self.newest
             && (newest.position, newest.attitude) == (seen.position, seen.attitude)
         {
@@ -194,11 +194,11 @@ impl Watch {
         self.others.clear();
     }
 
-    fn follow(&mut self, mut run: Run, seen: Seen) -> Result<Believed, Fault> {
-        if run.goes_on_with(&seen, &self.settings) {
+    fn follow(&mut self, mut run: Run, seen: Seen) -> Result<Accepted, Fault> {
+        if run.continues_with(&seen, &self.settings) {
             run.extend(seen);
             self.track = Track::Held(run);
-            return Ok(Believed { is_anew: false });
+            return Ok(Accepted { is_anew: false });
         }
         let why = if seen.at_s - run.latest.at_s > self.settings.gap_s {
             Fault::Settling
@@ -217,7 +217,7 @@ impl Watch {
         coming: Option<Run>,
         seen: Seen,
         is_armed: bool,
-    ) -> Result<Believed, Fault> {
+    ) -> Result<Accepted, Fault> {
         let settings = &self.settings;
         // A body that reappears at another body's place, such as after an occlusion, is that other
         // body.
@@ -229,13 +229,13 @@ impl Watch {
             *why = Fault::Swapped;
         }
         let run = match coming {
-            Some(mut run) if run.goes_on_with(&seen, settings) => {
+            Some(mut run) if run.continues_with(&seen, settings) => {
                 run.extend(seen);
                 run
             }
             _ => Run::new(seen),
         };
-        let (is_believed, is_anew) = match last {
+        let (is_accepted, is_anew) = match last {
             None => (run.length_s() >= settings.settle_anew_s, false),
             Some((lost, why)) => {
                 let dt = seen.at_s - lost.latest.at_s;
@@ -257,12 +257,12 @@ impl Watch {
                 (is_back || is_moved, !is_back)
             }
         };
-        if !is_believed {
+        if !is_accepted {
             self.track = Track::Lost { last, coming: Some(run) };
             return Err(Fault::Settling);
         }
         self.track = Track::Held(run);
-        Ok(Believed { is_anew })
+        Ok(Accepted { is_anew })
     }
 
     fn is_anothers(&self, seen: &Seen) -> bool {

@@ -122,12 +122,12 @@ impl Features {
         at: &[f64; VARIABLES],
         out: &mut [f64; FEATURES_MAX],
     ) -> usize {
-        out[..3].copy_from_slice(&axes.seen([at[0], at[1], at[2]]));
+        out[..3].copy_from_slice(&axes.in_axes([at[0], at[1], at[2]]));
         out[3..ANGLE].copy_from_slice(&at[3..ANGLE]);
         let mut length = ANGLE;
         match self {
             Features::Body => {
-                out[length..length + 3].copy_from_slice(&axes.seen(DOWN));
+                out[length..length + 3].copy_from_slice(&axes.in_axes(DOWN));
                 length += 3;
             }
             Features::World | Features::Heading => {
@@ -158,7 +158,7 @@ impl Features {
     ) -> [f64; VARIABLES] {
         let mut row = [0.0; VARIABLES];
         let (by_velocity, by_rate) = (&slope[..3], &slope[3..ANGLE]);
-        row[..3].copy_from_slice(&axes.told([by_velocity[0], by_velocity[1], by_velocity[2]]));
+        row[..3].copy_from_slice(&axes.to_world([by_velocity[0], by_velocity[1], by_velocity[2]]));
         row[3..ANGLE].copy_from_slice(by_rate);
         axes.add_turning([at[0], at[1], at[2]], by_velocity, &mut row);
         let mut length = ANGLE;
@@ -191,7 +191,7 @@ impl Features {
         acceleration: [f64; OUTPUTS],
     ) -> [f64; OUTPUTS] {
         match head {
-            Head::Linear => Axes::of(self, at).seen(acceleration),
+            Head::Linear => Axes::of(self, at).in_axes(acceleration),
             Head::Angular => acceleration,
         }
     }
@@ -243,24 +243,24 @@ impl Axes {
     }
 
     /// A world vector in these axes.
-    pub fn seen(&self, vector: [f64; 3]) -> [f64; 3] {
+    pub fn in_axes(&self, vector: [f64; 3]) -> [f64; 3] {
         self.to_world.tr_mul(&Vector3::from(vector)).into()
     }
 
     /// A vector in these axes, in world axes.
-    pub fn told(&self, vector: [f64; 3]) -> [f64; 3] {
+    pub fn to_world(&self, vector: [f64; 3]) -> [f64; 3] {
         (self.to_world * Vector3::from(vector)).into()
     }
 
-    /// Derivatives of [`Axes::told`] of a fixed vector with respect to roll, pitch and yaw.
-    pub fn told_turning(&self, vector: [f64; 3]) -> [[f64; 3]; 3] {
+    /// Derivatives of [`Axes::to_world`] of a fixed vector with respect to roll, pitch and yaw.
+    pub fn to_world_slopes(&self, vector: [f64; 3]) -> [[f64; 3]; 3] {
         self.turns.map(|turn| (self.to_world * turn.cross(&Vector3::from(vector))).into())
     }
 
     /// Adds the effect of the angles on a fixed vector in these axes, given the derivatives with
     /// respect to its components.
     fn add_turning(&self, vector: [f64; 3], slope: &[f64], row: &mut [f64; VARIABLES]) {
-        let seen = Vector3::from(self.seen(vector));
+        let seen = Vector3::from(self.in_axes(vector));
         let slope = Vector3::new(slope[0], slope[1], slope[2]);
         for (sum, turn) in row[ANGLE..].iter_mut().zip(&self.turns) {
             *sum += slope.dot(&seen.cross(turn));

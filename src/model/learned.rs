@@ -172,7 +172,7 @@ impl Model for NetworkModel {
             let n = self.features.extract_in(&axes, head, &at, &mut features);
             let mut y = self.network(head).evaluate(&features, n);
             if head == Head::Linear {
-                y = axes.told(y);
+                y = axes.to_world(y);
             }
             out[head.rows()].copy_from_slice(&y);
         }
@@ -191,18 +191,18 @@ impl Model for NetworkModel {
             let mut rows = slope.map(|row| self.features.pull_back(&axes, head, &at, &row[..n]));
             if head == Head::Linear {
                 for column in 0..VARIABLES {
-                    let told = axes.told(rows.map(|row| row[column]));
-                    for (row, value) in rows.iter_mut().zip(told) {
+                    let rotated = axes.to_world(rows.map(|row| row[column]));
+                    for (row, value) in rows.iter_mut().zip(rotated) {
                         row[column] = value;
                     }
                 }
                 // The output's axes turn with the angles.
-                for (column, slope) in ANGLES.zip(axes.told_turning(y)) {
+                for (column, slope) in ANGLES.zip(axes.to_world_slopes(y)) {
                     for (row, value) in rows.iter_mut().zip(slope) {
                         row[column] += value;
                     }
                 }
-                y = axes.told(y);
+                y = axes.to_world(y);
             }
             value[head.rows()].copy_from_slice(&y);
             jacobian[head.rows()].copy_from_slice(&rows);

@@ -85,11 +85,11 @@ impl AdjustmentSettings {
     /// change, `now` without: a reference already beyond a bound may come nearer.
     fn objection(
         &self,
-        wanted: &Adjusted,
+        requested: &Adjusted,
         (now, reach): (Extent, Extent),
         fence: (f64, f64),
     ) -> Option<String> {
-        let (distance, scale) = (wanted.goal.norm(), wanted.feedback_scale);
+        let (distance, scale) = (requested.goal.norm(), requested.feedback_scale);
         let most = self.feedback_scale_max;
         let (radius, height) = (fence.0 - self.fence_margin_m, fence.1 - self.fence_margin_m);
         // NaN is within no range.
@@ -120,10 +120,10 @@ impl OffboardController {
 
     /// Applies a viewer's change if the supervisor permits it and it is within bounds. An event
     /// reports the outcome.
-    pub fn adjust(&mut self, now: HostTime, asked: &Adjustment) {
+    pub fn adjust(&mut self, now: HostTime, request: &Adjustment) {
         let held = self.adjusted();
-        let wanted = asked.of(&held);
-        let objection = match self.supervisor.heeds_viewers(self.airborne()) {
+        let requested = request.of(&held);
+        let objection = match self.supervisor.accepts_adjustments(self.airborne()) {
             false => {
                 Some("goal and feedback change only in track, in hold and before a flight".into())
             }
@@ -132,21 +132,21 @@ impl OffboardController {
                 let here = here.unwrap_or_default();
                 let extents = (
                     self.guidance.extent(held.goal, here),
-                    self.guidance.extent(wanted.goal, here),
+                    self.guidance.extent(requested.goal, here),
                 );
                 let safety = &self.settings.safety;
                 let fence = (safety.fence_radius_m, safety.fence_height_m);
-                self.settings.adjustment.objection(&wanted, extents, fence)
+                self.settings.adjustment.objection(&requested, extents, fence)
             }
         };
         if let Some(why) = objection {
-            let text = format!("a viewer's change is refused ({wanted}): {why}");
-            return self.supervisor.tell(now, Severity::Warning, text);
+            let text = format!("a viewer's change is refused ({requested}): {why}");
+            return self.supervisor.report(now, Severity::Warning, text);
         }
-        if wanted != held {
-            self.guidance.move_goal(wanted.goal);
-            self.controller.scale_feedback(wanted.feedback_scale);
-            self.supervisor.tell(now, Severity::Info, format!("a viewer's change: {wanted}"));
+        if requested != held {
+            self.guidance.move_goal(requested.goal);
+            self.controller.scale_feedback(requested.feedback_scale);
+            self.supervisor.report(now, Severity::Info, format!("a viewer's change: {requested}"));
         }
     }
 
@@ -155,7 +155,7 @@ impl OffboardController {
         if self.adjusted() != Adjusted::default() {
             self.guidance.forget_goal();
             self.controller.scale_feedback(1.0);
-            self.supervisor.tell(now, Severity::Info, "the viewers' changes end with the flight");
+            self.supervisor.report(now, Severity::Info, "the viewers' changes end with the flight");
         }
     }
 }
@@ -168,8 +168,8 @@ mod tests {
     fn out_of_bounds_adjustment_is_refused_with_the_bound() {
         let settings = AdjustmentSettings::default();
         let now = Extent { radius_m: 1.0, highest_m: 1.0, lowest_m: 1.0 };
-        let judge = |asked: Adjustment, reach: Extent| {
-            settings.objection(&asked.of(&Adjusted::default()), (now, reach), (10.0, 5.0))
+        let judge = |request: Adjustment, reach: Extent| {
+            settings.objection(&request.of(&Adjusted::default()), (now, reach), (10.0, 5.0))
         };
         let north = |north| Adjustment { north_m: Some(north), ..Adjustment::default() };
         let scaled = |scale| Adjustment { feedback_scale: Some(scale), ..Adjustment::default() };
@@ -179,7 +179,7 @@ mod tests {
         let far = Extent { radius_m: 9.1, ..now };
         let high = Extent { highest_m: 4.1, ..now };
         let low = Extent { lowest_m: 0.2, ..now };
-        for (asked, reach, words) in [
+        for (request, reach, text) in [
             (north(3.1), now, "at most 3 m"),
             (north(f64::NAN), now, "at most 3 m"),
             (north(f64::INFINITY), now, "at most 3 m"),
@@ -191,17 +191,17 @@ mod tests {
             (north(1.0), high, "geofence"),
             (north(1.0), low, "below 0.3 m"),
         ] {
-            let found = judge(asked, reach).expect("refused");
-            assert!(found.contains(words), "{asked:?}: {found}");
+            let found = judge(request, reach).expect("refused");
+            assert!(found.contains(text), "{request:?}: {found}");
         }
     }
 
     #[test]
     fn adjustment_beyond_a_bound_may_move_back_towards_it() {
         let settings = AdjustmentSettings::default();
-        let wanted = Adjusted { goal: Ned::new(1.0, 0.0, 0.0), feedback_scale: 1.0 };
+        let requested = Adjusted { goal: Ned::new(1.0, 0.0, 0.0), feedback_scale: 1.0 };
         let now = Extent { radius_m: 9.5, highest_m: 1.0, lowest_m: 0.0 };
         let nearer = Extent { radius_m: 9.4, ..now };
-        assert_eq!(settings.objection(&wanted, (now, nearer), (10.0, 5.0)), None);
+        assert_eq!(settings.objection(&requested, (now, nearer), (10.0, 5.0)), None);
     }
 }

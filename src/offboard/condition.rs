@@ -25,7 +25,7 @@ const AIRBORNE_HEIGHT_M: f64 = 0.3;
 /// Silence on TIMESYNC, which is sent ten times a second, after which setpoints may not arrive.
 const UNANSWERED: Duration = Duration::from_millis(250);
 /// For this long after that, the vehicle may be somewhere that no setpoint sent it.
-const UNHEARD_LATELY: Duration = Duration::from_secs(2);
+const UNREACHABLE_RECENT: Duration = Duration::from_secs(2);
 /// An older answer says nothing about the present link.
 const ANSWER_FRESH: Duration = Duration::from_millis(500);
 
@@ -39,7 +39,7 @@ impl OffboardController {
                 "{late}; ignored (offboard.telemetry.late_after_s is {limit_s}); the link is \
                  congested, or this machine is busy"
             );
-            self.supervisor.tell(now, Severity::Warning, text);
+            self.supervisor.report(now, Severity::Warning, text);
         }
         let age_s = self.telemetry.age_s(now).max(std::mem::take(&mut self.paused_s));
         let rate_hz = self.settings.telemetry.rate_hz;
@@ -70,8 +70,8 @@ impl OffboardController {
             _ => Ned::zero(),
         };
         let jumped = std::mem::take(&mut self.jumped);
-        if self.may_be_unheard(now) {
-            self.unheard = Some(now);
+        if self.may_be_unreachable(now) {
+            self.unreachable_at = Some(now);
         }
         let status = self.telemetry.status();
         let tick_rate_min = self.settings.preflight.tick_rate_min
@@ -92,7 +92,9 @@ impl OffboardController {
                 late: self.telemetry.late(),
                 jumped,
                 round_trip_s: self.round_trip_s(now),
-                was_unheard: self.unheard.is_some_and(|at| now.since(at) < UNHEARD_LATELY),
+                was_unreachable: self
+                    .unreachable_at
+                    .is_some_and(|at| now.since(at) < UNREACHABLE_RECENT),
                 tracking_error_m: self.tracking_error,
                 tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
                 radius_m: (from_anchor.north().powi(2) + from_anchor.east().powi(2)).sqrt(),
@@ -138,7 +140,7 @@ impl OffboardController {
 
     /// Whether setpoints may not arrive: a vehicle that used to answer has been silent for as long
     /// as several answers take. Its motion then need not follow the setpoints.
-    pub(super) fn may_be_unheard(&self, now: HostTime) -> bool {
+    pub(super) fn may_be_unreachable(&self, now: HostTime) -> bool {
         self.round_trip.is_some_and(|(at, time)| now.since(at) > UNANSWERED + time)
     }
 

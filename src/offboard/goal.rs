@@ -17,7 +17,7 @@ const STEP_MAX_S: f64 = 0.1;
 /// An offset that moves to the requested one with a continuous velocity.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct GoalOffset {
-    asked: Ned,
+    requested: Ned,
     at: Ned,
     velocity: Ned,
     last: Option<VehicleTime>,
@@ -25,8 +25,8 @@ pub(super) struct GoalOffset {
 
 impl GoalOffset {
     /// The requested offset, m.
-    pub fn asked(&self) -> Ned {
-        self.asked
+    pub fn requested(&self) -> Ned {
+        self.requested
     }
 
     /// The present offset, m.
@@ -41,29 +41,29 @@ impl GoalOffset {
 
     /// Requests another offset.
     pub fn lead_to(&mut self, offset: Ned) {
-        self.asked = offset;
+        self.requested = offset;
     }
 
     /// Jumps to the requested offset, as on the ground.
     pub fn arrive(&mut self) {
-        (self.at, self.velocity) = (self.asked, Ned::zero());
+        (self.at, self.velocity) = (self.requested, Ned::zero());
     }
 
     /// Stops at the present offset.
     pub fn stay(&mut self) {
-        (self.asked, self.velocity) = (self.at, Ned::zero());
+        (self.requested, self.velocity) = (self.at, Ned::zero());
     }
 
     /// Advances to the time of a sample.
     pub fn step(&mut self, now: VehicleTime) {
         let dt = self.last.replace(now).map_or(0.0, |last| now.seconds_since(last));
         let dt = dt.clamp(0.0, STEP_MAX_S);
-        let left = self.asked - self.at;
+        let left = self.requested - self.at;
         if left.norm() < THERE_M && self.velocity.norm() < THERE_M {
             return self.arrive();
         }
-        let wanted = within(left * RATE_PER_S, SPEED_MAX_M_S);
-        self.velocity += within(wanted - self.velocity, ACCELERATION_MAX_M_S2 * dt);
+        let target = within(left * RATE_PER_S, SPEED_MAX_M_S);
+        self.velocity += within(target - self.velocity, ACCELERATION_MAX_M_S2 * dt);
         self.at += self.velocity * dt;
     }
 }
@@ -83,7 +83,7 @@ mod tests {
         offset.lead_to(Ned::new(2.0, -1.0, 0.5));
         let (mut speed, mut before, mut acceleration) = (0.0_f64, Ned::zero(), 0.0_f64);
         for tick in 0..1500 {
-            // The target moves while the offset is on its way.
+            // Another goal is requested on the way.
             if tick == 300 {
                 offset.lead_to(Ned::new(-1.0, 0.0, 0.0));
             }

@@ -163,7 +163,7 @@ impl Guidance {
 
     /// How far the goal was moved from where the flight has it, or is being moved, m.
     pub fn goal(&self) -> Ned {
-        self.goal.asked()
+        self.goal.requested()
     }
 
     /// Leads what is flown to lie this far from where the flight has it, m.
@@ -214,7 +214,7 @@ impl Guidance {
     /// Horizontal distance from `position` to the trajectory's start, if the flight began there, m.
     pub fn start_distance_m(&self, position: Ned) -> f64 {
         let start = self.trajectory.sample(0.0).position + self.anchor_below(position);
-        let start = start + self.goal.asked();
+        let start = start + self.goal.requested();
         (start.north() - position.north()).hypot(start.east() - position.east())
     }
 

@@ -107,7 +107,7 @@ impl<const N: usize> Stream<N> {
     }
 
     /// Whether it has no pause from `start` to `end`.
-    fn is_whole(&self, start: f64, end: f64) -> bool {
+    fn is_unbroken(&self, start: f64, end: f64) -> bool {
         let mut before = match self.first() {
             Some(first) if first <= start => first,
             _ => return false,
@@ -230,8 +230,9 @@ impl Cells {
             if !is_reached && !is_late {
                 return None;
             }
-            let whole = self.attitude.is_whole(start, end) && self.outputs.is_whole(start, end);
-            if !whole {
+            let is_complete =
+                self.attitude.is_unbroken(start, end) && self.outputs.is_unbroken(start, end);
+            if !is_complete {
                 self.pause();
                 continue;
             }
@@ -303,10 +304,10 @@ impl Cells {
         }
         let times = std::array::from_fn::<f64, POINTS, _>(|k| start + (k as f64 + 0.5) * step);
         let [w, x, y, z] = mean(&self.attitude, &times)?;
-        let has = |first: Option<f64>, whole: bool| first.is_some() && whole;
-        let moves = has(self.velocity.first(), self.velocity.is_whole(start, end));
-        let turns = has(self.body_rate.first(), self.body_rate.is_whole(start, end));
-        let feels = has(self.specific_force.first(), self.specific_force.is_whole(start, end));
+        let has = |first: Option<f64>, is_complete: bool| first.is_some() && is_complete;
+        let moves = has(self.velocity.first(), self.velocity.is_unbroken(start, end));
+        let turns = has(self.body_rate.first(), self.body_rate.is_unbroken(start, end));
+        let feels = has(self.specific_force.first(), self.specific_force.is_unbroken(start, end));
         let gained = |stream: &Stream<3>| -> Option<[f64; 3]> {
             let (a, b) = (stream.at(start)?, stream.at(end)?);
             Some(std::array::from_fn(|i| (b[i] - a[i]) / CELL_S))

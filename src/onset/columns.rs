@@ -148,7 +148,7 @@ pub fn quantity(direction: usize) -> (&'static str, &'static str) {
 
 /// Least error of a law over a stretch of flight, as fractions of the weight and of its moment at
 /// the arms.
-const BELIEVED: [f64; 2] = [1e-3, 3e-4];
+const LAW_ERROR_MIN: [f64; 2] = [1e-3, 3e-4];
 
 /// Prior standard deviations of the parameters; the columns are in these units.
 #[derive(Clone, Copy, Debug)]
@@ -181,8 +181,8 @@ impl Sizes {
         for (place, of) in DRIFTING.into_iter().enumerate() {
             sizes[DRIFT + place] = 0.1 * sizes[of];
         }
-        let force = BELIEVED[0] * vehicle.gravity;
-        let moment = |axis: usize| BELIEVED[1] * weight * arm / vehicle.inertia[axis];
+        let force = LAW_ERROR_MIN[0] * vehicle.gravity;
+        let moment = |axis: usize| LAW_ERROR_MIN[1] * weight * arm / vehicle.inertia[axis];
         let least = [force, force, force, moment(0), moment(1), moment(2)];
         Self { columns: sizes, least }
     }

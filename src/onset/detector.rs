@@ -135,20 +135,21 @@ impl Detector {
         })
     }
 
-    /// Adds a sample at `time`, s of the vehicle's clock; calls `hear` with the resulting events.
-    pub fn push(&mut self, time: f64, sample: Sample, mut hear: impl FnMut(Event)) {
+    /// Adds a sample at `time`, s of the vehicle's clock; calls `on_event` with the resulting
+    /// events.
+    pub fn push(&mut self, time: f64, sample: Sample, mut on_event: impl FnMut(Event)) {
         self.cells.push(time, sample);
         while let Some(piece) = self.cells.next_piece() {
             match piece {
-                Piece::Pause => self.pause(&mut hear),
-                Piece::Cell(cell) => self.cell(*cell, &mut hear),
+                Piece::Pause => self.pause(&mut on_event),
+                Piece::Cell(cell) => self.cell(*cell, &mut on_event),
             }
         }
     }
 
     /// Ends the flight: reports a pending change.
-    pub fn finish(&mut self, mut hear: impl FnMut(Event)) {
-        self.pause(&mut hear);
+    pub fn finish(&mut self, mut on_event: impl FnMut(Event)) {
+        self.pause(&mut on_event);
     }
 
     /// The vehicle's parameters over the last half minute, with standard deviations, as differences
@@ -161,9 +162,9 @@ impl Detector {
         Some(along)
     }
 
-    fn pause(&mut self, hear: &mut impl FnMut(Event)) {
+    fn pause(&mut self, on_event: &mut impl FnMut(Event)) {
         if let Some(change) = self.alarm.and_then(|alarm| self.change(alarm)) {
-            hear(Event::Change(Box::new(change)));
+            on_event(Event::Change(Box::new(change)));
         }
         self.alarm = None;
         self.kept.clear();
@@ -173,7 +174,7 @@ impl Detector {
         self.noted = 0;
     }
 
-    fn cell(&mut self, cell: Cell, hear: &mut impl FnMut(Event)) {
+    fn cell(&mut self, cell: Cell, on_event: &mut impl FnMut(Event)) {
         let now = cell.time + CELL_S;
         self.count += 1;
         self.kept.push_back(cell);
@@ -202,7 +203,7 @@ impl Detector {
         self.looked += 1;
         if self.looked >= self.settings.every && self.window.len() >= BEFORE + AFTER[0] {
             self.looked = 0;
-            self.look(now, hear);
+            self.look(now, on_event);
         }
     }
 
@@ -283,12 +284,12 @@ impl Detector {
         })
     }
 
-    fn profiles(&self, wants_all: bool) -> Vec<Profile> {
+    fn profiles(&self, evaluates_all: bool) -> Vec<Profile> {
         let last = AFTER[1].min(self.window.len().saturating_sub(BEFORE));
-        self.window.profiles([AFTER[0], last], &self.scales(), wants_all)
+        self.window.profiles([AFTER[0], last], &self.scales(), evaluates_all)
     }
 
-    fn look(&mut self, now: f64, hear: &mut impl FnMut(Event)) {
+    fn look(&mut self, now: f64, on_event: &mut impl FnMut(Event)) {
         let profiles = self.profiles(false);
         let best = profiles.iter().filter_map(|profile| Some((profile.cause, peak(profile)?)));
         let best = best.max_by(|a, b| a.1.evidence.total_cmp(&b.1.evidence));
@@ -296,14 +297,14 @@ impl Detector {
         let (evidence, cell) = (place.evidence, place.cell);
         let is_alarmed = evidence >= self.settings.bound();
         self.alarm = if is_alarmed { self.alarm.or(Some(now)) } else { None };
-        hear(Event::Look(Look { time_s: now, cause, evidence, is_alarmed }));
+        on_event(Event::Look(Look { time_s: now, cause, evidence, is_alarmed }));
         if let Some(alarm) = self.alarm {
             self.waiting.clear();
             let after = (self.window.len() - cell) as f64 * CELL_S;
             if after >= self.settings.hindsight_s
                 && let Some(change) = self.change(alarm)
             {
-                hear(Event::Change(Box::new(change)));
+                on_event(Event::Change(Box::new(change)));
                 self.begin_anew(cell);
             }
             return;
@@ -364,7 +365,7 @@ mod tests {
 
     /// A hover of `seconds`, reported at 100 Hz; the specific force is larger by a time-dependent
     /// fraction of gravity.
-    fn told(seconds: f64, seed: u64, share: impl Fn(f64) -> f64) -> Vec<Change> {
+    fn detected(seconds: f64, seed: u64, share: impl Fn(f64) -> f64) -> Vec<Change> {
         let vehicle = VehicleParams::load("quad1200").expect("a vehicle");
         let mut detector = Detector::new(&vehicle, Settings::LOG).expect("a detector");
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
@@ -373,7 +374,7 @@ mod tests {
             deviation * z
         };
         let mut changes = Vec::new();
-        let mut hear = |event| {
+        let mut on_event = |event| {
             if let Event::Change(change) = event {
                 changes.push(*change);
             }
@@ -393,16 +394,16 @@ mod tests {
                 Sample::SpecificForce(Frd::new(normal(0.1), normal(0.1), force)),
                 Sample::Outputs(outputs),
             ] {
-                detector.push(time, sample, &mut hear);
+                detector.push(time, sample, &mut on_event);
             }
         }
-        detector.finish(&mut hear);
+        detector.finish(&mut on_event);
         changes
     }
 
     #[test]
     fn thrust_drop_is_reported_with_time_and_size() {
-        let changes = told(40.0, 1, |time| if time < 25.0 { 0.0 } else { -0.03 });
+        let changes = detected(40.0, 1, |time| if time < 25.0 { 0.0 } else { -0.03 });
         assert_eq!(changes.len(), 1, "{changes:?}");
         let change = &changes[0];
         assert!((change.at_s - 25.0).abs() < 0.3, "{change:?}");
@@ -414,9 +415,9 @@ mod tests {
     #[test]
     fn noise_offset_and_slow_sag_are_not_changes() {
         for seed in 0..3 {
-            assert!(told(60.0, seed, |_| 0.0).is_empty());
-            assert!(told(60.0, seed, |_| 0.05).is_empty());
-            let sag = told(60.0, seed, |time| -0.02 * time / 60.0);
+            assert!(detected(60.0, seed, |_| 0.0).is_empty());
+            assert!(detected(60.0, seed, |_| 0.05).is_empty());
+            let sag = detected(60.0, seed, |time| -0.02 * time / 60.0);
             assert!(sag.is_empty(), "{sag:?}");
         }
     }

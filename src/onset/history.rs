@@ -96,8 +96,8 @@ fn step(values: &[FlightValue], direction: usize) -> Option<Step> {
     };
     let best = (1..count).map(split).max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))?;
     let (t, [before, after], variance, from) = best;
-    let asked = ((count - 1) * DIRECTIONS.len()) as f64;
-    let chance = (asked * two_sided(t, freedom as f64)).min(1.0);
+    let comparisons = ((count - 1) * DIRECTIONS.len()) as f64;
+    let chance = (comparisons * two_sided(t, freedom as f64)).min(1.0);
     if chance.is_nan() || chance >= CHANCE {
         return None;
     }
@@ -153,8 +153,8 @@ mod tests {
         let found = steps(&flights(&mut rng, 9, -0.1));
         assert_eq!((found[0].from, found[0].rotor), (4, Some(1)), "{found:?}");
         assert!((found[0].after.value + 0.1).abs() < 0.02);
-        let told = (0..400).filter(|_| !steps(&flights(&mut rng, 7, 0.0)).is_empty()).count();
-        assert!(told <= 10, "{told} of 400, where 1 % is stated");
+        let reported = (0..400).filter(|_| !steps(&flights(&mut rng, 7, 0.0)).is_empty()).count();
+        assert!(reported <= 10, "{reported} of 400, where 1 % is stated");
     }
 
     #[test]

@@ -168,12 +168,12 @@ impl Window {
     /// Each cause's evidence as a function of its onset, from `after[0]` to `after[1]` cells before
     /// the end.
     ///
-    /// Without `wants_all`, fewer places far back are evaluated.
+    /// Without `evaluates_all`, fewer places far back are evaluated.
     pub fn profiles(
         &self,
         after: [usize; 2],
         scales: &[Scale; Cause::ALL.len()],
-        wants_all: bool,
+        evaluates_all: bool,
     ) -> Vec<Profile> {
         let mut profiles: Vec<Profile> =
             Cause::ALL.into_iter().map(|cause| Profile { cause, places: Vec::new() }).collect();
@@ -188,8 +188,8 @@ impl Window {
             gram += terms.gram.as_ref();
             moment += terms.moment;
             let far = COARSE.iter().filter(|coarse| count > **coarse).count();
-            let is_told = wants_all || count % (1 << far) == 0;
-            if count < after[0] || !is_told {
+            let is_evaluated = evaluates_all || count % (1 << far) == 0;
+            if count < after[0] || !is_evaluated {
                 continue;
             }
             let tail = Tail::of(&gram, &moment, &inverse, &best);

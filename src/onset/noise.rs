@@ -40,7 +40,7 @@ pub struct Spectrum {
     counts: [f64; EQUATIONS],
     recent: [[f64; ORDER]; EQUATIONS],
     /// Number of recent values without a pause.
-    whole: [usize; EQUATIONS],
+    unbroken: [usize; EQUATIONS],
     decay: f64,
 }
 
@@ -51,7 +51,7 @@ impl Spectrum {
             sums: [[0.0; ORDER + 1]; EQUATIONS],
             counts: [0.0; EQUATIONS],
             recent: [[0.0; ORDER]; EQUATIONS],
-            whole: [0; EQUATIONS],
+            unbroken: [0; EQUATIONS],
             decay: (-cell_s / MEMORY_S).exp(),
         }
     }
@@ -60,7 +60,7 @@ impl Spectrum {
     pub fn add(&mut self, left: &[f64; EQUATIONS]) {
         for (equation, value) in left.iter().enumerate() {
             if !value.is_finite() {
-                self.whole[equation] = 0;
+                self.unbroken[equation] = 0;
                 continue;
             }
             let sums = &mut self.sums[equation];
@@ -68,8 +68,8 @@ impl Spectrum {
             let limit = CLIP * (sums[0] / *count).sqrt();
             let value = if *count > ORDER as f64 { value.clamp(-limit, limit) } else { *value };
             let recent = &mut self.recent[equation];
-            let whole = &mut self.whole[equation];
-            if *whole == ORDER {
+            let unbroken = &mut self.unbroken[equation];
+            if *unbroken == ORDER {
                 sums.iter_mut().for_each(|sum| *sum *= self.decay);
                 *count = *count * self.decay + 1.0;
                 sums[0] += value * value;
@@ -77,7 +77,7 @@ impl Spectrum {
                     *sum += value * before;
                 }
             } else {
-                *whole += 1;
+                *unbroken += 1;
             }
             recent.rotate_right(1);
             recent[0] = value;
@@ -86,7 +86,7 @@ impl Spectrum {
 
     /// Interrupts the history, after a pause.
     pub fn pause(&mut self) {
-        self.whole = [0; EQUATIONS];
+        self.unbroken = [0; EQUATIONS];
     }
 
     /// Effective number of cells behind an equation's spectrum.

@@ -109,17 +109,20 @@ pub(super) fn check_led(states: &[StateVector], period_s: f64) -> Result<(), Not
         .windows(2)
         .map(|pair| {
             let [state, next] = [pair[0], pair[1]];
-            let (led, came) = (coasted(&state, period_s), coasted(&next, -period_s));
-            [std::array::from_fn(|i| led[i] - state[i]), std::array::from_fn(|i| next[i] - came[i])]
+            let (led, reached) = (coasted(&state, period_s), coasted(&next, -period_s));
+            [
+                std::array::from_fn(|i| led[i] - state[i]),
+                std::array::from_fn(|i| next[i] - reached[i]),
+            ]
         })
         .collect();
     for (n, pair) in states.windows(2).enumerate() {
         let about = &ways[n.saturating_sub(1)..ways.len().min(n + 2)];
         let kinematic = (0..3).chain(ANGLE..RATE);
         let mut jumps = kinematic.map(|i| {
-            let (step, [led, came]) = (pair[1][i] - pair[0][i], ways[n]);
-            let outside = (led[i].min(came[i]) - step).max(step - led[i].max(came[i]));
-            let bends = about.iter().map(|[led, came]| (came[i] - led[i]).abs());
+            let (step, [led, reached]) = (pair[1][i] - pair[0][i], ways[n]);
+            let outside = (led[i].min(reached[i]) - step).max(step - led[i].max(reached[i]));
+            let bends = about.iter().map(|[led, reached]| (reached[i] - led[i]).abs());
             if step.is_nan() { step } else { outside - BULGE * bends.fold(0.0, f64::max) }
         });
         if let Some(jump) = jumps.find(|jump| jump.is_nan() || *jump > DEFECT_MAX) {

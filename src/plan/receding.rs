@@ -34,9 +34,9 @@ use crate::setpoint::{Expected, Reference};
 
 /// Plans from the vehicle's states; the worker behind a [`RecedingReference`].
 struct Replanner {
-    through: Through,
+    current: ModelPlanners,
     /// The previous model, in case plans with the current one fail.
-    before: Option<Through>,
+    before: Option<ModelPlanners>,
     /// Number of plans in a row that were not flyable.
     failures: u32,
     /// Number of models accepted so far.
@@ -49,24 +49,24 @@ struct Replanner {
 const FAILURES_MAX: u32 = 3;
 
 /// The planners of one model.
-struct Through {
+struct ModelPlanners {
     planner: Planner,
     /// Makes a plan without a predecessor.
     first: Planner,
     /// Searches until it converges.
-    whole: Planner,
+    converged: Planner,
     answer: Answer,
     /// Number of the model, 0 for the initial one.
     model: u64,
 }
 
-impl Through {
+impl ModelPlanners {
     fn new(candidate: Candidate, settings: &RecedingSettings, model: u64) -> Self {
         let Candidate { planner, answer } = candidate;
         Self {
             first: planner.clone().first_of_replanning(settings),
             planner: planner.clone().replanning(settings),
-            whole: planner.cautious(settings),
+            converged: planner.cautious(settings),
             answer,
             model,
         }
@@ -94,12 +94,12 @@ struct Task {
 
 /// When the next plan is due.
 #[derive(Clone, Copy, Debug, Default)]
-struct Due {
+struct Schedule {
     last_s: f64,
     next_s: f64,
 }
 
-impl Due {
+impl Schedule {
     fn is_due(&mut self, t: f64, replanner: &Replanner) -> bool {
         if t < self.last_s {
             // Time went backwards: another flight starts.
@@ -129,21 +129,21 @@ enum ReplanError {
 impl Replanner {
     fn new(goal: Trajectory, planner: Planner, answer: Answer, settings: RecedingSettings) -> Self {
         let board = Arc::new(Board::new(goal, answer.voltage_exponent));
-        let through = Through::new(Candidate { planner, answer }, &settings, 0);
-        Self { through, before: None, failures: 0, models: 0, settings, board }
+        let current = ModelPlanners::new(Candidate { planner, answer }, &settings, 0);
+        Self { current, before: None, failures: 0, models: 0, settings, board }
     }
 
     /// The planning task from a state.
-    fn task(&self, through: &Through, seen: &Sighting) -> Result<Task, ReplanError> {
+    fn task(&self, planners: &ModelPlanners, seen: &Sighting) -> Result<Task, ReplanError> {
         let goal = self.board.goal().ok_or(ReplanError::NoGoal)?;
-        let planner = &through.planner;
+        let planner = &planners.planner;
         let period = planner.period_s();
-        let from_s = self.beginning(through, seen.t);
+        let from_s = self.beginning(planners, seen.t);
         let periods = (self.settings.horizon_s / period).round().max(1.0) as usize;
         let desire = planner.desire_from(&goal, from_s, periods)?;
 
         let before = self.board.going_on(from_s, period);
-        let mut start = self.foreseen(through, seen, from_s, &desire.states[0]);
+        let mut start = self.foreseen(planners, seen, from_s, &desire.states[0]);
         if let Some((knee, _)) = self.settings.caution() {
             // Without a predecessor, the plan starts near the desired state.
             let planned = match &before {
@@ -164,28 +164,28 @@ impl Replanner {
         if self.board.withdrawn.swap(false, Ordering::AcqRel)
             && let Some(before) = self.before.take()
         {
-            (self.through, self.failures) = (before, 0);
+            (self.current, self.failures) = (before, 0);
         }
         let offered = self.board.offered.lock().ok().and_then(|mut offered| offered.take());
         if let Some(candidate) = offered {
-            let candidate = Through::new(*candidate, &self.settings, self.models + 1);
+            let candidate = ModelPlanners::new(*candidate, &self.settings, self.models + 1);
             match self.tried(&candidate, seen) {
                 Ok(stretch) => {
                     self.models += 1;
                     self.failures = 0;
-                    self.say(Verdict::Taken { model: candidate.model });
-                    self.before = Some(std::mem::replace(&mut self.through, candidate));
+                    self.report(Verdict::Taken { model: candidate.model });
+                    self.before = Some(std::mem::replace(&mut self.current, candidate));
                     self.board.publish(stretch);
                     return Ok(());
                 }
-                Err(error) => self.say(Verdict::Refused { reason: error.to_string() }),
+                Err(error) => self.report(Verdict::Refused { reason: error.to_string() }),
             }
         }
-        let task = self.task(&self.through, seen)?;
+        let task = self.task(&self.current, seen)?;
         // The first plan has no predecessor, so its search runs until it converges.
-        let Through { planner, first, .. } = &self.through;
+        let ModelPlanners { planner, first, .. } = &self.current;
         let planner = if task.guess.is_some() { planner } else { first };
-        match self.plan(&self.through, planner, task) {
+        match self.plan(&self.current, planner, task) {
             Ok(stretch) => {
                 self.failures = 0;
                 self.board.publish(stretch);
@@ -196,9 +196,9 @@ impl Replanner {
                 if self.failures >= FAILURES_MAX
                     && let Some(before) = self.before.take()
                 {
-                    self.through = before;
+                    self.current = before;
                     self.failures = 0;
-                    self.say(Verdict::Refused { reason: error.to_string() });
+                    self.report(Verdict::Refused { reason: error.to_string() });
                 }
                 Err(error)
             }
@@ -207,15 +207,15 @@ impl Replanner {
 
     /// The first plan with an offered model. If a few subproblems from the previous plan do not
     /// give a flyable plan, searches again until it converges.
-    fn tried(&self, candidate: &Through, seen: &Sighting) -> Result<Stretch, ReplanError> {
+    fn tried(&self, candidate: &ModelPlanners, seen: &Sighting) -> Result<Stretch, ReplanError> {
         let task = self.task(candidate, seen)?;
         let quick = self.plan(candidate, &candidate.planner, task.clone());
-        quick.or_else(|_| self.plan(candidate, &candidate.whole, task))
+        quick.or_else(|_| self.plan(candidate, &candidate.converged, task))
     }
 
     fn plan(
         &self,
-        through: &Through,
+        planners: &ModelPlanners,
         planner: &Planner,
         task: Task,
     ) -> Result<Stretch, ReplanError> {
@@ -224,25 +224,25 @@ impl Replanner {
         check_in_flight(&outcome, planner.keep_out())?;
         let Outcome { iterate, .. } = outcome;
         let (Iterate { states, inputs }, period) = (&iterate, planner.period_s());
-        let answer = &through.answer;
+        let answer = &planners.answer;
         let reference = PlannedReference::of(states, inputs, period, answer, planner.body());
-        let (model, delay_s) = (through.model, answer.delay_s);
+        let (model, delay_s) = (planners.model, answer.delay_s);
         Ok(Stretch { from_s, reference, iterate, model, delay_s })
     }
 
-    fn say(&self, verdict: Verdict) {
-        if let Ok(mut said) = self.board.verdict.lock() {
-            *said = Some(verdict);
+    fn report(&self, verdict: Verdict) {
+        if let Ok(mut latest) = self.board.verdict.lock() {
+            *latest = Some(verdict);
         }
     }
 
     /// Start of the plan made from a state at `t`; until then, the inputs of the last plan act. All
     /// starts are on one time grid, so that a plan shares its states with the one that it
     /// continues.
-    fn beginning(&self, through: &Through, t: f64) -> f64 {
-        let period = through.planner.period_s();
+    fn beginning(&self, planners: &ModelPlanners, t: f64) -> f64 {
+        let period = planners.planner.period_s();
         let grid = period / (period / self.settings.period_s).round().max(1.0);
-        let lead = self.settings.lead_s + through.answer.delay_s;
+        let lead = self.settings.lead_s + planners.answer.delay_s;
         let earliest = (t / grid - ON_THE_GRID).ceil();
         ((t + lead) / grid).round().max(earliest) * grid
     }
@@ -251,7 +251,7 @@ impl Replanner {
     /// unwrapped to the turn of the desired yaw.
     fn foreseen(
         &self,
-        through: &Through,
+        planners: &ModelPlanners,
         seen: &Sighting,
         from_s: f64,
         desired: &StateVector,
@@ -259,24 +259,24 @@ impl Replanner {
         let mut state = seen.state;
         let turn = std::f64::consts::TAU;
         state[YAW] += ((desired[YAW] - state[YAW]) / turn).round() * turn;
-        let period = through.planner.period_s();
+        let period = planners.planner.period_s();
         let periods = ((from_s - seen.t) / period).max(0.0);
-        let whole = (periods + ON_THE_GRID).floor();
-        let part = (periods - whole) * period;
+        let full_periods = (periods + ON_THE_GRID).floor();
+        let part = (periods - full_periods) * period;
         let mut t = seen.t;
         let mut step = |length: f64| {
             let stretch = self.board.at(t + 0.5 * length)?;
             let index = ((t + 0.5 * length - stretch.from_s) / period) as usize;
             let input = stretch.iterate.inputs.get(index)?;
-            let model = through.planner.model();
-            let dynamics = CommandedDynamics::new(model, through.answer.attitude_pd, length);
+            let model = planners.planner.model();
+            let dynamics = CommandedDynamics::new(model, planners.answer.attitude_pd, length);
             (state, t) = (dynamics.step(&state, input), t + length);
             Some(())
         };
         if part > ON_THE_GRID * period && step(part).is_none() {
             return state;
         }
-        for _ in 0..whole as usize {
+        for _ in 0..full_periods as usize {
             if step(period).is_none() {
                 break;
             }
@@ -289,7 +289,7 @@ impl Replanner {
 enum Work {
     /// In the caller, when a plan is due: for flights on a virtual clock, where planning takes no
     /// time.
-    Inline(Box<Mutex<(Replanner, Due)>>),
+    Inline(Box<Mutex<(Replanner, Schedule)>>),
     /// On a separate thread, which receives the vehicle's states.
     Thread(SyncSender<Sighting>),
 }
@@ -348,7 +348,7 @@ impl RecedingReference {
         let hover_thrust_n = planner.hover_thrust_n();
         let replanner = Replanner::new(goal, planner, answer, settings);
         let board = Arc::clone(&replanner.board);
-        let work = Work::Inline(Box::new(Mutex::new((replanner, Due::default()))));
+        let work = Work::Inline(Box::new(Mutex::new((replanner, Schedule::default()))));
         Self { board, work, hover_thrust_n }
     }
 
@@ -366,9 +366,9 @@ impl RecedingReference {
 /// Plans from the received states until the sender is gone. At least one period of the vehicle's
 /// time passes between two plans.
 fn work(replanner: &mut Replanner, seen: &Receiver<Sighting>) {
-    let mut due = Due::default();
+    let mut schedule = Schedule::default();
     while let Ok(sighting) = seen.recv() {
-        if !due.is_due(sighting.t, replanner) {
+        if !schedule.is_due(sighting.t, replanner) {
             continue;
         }
         if let Err(error) = replanner.replan(&sighting) {
@@ -410,8 +410,8 @@ impl ReferenceSource for RecedingReference {
         match &self.work {
             Work::Inline(worker) => {
                 let Ok(mut worker) = worker.lock() else { return };
-                let (replanner, due) = &mut *worker;
-                if !due.is_due(t, replanner) {
+                let (replanner, schedule) = &mut *worker;
+                if !schedule.is_due(t, replanner) {
                     return;
                 }
                 if let Err(error) = replanner.replan(&sighting) {
@@ -495,13 +495,13 @@ mod tests {
             replanner.replan(&seen).expect("a plan");
             if tick > 20 && tick % 5 == 0 {
                 let Task { desire, start, guess, .. } =
-                    replanner.task(&replanner.through, &seen).expect("a task");
-                let near = replanner.through.planner.plan(&desire, start, guess, &|_| false);
-                let whole = Some(near.iterate.clone());
-                let whole = replanner.through.first.plan(&desire, start, whole, &|_| false);
-                ratios.push(near.cost / whole.cost);
+                    replanner.task(&replanner.current, &seen).expect("a task");
+                let near = replanner.current.planner.plan(&desire, start, guess, &|_| false);
+                let converged = Some(near.iterate.clone());
+                let converged = replanner.current.first.plan(&desire, start, converged, &|_| false);
+                ratios.push(near.cost / converged.cost);
             }
-            state = replanner.foreseen(&replanner.through, &seen, t + 0.005, &state);
+            state = replanner.foreseen(&replanner.current, &seen, t + 0.005, &state);
             for value in &mut state[3..6] {
                 *value += random.random_range(-0.005..0.005);
             }
@@ -518,7 +518,7 @@ mod tests {
     fn plans_start_on_a_fixed_time_grid() {
         let replanner = quick();
         for t in [0.0, 0.0021, 0.005, 1.2349, 3.0 - 1e-9] {
-            let from_s = replanner.beginning(&replanner.through, t);
+            let from_s = replanner.beginning(&replanner.current, t);
             assert!(from_s > t - 1e-6 && from_s <= t + 0.0051, "{t} {from_s}");
             let on_the_grid = from_s / 0.005;
             assert!((on_the_grid - on_the_grid.round()).abs() < 1e-6, "{t} {from_s}");

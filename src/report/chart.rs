@@ -195,8 +195,8 @@ impl<'a> Chart<'a> {
                 significant(to)
             );
         }
-        const TOLD: usize = 6;
-        for curve in panel.curves.iter().take(TOLD) {
+        const DESCRIBED_CURVES: usize = 6;
+        for curve in panel.curves.iter().take(DESCRIBED_CURVES) {
             let name = &curve.name;
             let Some((low, high)) = range_of(curve.y.iter().copied()) else {
                 let _ = write!(text, " {name}: no data.");
@@ -207,7 +207,7 @@ impl<'a> Chart<'a> {
             let [low, high, mean] = [low, high, mean].map(significant);
             let _ = write!(text, " {name}: {low} to {high}, mean {mean}.");
         }
-        let more = panel.curves.len().saturating_sub(TOLD);
+        let more = panel.curves.len().saturating_sub(DESCRIBED_CURVES);
         if more > 0 {
             let _ = write!(text, " And {more} more curves.");
         }
@@ -345,7 +345,7 @@ mod tests {
         let curve = Curve { name: "flown".into(), style: Style::Colour(1), y: vec![1.0, 3.0] };
         let panel = Panel { name: "north (m)".into(), curves: vec![curve] };
         let chart = Chart::new("time (s)", &[0.0, 2.0], 100.0, vec![panel]);
-        let said = "north (m) over time (s), 0 to 2.000. flown: 1.000 to 3.000, mean 2.000.";
-        assert!(chart.to_html().contains(said), "{}", chart.to_html());
+        let expected = "north (m) over time (s), 0 to 2.000. flown: 1.000 to 3.000, mean 2.000.";
+        assert!(chart.to_html().contains(expected), "{}", chart.to_html());
     }
 }

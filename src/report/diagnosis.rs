@@ -75,7 +75,7 @@ pub fn html(answer: &Answer, vehicle: &str, seen: &[SeenFlight<'_>]) -> String {
             &reflight::html(flown, words::explanation(answer.finding.verdict)),
         );
     }
-    page.section("What these logs cannot show", "", &untold(answer));
+    page.section("What these logs cannot show", "", &open_effects(answer));
     if let Some(next) = &answer.next_flight {
         page.section("Next flight", &words::next_flight(next), &next_flight::html(next));
     }
@@ -267,7 +267,7 @@ fn metric_in_words(metric: &str) -> &'static str {
     }
 }
 
-fn untold(answer: &Answer) -> String {
+fn open_effects(answer: &Answer) -> String {
     let mut table = Table::new(&[("effect", false), ("why", false)]);
     for effect in &answer.not_testable {
         table.row(Mood::Plain, &[effect.id.to_string(), effect.reason.clone()]);

@@ -43,7 +43,7 @@ pub fn text(summary: &Summary, rows: &[Row]) -> String {
     for measure in &summary.measures {
         let mark = mark(measure.standing());
         let (name, rate) = (measure.name, percent(&measure.rate));
-        let _ = writeln!(text, "{name:42} {rate:30} {}{mark}", wanted(measure));
+        let _ = writeln!(text, "{name:42} {rate:30} {}{mark}", bound_text(measure));
     }
     let mark = mark(summary.brier_standing());
     let _ = writeln!(text, "{:42} {}{mark}", brier_name(), number(summary.brier));
@@ -106,16 +106,16 @@ pub fn text(summary: &Summary, rows: &[Row]) -> String {
 /// The page, self-contained.
 pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> String {
     let standing = |standing: Standing| -> Vec<String> {
-        let told = |measure: &Measure| {
-            format!("{}: {} ({})", measure.name, percent(&measure.rate), wanted(measure))
+        let lines = |measure: &Measure| {
+            format!("{}: {} ({})", measure.name, percent(&measure.rate), bound_text(measure))
         };
-        let mut all: Vec<String> = summary.of(standing).map(told).collect();
+        let mut all: Vec<String> = summary.of(standing).map(lines).collect();
         let scores = [
             (summary.brier_standing(), brier_name(), summary.brier),
             (summary.calibration_standing(), calibration_name(), summary.calibration_error),
         ];
-        let told = scores.into_iter().filter(|(is, ..)| *is == standing && *is != Standing::Kept);
-        all.extend(told.map(|(_, name, value)| format!("{name}: {}", number(value))));
+        let lines = scores.into_iter().filter(|(is, ..)| *is == standing && *is != Standing::Kept);
+        all.extend(lines.map(|(_, name, value)| format!("{name}: {}", number(value))));
         all
     };
     let (failures, open) = (standing(Standing::Missed), standing(Standing::TooFew));
@@ -249,7 +249,7 @@ fn cells(row: &Row) -> [String; 6] {
     ]
 }
 
-fn wanted(measure: &Measure) -> String {
+fn bound_text(measure: &Measure) -> String {
     match measure.wanted {
         Some(Bound::AtLeast(least)) => format!(">= {:.0} %", 100.0 * least),
         Some(Bound::AtMost(most)) => format!("<= {:.0} %", 100.0 * most),
@@ -305,7 +305,7 @@ fn measures(summary: &Summary) -> String {
             (None, _) | (_, 0) => Mood::Plain,
             _ => mood(measure.standing()),
         };
-        let cells = [measure.name.to_owned(), unbroken(&measure.rate), wanted(measure)];
+        let cells = [measure.name.to_owned(), unbroken(&measure.rate), bound_text(measure)];
         table.row(mood, &cells);
     }
     table
@@ -329,9 +329,9 @@ struct Point {
 /// Shares over something, with their intervals, and a dashed line to compare them with.
 fn figure(name: &str, x_label: &str, x: Axis, points: &[Point], line: [[f64; 2]; 2]) -> String {
     let known = points.iter().filter(|point| point.rate.rate.is_some());
-    let told: Vec<String> =
+    let lines: Vec<String> =
         known.map(|point| format!("{}: {}", point.label, percent(&point.rate))).collect();
-    let description = format!("{name} over {x_label}. {}.", told.join("; "));
+    let description = format!("{name} over {x_label}. {}.", lines.join("; "));
     let frame = Frame {
         x,
         y: Axis::exact(Some((0.0, 1.0))),

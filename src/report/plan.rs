@@ -64,14 +64,14 @@ pub fn html(plan: &Plan, not_flyable: Option<&str>, limits: &Limits) -> String {
     let scene = Scene { paths: &paths, desired: &desired };
     page.section("Path", path, &scene.to_html());
     if let Some(tube) = &plan.tube {
-        let said = format!(
+        let description = format!(
             "A flight stays within the tube from beginning to end with a probability of at least {} %, \
              provided that it is of the same kind as the {} calibration flights. The tube bounds {}.",
             100.0 * tube.confidence,
             tube.flights,
             tube.position.in_words()
         );
-        page.section("Tube", &said, &radius(plan, tube));
+        page.section("Tube", &description, &radius(plan, tube));
     }
     page.section(title, axes, &states(plan));
     page.section(

@@ -142,19 +142,19 @@ pub(super) struct Tracked {
     pub unit: &'static str,
     pub time: Vec<f64>,
     pub flown: Vec<f64>,
-    /// NaN where nothing was asked.
-    pub asked: Vec<f64>,
+    /// NaN where nothing was desired.
+    pub desired: Vec<f64>,
 }
 
 impl Tracked {
-    /// What was less what was asked, where it was.
+    /// Flown less desired, where a value was desired.
     pub fn errors(&self) -> Vec<f64> {
         let is_angle = self.unit == "rad";
-        let error = |(flown, asked): (&f64, &f64)| match is_angle {
-            true => wrap_angle(flown - asked),
-            false => flown - asked,
+        let error = |(flown, desired): (&f64, &f64)| match is_angle {
+            true => wrap_angle(flown - desired),
+            false => flown - desired,
         };
-        self.flown.iter().zip(&self.asked).map(error).collect()
+        self.flown.iter().zip(&self.desired).map(error).collect()
     }
 
     fn summary(&self) -> Option<AxisError> {
@@ -254,22 +254,22 @@ fn stream_summaries(flight: &Flight) -> Vec<StreamSummary> {
 /// A signal against what held at its times.
 fn against<T, A>(
     signal: &Stream<T>,
-    asked: &Stream<A>,
+    desired: &Stream<A>,
     names: [(&'static str, &'static str); 3],
     flown: impl Fn(&T) -> [f64; 3],
-    wanted: impl Fn(&A) -> Option<[f64; 3]>,
+    axes_of: impl Fn(&A) -> Option<[f64; 3]>,
 ) -> Vec<Tracked> {
-    // What is asked holds for so long.
-    let hold = PAUSE * asked.period().unwrap_or(0.1).max(0.05);
+    // A desired value holds for so long.
+    let hold = PAUSE * desired.period().unwrap_or(0.1).max(0.05);
     let held: Vec<Option<[f64; 3]>> = signal
         .times()
         .iter()
         .map(|time| {
-            let at = asked.index_at(*time)?;
-            if time - asked.times().get(at)? > hold {
+            let at = desired.index_at(*time)?;
+            if time - desired.times().get(at)? > hold {
                 return None;
             }
-            wanted(asked.values().get(at)?)
+            axes_of(desired.values().get(at)?)
         })
         .collect();
     if held.iter().all(Option::is_none) {
@@ -280,7 +280,7 @@ fn against<T, A>(
         unit,
         time: signal.times().to_vec(),
         flown: signal.values().iter().map(|value| flown(value)[axis]).collect(),
-        asked: held.iter().map(|held| held.map_or(f64::NAN, |held| held[axis])).collect(),
+        desired: held.iter().map(|held| held.map_or(f64::NAN, |held| held[axis])).collect(),
     };
     names.into_iter().enumerate().map(tracked).collect()
 }

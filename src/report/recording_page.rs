@@ -350,7 +350,7 @@ impl Recording {
         );
         sections(self, &timeline, &mut page);
         if !texts.is_empty() {
-            page.section("Texts", "Messages from the vehicle.", &said(&texts));
+            page.section("Texts", "Messages from the vehicle.", &texts_table(&texts));
         }
         page.section("How this was computed", "", &provenance(self));
         page.into_html()
@@ -440,7 +440,7 @@ fn texts(texts: &[String], start: f64) -> Vec<(Option<f64>, String)> {
     texts.iter().map(|text| timed(text).unwrap_or((None, text.clone()))).collect()
 }
 
-fn said(texts: &[(Option<f64>, String)]) -> String {
+fn texts_table(texts: &[(Option<f64>, String)]) -> String {
     let mut table = Table::new(&[("time (s)", true), ("text", false)]);
     for (time, text) in texts.iter().take(LISTED) {
         let time = time.map_or_else(|| Cell::from("-"), |time| Cell::instant(time, "motion"));

@@ -88,7 +88,7 @@ impl Scene<'_> {
             [ends[0].min(ends[1]), ends[0].max(ends[1])].map(significant).join(" to ")
         };
         let names: Vec<&str> = self.paths.iter().map(|(name, _)| *name).collect();
-        let said = format!(
+        let description = format!(
             "3D path: {}. North {} m, east {} m, up {} m.",
             names.join(", "),
             extent(0, 1.0),
@@ -100,7 +100,7 @@ impl Scene<'_> {
              <svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">{}</svg>\
              <div class=\"labels\" aria-hidden=\"true\">{}</div></figure></div>",
             legend(items.iter().map(|(name, class)| (*name, class.clone()))),
-            escape(&said),
+            escape(&description),
             picture.svg,
             picture.labels
         )

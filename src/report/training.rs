@@ -378,13 +378,13 @@ mod tests {
     #[test]
     fn only_a_model_better_than_holding_is_praised() {
         let errors = OneStep { each: [0.1; 6], linear: 0.1, angular: 0.2, rows: 100 };
-        let said = |best| sentence(best, ModelKind::Net, Some((&errors, false)));
+        let headline = |best| sentence(best, ModelKind::Net, Some((&errors, false)));
         let leaves = "; on the test flights it leaves 10.00 % of the variance";
         let good = format!("The net model predicts best on the validation flights{leaves}");
-        assert!(said(Best::Better).starts_with(&good), "{}", said(Best::Better));
+        assert!(headline(Best::Better).starts_with(&good), "{}", headline(Best::Better));
         let poor = format!("No model is good; the net model is selected{leaves}");
-        let found = said(Best::NoBetterThanHolding);
+        let found = headline(Best::NoBetterThanHolding);
         assert!(found.starts_with(&poor), "{found}");
-        assert_eq!(said(Best::NotFinite), "No model can be used.");
+        assert_eq!(headline(Best::NotFinite), "No model can be used.");
     }
 }

@@ -58,7 +58,11 @@ pub(super) fn text(status: &Status, changes: u64, age_s: Option<f64>) -> String 
     page.gauge("link_round_trip_seconds", "Round trip of the link.", status.round_trip_s);
     page.counter("setpoints_total", "Setpoints sent.", status.setpoints);
     let counts = &status.counts;
-    page.counter("link_frames_heard_total", "Frames received from the vehicle.", counts.heard);
+    page.counter(
+        "link_frames_heard_total",
+        "Frames received from the vehicle.",
+        counts.vehicle_frames,
+    );
     page.counter("link_frames_lost_total", "Frames from the vehicle that were lost.", counts.lost);
     page.counter("link_frames_repeated_total", "Frames received twice or late.", counts.repeated);
     page.counter("link_frames_refused_total", "Frames that cannot be true.", counts.refused);
@@ -67,8 +71,8 @@ pub(super) fn text(status: &Status, changes: u64, age_s: Option<f64>) -> String 
     page.counter("link_frames_dropped_total", "Frames that could not be sent.", counts.dropped);
     page.counter("link_bytes_unframed_total", "Bytes that are not MAVLink.", counts.unframed_bytes);
     page.family("link_frames_disbelieved_total", "counter", "Frames without a valid signature.");
-    for (why, count) in &counts.disbelieved {
-        let labels = format!("{{why=\"{}\"}}", why.word());
+    for (why, count) in &counts.rejected_frames {
+        let labels = format!("{{why=\"{}\"}}", why.name());
         page.value("link_frames_disbelieved_total", &labels, count);
     }
     page.counter(

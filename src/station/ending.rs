@@ -55,7 +55,7 @@ impl Station {
             // The cause shows within a second or so.
             Some(FlightState::PilotControl) => match self.offboard.as_ref()?.takeover()? {
                 Takeover::Pilot { .. } => Some(End::PilotTookOver),
-                Takeover::Failsafe(words) => Some(End::Aborted(words.clone())),
+                Takeover::Failsafe(text) => Some(End::Aborted(text.clone())),
             },
             Some(FlightState::Abort) if self.flown && self.is_link_silent(now) => {
                 Some(End::LinkLost(trouble()))

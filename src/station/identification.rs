@@ -21,7 +21,7 @@ pub(super) fn log_parameters(profile: &Profile) -> Vec<String> {
     let autopilots =
         [(Profile::PX4.name, Autopilot::Px4), (Profile::ARDUCOPTER.name, Autopilot::ArduCopter)];
     let own = autopilots.into_iter().find(|(name, _)| *name == profile.name);
-    own.map_or_else(Vec::new, |(_, autopilot)| autopilot.wanted_of_outputs())
+    own.map_or_else(Vec::new, |(_, autopilot)| autopilot.output_parameter_names())
 }
 
 impl Station {
@@ -31,7 +31,7 @@ impl Station {
         let silent = if is_version_known { "" } else { ", which does not report its version" };
         let text =
             format!("vehicle is {}{silent}: setpoints with type mask {mask:#04x}", profile.name);
-        self.tell(now, Severity::Info, text.clone());
+        self.report(now, Severity::Info, text.clone());
         self.is_version_known = is_version_known;
         let known = self.profile.replace(profile.clone());
         let is_known = self.offboard.is_some() && known.as_ref() == Some(&profile);
@@ -65,7 +65,7 @@ impl Station {
         }
         let response = self.settings.control.attitude_response_rad_s;
         if let Some(assumed) = assumption(&profile, self.settings.attitude_pd, response) {
-            self.tell(now, Severity::Notice, assumed);
+            self.report(now, Severity::Notice, assumed);
         }
         if let Some(why) = self.no_multirotor() {
             self.refuse(now, why);
@@ -98,7 +98,7 @@ impl Station {
     /// vehicle may still answer.
     fn refuse(&mut self, now: HostTime, why: String) {
         self.offboard = None;
-        self.tell(now, Severity::Error, why.clone());
+        self.report(now, Severity::Error, why.clone());
         if self.settings.policy == EngagePolicy::Command {
             self.end.get_or_insert(End::Refused(why));
         }
@@ -127,8 +127,8 @@ impl Station {
         now: HostTime,
         profile: &Profile,
     ) -> Result<Option<OffboardController>, DesignError> {
-        let word = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
-        let modes = (word(profile.modes.offboard), word(profile.modes.land));
+        let custom_mode = |mode: Option<Mode>| mode.map(|mode| mode.custom_mode);
+        let modes = (custom_mode(profile.modes.offboard), custom_mode(profile.modes.land));
         let (Some(offboard), Some(land)) = modes else { return Ok(None) };
         let Feedback { controller, reference } = feedback(profile, &self.settings)?;
         let airframe = Airframe {
@@ -139,7 +139,7 @@ impl Station {
                 autopilot: profile.name,
                 names: profile.mode_names,
                 offboard,
-                hold: word(profile.modes.hold),
+                hold: custom_mode(profile.modes.hold),
                 land,
                 reports_intended: profile.reports_intended_mode,
             },
@@ -205,9 +205,9 @@ impl Station {
             LossReaction::Unread(_) => return,
         };
         // Parameters arrive one by one: an event reports the reaction each time it changes.
-        if self.told_loss.as_ref() != Some(&text) {
-            self.told_loss = Some(text.clone());
-            self.tell(now, Severity::Info, text);
+        if self.reported_loss.as_ref() != Some(&text) {
+            self.reported_loss = Some(text.clone());
+            self.report(now, Severity::Info, text);
         }
     }
 }

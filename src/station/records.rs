@@ -66,7 +66,7 @@ struct Counts {
     received_frames: u64,
     received_bytes: u64,
     unknown: u64,
-    heard: u64,
+    vehicle_frames: u64,
     lost: u64,
     sent_frames: u64,
     sent_bytes: u64,
@@ -85,12 +85,12 @@ impl LinkMeter {
     /// Share of the vehicle's frames that were lost since the last [`LinkMeter::read`]; `None` if
     /// none arrived.
     pub(super) fn loss(&self, stats: &counters::LinkStats) -> Option<f64> {
-        let heard = stats.heard.saturating_sub(self.last.heard);
+        let vehicle_frames = stats.vehicle_frames.saturating_sub(self.last.vehicle_frames);
         // A message outside the dialect leaves a gap too, and its sender is unknown. On a link with
         // other senders of such messages, some losses go unnoticed.
         let unknown = stats.received.unknown.saturating_sub(self.last.unknown);
         let lost = stats.lost.saturating_sub(self.last.lost).saturating_sub(unknown);
-        (heard > 0).then(|| lost as f64 / (lost as f64 + heard as f64))
+        (vehicle_frames > 0).then(|| lost as f64 / (lost as f64 + vehicle_frames as f64))
     }
 
     /// The link's statistics since the last call.
@@ -126,7 +126,7 @@ impl LinkMeter {
             received_frames: stats.received.frames,
             received_bytes: stats.received.bytes,
             unknown: stats.received.unknown,
-            heard: stats.heard,
+            vehicle_frames: stats.vehicle_frames,
             lost: stats.lost,
             sent_frames: stats.sent_frames,
             sent_bytes: stats.sent_bytes,
@@ -146,14 +146,14 @@ mod tests {
 
     #[test]
     fn loss_is_the_share_of_vehicle_frames_since_last_reading() {
-        let stats = |heard, lost, unknown| counters::LinkStats {
+        let stats = |vehicle_frames, lost, unknown| counters::LinkStats {
             state: LinkState::Connected,
             vehicle: None,
             received: DecoderStats { frames: 9000, unknown, ..DecoderStats::default() },
             foreign: 0,
             stray: 0,
             refused: 0,
-            heard,
+            vehicle_frames,
             lost,
             repeated: 0,
             sent_frames: 0,

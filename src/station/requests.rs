@@ -51,7 +51,7 @@ impl Station {
             if let Some(rule) = rule.filter(|rule| rule.name == name && !rule.holds(*value)) {
                 let text =
                     format!("parameter {name} is {value}: {}; set it to {}", rule.why, rule.rule);
-                self.tell(now, Severity::Notice, text);
+                self.report(now, Severity::Notice, text);
             }
             return;
         }
@@ -72,7 +72,7 @@ impl Station {
             (now.since(*at).as_secs_f64() < 3.0).then(|| text.clone())
         });
         let text = match warning {
-            Some(words) => format!("{outcome}: {words}"),
+            Some(warning) => format!("{outcome}: {warning}"),
             None => outcome.to_string(),
         };
         let action = action_of(request);
@@ -80,7 +80,7 @@ impl Station {
             (Some(action), Some(offboard)) => {
                 offboard.link_event(now, LinkEvent::Refused { action, text });
             }
-            _ => self.tell(now, Severity::Notice, format!("{request:?}: {text}")),
+            _ => self.report(now, Severity::Notice, format!("{request:?}: {text}")),
         }
     }
 }

@@ -55,7 +55,7 @@ pub struct Status {
 #[derive(Clone, Debug, Default)]
 pub struct LinkCounts {
     /// From the vehicle.
-    pub heard: u64,
+    pub vehicle_frames: u64,
     /// From the vehicle, lost on the way.
     pub lost: u64,
     /// From the vehicle, repeated or late.
@@ -71,7 +71,7 @@ pub struct LinkCounts {
     /// Bytes that are not MAVLink.
     pub unframed_bytes: u64,
     /// Rejected for their signature, by reason; none where nothing is signed.
-    pub disbelieved: Vec<(Refused, u64)>,
+    pub rejected_frames: Vec<(Refused, u64)>,
 }
 
 impl Station {
@@ -85,7 +85,7 @@ impl Station {
         };
         let stats = self.session.stats();
         let counts = LinkCounts {
-            heard: stats.heard,
+            vehicle_frames: stats.vehicle_frames,
             lost: stats.lost,
             repeated: stats.repeated,
             refused: stats.refused,
@@ -93,7 +93,7 @@ impl Station {
             sent: stats.sent_frames,
             dropped: stats.dropped,
             unframed_bytes: stats.received.unframed_bytes,
-            disbelieved: self.session.disbelieved().collect(),
+            rejected_frames: self.session.rejected_frames().collect(),
         };
         let mut status = Status {
             link,
@@ -110,7 +110,7 @@ impl Station {
             status.phase = Some(offboard.flight_state());
             status.adjusted = offboard.adjusted();
             status.mode = telemetry.status().mode;
-            status.mode_name = telemetry.status().mode.and_then(|word| self.mode_name(word));
+            status.mode_name = telemetry.status().mode.and_then(|mode| self.mode_name(mode));
             status.armed = telemetry.status().armed;
             status.battery = telemetry.status().battery.remaining;
             status.tick_rate_hz = telemetry.tick_rate_hz();
@@ -119,8 +119,8 @@ impl Station {
         status
     }
 
-    fn mode_name(&self, word: u32) -> Option<&'static str> {
+    fn mode_name(&self, mode: u32) -> Option<&'static str> {
         let names = self.profile.as_ref()?.mode_names;
-        names.iter().find(|(mode, _)| *mode == word).map(|(_, name)| *name)
+        names.iter().find(|(known, _)| *known == mode).map(|(_, name)| *name)
     }
 }

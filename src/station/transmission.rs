@@ -27,7 +27,7 @@ impl Station {
         if let Err(error) = sent
             && before != Some(error)
         {
-            self.tell(now, Severity::Warning, format!("no setpoint is sent: {error}"));
+            self.report(now, Severity::Warning, format!("no setpoint is sent: {error}"));
         }
         sent.is_ok()
     }

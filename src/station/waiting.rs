@@ -68,25 +68,27 @@ pub(super) struct Waiting {
     /// Since when only checks are awaited.
     checking: Option<HostTime>,
     /// Reported subjects, and when.
-    told: Vec<(String, HostTime)>,
+    reported: Vec<(String, HostTime)>,
 }
 
 impl Waiting {
     pub(super) fn new(now: HostTime) -> Self {
-        Self { due: now, wait: None, checking: None, told: Vec::new() }
+        Self { due: now, wait: None, checking: None, reported: Vec::new() }
     }
 
     /// The messages to report now, from what is awaited and why.
     fn news(&mut self, now: HostTime, found: Option<(Wait, Vec<Reason>)>) -> Vec<String> {
         let Some((wait, reasons)) = found else {
-            (self.wait, self.told) = (None, Vec::new());
+            (self.wait, self.reported) = (None, Vec::new());
             return Vec::new();
         };
         // All preparation for a flight is one wait, whatever its subject. It continues the wait for
         // a vehicle if that was not reported.
         let since = match self.wait {
             Some((known, since)) if known.is_preparing() == wait.is_preparing() => since,
-            Some((Wait::Vehicle, since)) if wait.is_preparing() && self.told.is_empty() => since,
+            Some((Wait::Vehicle, since)) if wait.is_preparing() && self.reported.is_empty() => {
+                since
+            }
             _ => now,
         };
         let checking = self.checking.filter(|_| wait == Wait::Checks);
@@ -97,31 +99,32 @@ impl Waiting {
             return Vec::new();
         }
         // A subject that was fixed and fails again is reported again.
-        self.told.retain(|(told, at)| {
-            now.since(*at) < QUIET || reasons.iter().any(|reason| reason.subject == *told)
+        self.reported.retain(|(subject, at)| {
+            now.since(*at) < QUIET || reasons.iter().any(|reason| reason.subject == *subject)
         });
-        let is_news = |reason: &Reason| self.told.iter().all(|(told, _)| *told != reason.subject);
+        let is_news =
+            |reason: &Reason| self.reported.iter().all(|(subject, _)| *subject != reason.subject);
         let news: Vec<_> = reasons.into_iter().filter(is_news).collect();
-        self.told.extend(news.iter().map(|reason| (reason.subject.clone(), now)));
+        self.reported.extend(news.iter().map(|reason| (reason.subject.clone(), now)));
         news.into_iter().map(|reason| reason.line).collect()
     }
 }
 
 impl Station {
     /// Reports what is awaited, if that is new.
-    pub(super) fn tell_wait(&mut self, now: HostTime) {
+    pub(super) fn report_wait(&mut self, now: HostTime) {
         if now < self.waiting.due {
             return;
         }
         self.waiting.due = now + PERIOD;
-        self.tell_signing(now);
+        self.report_signing(now);
         let found = self.waits_for(now);
         let severity = match &found {
             Some((Wait::Pilot, _)) => Severity::Info,
             _ => Severity::Warning,
         };
         for line in self.waiting.news(now, found) {
-            self.tell(now, severity, format!("waiting: {line}"));
+            self.report(now, severity, format!("waiting: {line}"));
         }
     }
 
@@ -191,7 +194,7 @@ impl Station {
     fn load(&self) -> String {
         let load = self.session.load();
         let stats = self.session.stats();
-        let lost = stats.lost as f64 / (stats.lost + stats.heard).max(1) as f64;
+        let lost = stats.lost as f64 / (stats.lost + stats.vehicle_frames).max(1) as f64;
         let mut text = format!("; {load}");
         if lost > self.settings.offboard.preflight.link_loss_max {
             text += &format!("; the link loses {:.0} % of the frames", 100.0 * lost);
@@ -199,7 +202,7 @@ impl Station {
         if let Some(budget) = self.session.budget() {
             text += &format!("; the line carries {:.0} bytes/s", budget.bytes_per_s());
         }
-        if let Some(profile) = self.profile.as_ref().filter(|_| !load.unasked.is_empty()) {
+        if let Some(profile) = self.profile.as_ref().filter(|_| !load.unrequested.is_empty()) {
             text += "; lower unrequested messages on the vehicle with ";
             text += profile.stream_parameters;
         }
@@ -254,14 +257,14 @@ impl Station {
     }
 }
 
-/// The failed checks whose subject is wanted.
-fn checks(offboard: &OffboardController, is_wanted: impl Fn(&str) -> bool) -> Vec<Reason> {
-    let wanted = offboard.failed_checks().iter().filter(|check| is_wanted(&check.subject));
+/// The failed checks whose subject is selected.
+fn checks(offboard: &OffboardController, is_selected: impl Fn(&str) -> bool) -> Vec<Reason> {
+    let selected = offboard.failed_checks().iter().filter(|check| is_selected(&check.subject));
     let reason = |check: &PreflightCheck| Reason {
         subject: check.subject.clone(),
         line: format!("{check}{}", cure(&check.subject)),
     };
-    wanted.map(reason).collect()
+    selected.map(reason).collect()
 }
 
 /// Whether the check can pass only once the state arrives.
@@ -293,7 +296,7 @@ mod tests {
     fn wait_is_reported_within_three_seconds_and_on_change() {
         let start = HostTime::from_ns(0);
         let mut waiting = Waiting::new(start);
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         for k in 0..200u32 {
             let now = start + PERIOD * k;
             let found = match k {
@@ -304,34 +307,34 @@ mod tests {
                 40..100 => Some((Wait::Checks, vec![reason("a"), reason("b")])),
                 _ => None,
             };
-            told.extend(waiting.news(now, found).into_iter().map(|line| (k, line)));
+            reported.extend(waiting.news(now, found).into_iter().map(|line| (k, line)));
         }
-        let told: Vec<_> = told.iter().map(|(k, line)| (*k, line.as_str())).collect();
-        assert_eq!(told, [(25, "silence"), (43, "a"), (43, "b"), (80, "a")]);
+        let reported: Vec<_> = reported.iter().map(|(k, line)| (*k, line.as_str())).collect();
+        assert_eq!(reported, [(25, "silence"), (43, "a"), (43, "b"), (80, "a")]);
     }
 
     #[test]
     fn flapping_reason_is_reported_only_occasionally() {
         let start = HostTime::from_ns(0);
         let mut waiting = Waiting::new(start);
-        let told = (0..100u32).filter(|k| {
+        let reported = (0..100u32).filter(|k| {
             let subject = if k % 2 == 0 { "rate" } else { "pose" };
             let found = Some((Wait::Telemetry, vec![reason(subject)]));
             !waiting.news(start + PERIOD * *k, found).is_empty()
         });
-        let told: Vec<_> = told.collect();
-        assert!((4..=6).contains(&told.len()), "{told:?}");
+        let reported: Vec<_> = reported.collect();
+        assert!((4..=6).contains(&reported.len()), "{reported:?}");
     }
 
     #[test]
     fn telemetry_wait_is_reported_sooner_after_waiting_for_vehicle() {
         let start = HostTime::from_ns(0);
         let mut waiting = Waiting::new(start);
-        let told = (0..100u32).find(|k| {
+        let reported = (0..100u32).find(|k| {
             let wait = if *k < 11 { Wait::Vehicle } else { Wait::Telemetry };
             let found = Some((wait, vec![reason("frame")]));
             !waiting.news(start + PERIOD * *k, found).is_empty()
         });
-        assert_eq!(told, Some(25), "2.5 s after the start");
+        assert_eq!(reported, Some(25), "2.5 s after the start");
     }
 }

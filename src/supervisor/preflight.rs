@@ -181,7 +181,7 @@ pub fn preflight(
             "disarmed and on the ground, because this flight arms it and takes off; to take over a \
              vehicle that others fly, give --take-over"
                 .to_owned(),
-            whereabouts(is_armed, standing.airborne),
+            location(is_armed, standing.airborne),
         ),
         EngagePolicy::PilotSwitch => check(
             standing.take_over || standing.ground_seen || standing.airborne != Some(true),
@@ -189,13 +189,13 @@ pub fn preflight(
             "the vehicle on it at least once since this program started, because heights count \
              from there; land once, or set offboard.supervisor.take_over"
                 .to_owned(),
-            whereabouts(is_armed, standing.airborne),
+            location(is_armed, standing.airborne),
         ),
     }
     failed
 }
 
-fn whereabouts(is_armed: bool, airborne: Option<bool>) -> String {
+fn location(is_armed: bool, airborne: Option<bool>) -> String {
     let armed = if is_armed { "armed" } else { "disarmed" };
     let place = match airborne {
         Some(true) => "in the air",

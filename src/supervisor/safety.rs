@@ -167,7 +167,7 @@ pub struct FlightCondition<'a> {
     /// Round trip of the newest answer, s; `None` where none arrived recently.
     pub round_trip_s: Option<f64>,
     /// Whether setpoints may recently not have reached the vehicle.
-    pub was_unheard: bool,
+    pub was_unreachable: bool,
     /// Distance from the reference, m.
     pub tracking_error_m: f64,
     /// Tilt from level, rad.
@@ -252,7 +252,7 @@ impl SafetySettings {
             | Fault::SlowLink
             | Fault::Tilt
             | Fault::PositionLost => 0.0,
-            Fault::TrackingError if !c.was_unheard => 0.0,
+            Fault::TrackingError if !c.was_unreachable => 0.0,
             Fault::TrackingError => self.patience(c.tracking_error_m),
             Fault::Geofence | Fault::Battery | Fault::Failsafe => 1.0,
         }
@@ -310,9 +310,9 @@ mod tests {
     #[test]
     fn feedback_that_lost_tracking_does_not_brake() {
         let settings = SafetySettings::default();
-        let share = |was_unheard, tracking_error_m| {
+        let share = |was_unreachable, tracking_error_m| {
             let condition =
-                FlightCondition { was_unheard, tracking_error_m, ..FlightCondition::default() };
+                FlightCondition { was_unreachable, tracking_error_m, ..FlightCondition::default() };
             settings.brake_share(Fault::TrackingError, &condition)
         };
         let limit = settings.tracking_error_max_m;
@@ -330,11 +330,11 @@ mod tests {
             let condition = FlightCondition { tracking_error_m, ..FlightCondition::default() };
             settings.dwell_s(Fault::TrackingError, &condition)
         };
-        let [limit, whole] = [settings.tracking_error_max_m, settings.tracking_error_for_s];
+        let [limit, time_s] = [settings.tracking_error_max_m, settings.tracking_error_for_s];
         assert_eq!(
             [limit, 1.25 * limit, 1.5 * limit, 9.0 * limit].map(waits),
-            [whole, 0.5 * whole, 0.0, 0.0]
+            [time_s, 0.5 * time_s, 0.0, 0.0]
         );
-        assert_eq!(waits(f64::NAN), whole);
+        assert_eq!(waits(f64::NAN), time_s);
     }
 }

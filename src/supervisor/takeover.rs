@@ -59,8 +59,8 @@ impl ModeTaken {
             let warned = status.warning.as_ref().filter(|(at, _)| *at >= self.at - TEXT_AHEAD);
             let text = warned.map_or(text, |(_, warning)| warning);
             let colon = if text.is_empty() { "" } else { "; vehicle: " };
-            let words = format!("{} failsafe: {mode}{colon}{text}", modes.autopilot);
-            self.by = Some(Takeover::Failsafe(words));
+            let reason = format!("{} failsafe: {mode}{colon}{text}", modes.autopilot);
+            self.by = Some(Takeover::Failsafe(reason));
         } else if now.since(self.at) >= SETTLING {
             self.by = Some(Takeover::Pilot { mode });
         }

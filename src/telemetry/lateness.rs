@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::clock::HostTime;
 
 /// Shortest time between events that report them.
-const TELL_PERIOD: Duration = Duration::from_secs(2);
+const REPORT_PERIOD: Duration = Duration::from_secs(2);
 
 /// Number and delay of late messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -36,23 +36,23 @@ impl LateMessages {
 pub(super) struct Lateness {
     /// Late messages since the last sample.
     pub(super) since_sample: LateMessages,
-    untold: LateMessages,
-    told: Option<HostTime>,
+    unreported: LateMessages,
+    reported_at: Option<HostTime>,
 }
 
 impl Lateness {
     pub(super) fn count(&mut self, seconds: f64) {
         self.since_sample.count(seconds);
-        self.untold.count(seconds);
+        self.unreported.count(seconds);
     }
 
     /// The late messages to report now, if a report is due.
     pub(super) fn take(&mut self, now: HostTime) -> Option<LateMessages> {
-        let is_due = self.told.is_none_or(|told| now.since(told) >= TELL_PERIOD);
-        if self.untold.count == 0 || !is_due {
+        let is_due = self.reported_at.is_none_or(|at| now.since(at) >= REPORT_PERIOD);
+        if self.unreported.count == 0 || !is_due {
             return None;
         }
-        self.told = Some(now);
-        Some(std::mem::take(&mut self.untold))
+        self.reported_at = Some(now);
+        Some(std::mem::take(&mut self.unreported))
     }
 }

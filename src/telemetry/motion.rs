@@ -13,7 +13,7 @@ const ANGULAR_ACCELERATION_MAX: f64 = 200.0;
 const SLIDE_TIME_S: f64 = 0.5;
 /// After a slide was found, it continues while this share of the threshold is exceeded again. The
 /// remainder is then no larger than a step of jump size.
-const GOES_ON_SHARE: f64 = 0.25;
+const CONTINUED_SHARE: f64 = 0.25;
 /// After a longer gap between messages, the motion during the gap is unknown, s.
 const SLIDE_GAP_MAX_S: f64 = 0.1;
 
@@ -120,8 +120,9 @@ impl Slide {
             return Ok(());
         }
         self.beside = self.beside * (-dt / SLIDE_TIME_S).exp() + before.beside(now);
-        let goes_on = self.found.is_some_and(|found| now.stamp.seconds_since(found) < SLIDE_TIME_S);
-        let share = if goes_on { GOES_ON_SHARE } else { 1.0 };
+        let continues =
+            self.found.is_some_and(|found| now.stamp.seconds_since(found) < SLIDE_TIME_S);
+        let share = if continues { CONTINUED_SHARE } else { 1.0 };
         let metres = self.beside.norm();
         if metres > share * limits.position_slide_m_s * SLIDE_TIME_S {
             *self = Self { beside: Ned::zero(), found: Some(now.stamp) };

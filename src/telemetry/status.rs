@@ -12,11 +12,11 @@ use crate::parameters::Parameters;
 #[derive(Clone, Debug, PartialEq)]
 pub struct VehicleStatus {
     /// When the newest message of any kind arrived.
-    pub heard: Option<HostTime>,
+    pub last_received: Option<HostTime>,
     /// Whether the motors are armed; `None` before the first heartbeat.
     pub armed: Option<bool>,
     /// When HEARTBEAT last reported `armed`.
-    pub armed_heard: Option<HostTime>,
+    pub armed_reported: Option<HostTime>,
     /// When the motors were last stopped.
     pub disarmed: Option<HostTime>,
     /// Present mode, from HEARTBEAT or CURRENT_MODE, whichever is newer.
@@ -24,7 +24,7 @@ pub struct VehicleStatus {
     /// Since when the mode is known.
     pub mode_since: Option<HostTime>,
     /// When the vehicle last reported its mode; `None` where that report may be outdated.
-    pub mode_heard: Option<HostTime>,
+    pub mode_reported: Option<HostTime>,
     /// When the present mode last changed.
     pub mode_changed: Option<HostTime>,
     /// The mode that was last requested of the vehicle; only CURRENT_MODE reports it.
@@ -54,13 +54,13 @@ pub struct VehicleStatus {
 impl Default for VehicleStatus {
     fn default() -> Self {
         Self {
-            heard: None,
+            last_received: None,
             armed: None,
-            armed_heard: None,
+            armed_reported: None,
             disarmed: None,
             mode: None,
             mode_since: None,
-            mode_heard: None,
+            mode_reported: None,
             mode_changed: None,
             intended_mode: None,
             landed: LandedState::Undefined,
@@ -99,7 +99,7 @@ const WARNING: u8 = 4;
 impl VehicleStatus {
     /// Time since the last message, s; infinite before the first.
     pub fn silence_s(&self, now: HostTime) -> f64 {
-        self.heard.map_or(f64::INFINITY, |heard| now.since(heard).as_secs_f64())
+        self.last_received.map_or(f64::INFINITY, |at| now.since(at).as_secs_f64())
     }
 
     /// Takes the content of a message.
@@ -108,16 +108,16 @@ impl VehicleStatus {
         if received.message == Inbound::DoubtfulMode {
             return self.doubt_mode();
         }
-        if self.heard.is_none_or(|heard| now.since(heard) > SILENCE) {
+        if self.last_received.is_none_or(|at| now.since(at) > SILENCE) {
             self.silence_ended = Some(now);
         }
-        self.heard = Some(now);
+        self.last_received = Some(now);
         match &received.message {
             Inbound::Heartbeat { armed, custom_mode, system, .. } => {
                 if self.armed == Some(true) && !armed {
                     self.disarmed = Some(now);
                 }
-                (self.armed, self.armed_heard) = (Some(*armed), Some(now));
+                (self.armed, self.armed_reported) = (Some(*armed), Some(now));
                 self.system = *system;
                 self.update_mode(now, *custom_mode);
             }
@@ -153,36 +153,37 @@ impl VehicleStatus {
         if self.mode != Some(mode) {
             self.mode_changed = Some(now);
         }
-        (self.mode, self.mode_heard) = (Some(mode), Some(now));
+        (self.mode, self.mode_reported) = (Some(mode), Some(now));
         self.mode_since.get_or_insert(now);
     }
 
     /// Both autopilots use the word "failsafe" when one begins and when it ends.
     fn update_failsafe(&mut self, now: HostTime, text: &str) {
-        let words = text.to_lowercase();
-        if !words.contains("failsafe") {
+        let lower = text.to_lowercase();
+        if !lower.contains("failsafe") {
             return;
         }
-        let is_over = ["clear", "resolved", "deactivated"].iter().any(|over| words.contains(over));
+        let is_over = ["clear", "resolved", "deactivated"].iter().any(|over| lower.contains(over));
         self.failsafe = (!is_over).then(|| (now, text.to_owned()));
     }
 
     /// Whether the present mode is known: reported recently, and since the last silence ended. The
     /// pilot may have changed an older one.
-    pub fn knows_mode(&self, now: HostTime) -> bool {
-        self.mode_heard.is_some_and(|heard| {
-            now.since(heard) <= MODE_AGE_MAX && self.silence_ended.is_none_or(|end| heard >= end)
-        }) && self.is_heard(now)
+    pub fn is_mode_known(&self, now: HostTime) -> bool {
+        self.mode_reported.is_some_and(|reported| {
+            now.since(reported) <= MODE_AGE_MAX
+                && self.silence_ended.is_none_or(|end| reported >= end)
+        }) && self.is_live(now)
     }
 
     /// Whether a message arrived within the last half second.
-    pub fn is_heard(&self, now: HostTime) -> bool {
-        self.heard.is_some_and(|heard| now.since(heard) <= SILENCE)
+    pub fn is_live(&self, now: HostTime) -> bool {
+        self.last_received.is_some_and(|at| now.since(at) <= SILENCE)
     }
 
     /// Whether the present mode came with the stop of the motors: the autopilot's own return to an
     /// earlier mode, not an act of the pilot.
-    pub fn mode_came_with_disarming(&self) -> bool {
+    pub fn mode_changed_with_disarming(&self) -> bool {
         let (Some(disarmed), Some(changed)) = (self.disarmed, self.mode_changed) else {
             return false;
         };
@@ -200,13 +201,13 @@ impl VehicleStatus {
 
     /// Marks the last reported mode as possibly outdated: nothing is commanded on it.
     pub(super) fn doubt_mode(&mut self) {
-        self.mode_heard = None;
+        self.mode_reported = None;
     }
 
     /// Forgets what may have changed during a silence.
     pub(super) fn forget_mode(&mut self) {
         (self.mode, self.intended_mode, self.armed) = (None, None, None);
-        (self.mode_heard, self.armed_heard) = (None, None);
+        (self.mode_reported, self.armed_reported) = (None, None);
         self.mode_since = None;
         self.landed = LandedState::Undefined;
     }

@@ -103,7 +103,7 @@ fn simulated(law: Loop, vehicle: &VehicleParams, axis: usize, angle: f64, rate: 
     (0..(LENGTH_S / FINE_S) as usize)
         .map(|_| {
             let now = theta;
-            let wanted = match law {
+            let moment_target = match law {
                 Loop::Pd(pd) => pd.kp[axis] * (angle - theta) + pd.kd[axis] * (rate - omega),
                 Loop::Cascade(cascade) => {
                     let time_constant = cascade.input_time_constant_s.filter(|tc| *tc > 0.0);
@@ -126,7 +126,7 @@ fn simulated(law: Loop, vehicle: &VehicleParams, axis: usize, angle: f64, rate: 
                         + cascade.rate_ff_nms[axis] * desired
                 }
             };
-            moment += FINE_S / lag * (wanted - moment);
+            moment += FINE_S / lag * (moment_target - moment);
             omega += FINE_S / inertia * (moment - damping * omega);
             theta += FINE_S * omega;
             now
@@ -137,8 +137,8 @@ fn simulated(law: Loop, vehicle: &VehicleParams, axis: usize, angle: f64, rate: 
 /// Desired and flown angle about one axis, every [`STEP_S`] of one span.
 struct Track {
     start: f64,
-    asked: Vec<f64>,
-    asked_rate: Vec<f64>,
+    setpoints: Vec<f64>,
+    setpoint_rates: Vec<f64>,
     flown: Vec<f64>,
 }
 
@@ -260,8 +260,8 @@ fn of_axis(
 
 /// Root mean square of the setpoints' motion about their means.
 fn moves(tracks: &[Track]) -> Option<f64> {
-    let count: usize = tracks.iter().map(|track| track.asked.len()).sum();
-    let power: f64 = tracks.iter().map(|track| about_mean(&track.asked)).sum();
+    let count: usize = tracks.iter().map(|track| track.setpoints.len()).sum();
+    let power: f64 = tracks.iter().map(|track| about_mean(&track.setpoints)).sum();
     (count > 0).then(|| (power / count as f64).sqrt())
 }
 
@@ -332,18 +332,19 @@ fn least(costs: &[Costs], without: Option<usize>) -> (f64, f64) {
 impl Track {
     fn predicted(&self, kernel: &[f64], by_rate: &[f64]) -> Vec<f64> {
         let before = |values: &[f64], at: usize, k: usize| values[at.saturating_sub(k)];
-        (0..self.asked.len())
+        (0..self.setpoints.len())
             .map(|at| {
                 let attitude: f64 = kernel
                     .iter()
                     .enumerate()
-                    .map(|(k, h)| h * before(&self.asked, at, k + 1))
+                    .map(|(k, h)| h * before(&self.setpoints, at, k + 1))
                     .sum();
-                if self.asked_rate.is_empty() {
+                if self.setpoint_rates.is_empty() {
                     return attitude;
                 }
                 let rate = by_rate.iter().enumerate();
-                attitude + rate.map(|(k, h)| h * before(&self.asked_rate, at, k + 1)).sum::<f64>()
+                attitude
+                    + rate.map(|(k, h)| h * before(&self.setpoint_rates, at, k + 1)).sum::<f64>()
             })
             .collect()
     }
@@ -365,16 +366,21 @@ fn tracks(
         Some((setpoint, setpoint.attitude?, interpolated(&flight.attitude, time)?))
     };
     let mut pieces: Vec<Track> = Vec::new();
-    let mut goes_on = false;
+    let mut continues = false;
     for k in 0..((span.end - span.start) / STEP_S) as usize {
         let time = span.start + k as f64 * STEP_S;
-        let Some((setpoint, asked, flown)) = at(time) else {
-            goes_on = false;
+        let Some((setpoint, attitude, flown)) = at(time) else {
+            continues = false;
             continue;
         };
-        if !goes_on {
-            pieces.push(Track { start: time, asked: vec![], asked_rate: vec![], flown: vec![] });
-            goes_on = true;
+        if !continues {
+            pieces.push(Track {
+                start: time,
+                setpoints: vec![],
+                setpoint_rates: vec![],
+                flown: vec![],
+            });
+            continues = true;
         }
         let Some(piece) = pieces.last_mut() else { continue };
         let heading = flown.yaw();
@@ -383,16 +389,17 @@ fn tracks(
             0 | 1 => tilted(attitude, heading)[axis],
             _ => turn.map_or(attitude.yaw(), |turn| turn + wrap_angle(attitude.yaw() - turn)),
         };
-        let (asked, flown) = (angle(asked, piece.asked.last()), angle(flown, piece.flown.last()));
-        piece.asked.push(asked);
+        let (desired, flown) =
+            (angle(attitude, piece.setpoints.last()), angle(flown, piece.flown.last()));
+        piece.setpoints.push(desired);
         piece.flown.push(flown);
         if let Some(rate) = setpoint.body_rate.filter(|_| takes_rates) {
-            piece.asked_rate.push(rate.to_array()[axis]);
+            piece.setpoint_rates.push(rate.to_array()[axis]);
         }
     }
     for piece in &mut pieces {
-        if piece.asked_rate.len() != piece.asked.len() {
-            piece.asked_rate.clear();
+        if piece.setpoint_rates.len() != piece.setpoints.len() {
+            piece.setpoint_rates.clear();
         }
     }
     pieces

@@ -129,7 +129,7 @@ impl Read<'_> {
 
     fn rotors(&self) -> Placed {
         let (rotors, from) = match <[RotorFact; 4]>::try_from(self.parameters.rotors()) {
-            Ok(rotors) => (rotors, self.rotors_are_said_by()),
+            Ok(rotors) => (rotors, self.rotor_source()),
             Err(_) => self.usual_rotors(),
         };
         let spins = Given::stated(rotors.map(|rotor| rotor.spin), from);
@@ -161,7 +161,7 @@ impl Read<'_> {
         Placed { positions, spins, order: RotorFact::in_words(&rotors) }
     }
 
-    fn rotors_are_said_by(&self) -> &'static str {
+    fn rotor_source(&self) -> &'static str {
         match self.autopilot {
             Some(Autopilot::ArduCopter) => "FRAME_CLASS and FRAME_TYPE",
             _ => "CA_ROTORn_PX, _PY and _KM",
@@ -275,15 +275,15 @@ impl Read<'_> {
         if let Some(cells) = self.measured.cells {
             return pack(cells, full(cells), "measured (--cells)".to_owned());
         }
-        let whole = |value: f64| (1.0..=50.0).contains(&value).then(|| value.round() as u8);
-        if let Some(cells) = self.parameters.number("BAT1_N_CELLS").and_then(whole) {
+        let cell_count = |value: f64| (1.0..=50.0).contains(&value).then(|| value.round() as u8);
+        if let Some(cells) = self.parameters.number("BAT1_N_CELLS").and_then(cell_count) {
             let charged = self.parameters.number("BAT1_V_CHARGED").filter(|v| *v > CELL_V[0]);
             let full_v = charged.map_or(full(cells), |volt| volt * f64::from(cells));
             return pack(cells, full_v, "BAT1_N_CELLS and BAT1_V_CHARGED".to_owned());
         }
         let most = self.parameters.number("MOT_BAT_VOLT_MAX").filter(|volt| *volt > 0.0);
         if let Some((volt, cells)) =
-            most.and_then(|volt| Some((volt, whole((volt / CELL_V[1]).round())?)))
+            most.and_then(|volt| Some((volt, cell_count((volt / CELL_V[1]).round())?)))
         {
             return pack(cells, volt, format!("MOT_BAT_VOLT_MAX of {} V", tidy(volt)));
         }

@@ -137,7 +137,7 @@ impl LiveView {
 
 fn message(status: &Status) -> StatusMessage {
     let armed = |armed| if armed { "armed" } else { "disarmed" };
-    let mode = |word| status.mode_name.map_or(format!("{word:#010x}"), str::to_owned);
+    let mode = |mode| status.mode_name.map_or(format!("{mode:#010x}"), str::to_owned);
     let (time, length) = status.progress.unwrap_or((f64::NAN, f64::NAN));
     StatusMessage {
         link: status.link.to_owned(),
@@ -177,7 +177,7 @@ impl MessageSink for ToViewers<'_> {
 }
 
 impl Listener for LiveFeed {
-    fn hear(&mut self, record: &Record) {
+    fn on_record(&mut self, record: &Record) {
         let is_watched = self.server.is_watched();
         if is_watched {
             self.greet();
@@ -256,7 +256,7 @@ impl LiveFeed {
     fn draw(&mut self, now: HostTime) {
         if now >= self.time_due {
             self.time_due = now + TIME_PERIOD;
-            self.server.tell_time(now.as_ns());
+            self.server.send_time(now.as_ns());
         }
         if now < self.trail_due {
             return;

@@ -131,13 +131,13 @@ impl Playback {
             changed: Condvar::new(),
             is_over: AtomicBool::new(false),
         });
-        let asked = Arc::clone(&player);
+        let shared = Arc::clone(&player);
         let answer = move |request: PlaybackControlRequest| {
             let wall = Instant::now();
-            let mut stand = asked.lock();
+            let mut stand = shared.lock();
             stand.take(&request, wall);
             let did_seek = stand.has_sought;
-            asked.changed.notify_one();
+            shared.changed.notify_one();
             stand.state(wall, did_seek, Some(request.request_id))
         };
         let mut settings = settings;
@@ -214,7 +214,7 @@ impl Stage {
             let state = (has_sought || has_ended).then(|| stand.state(wall, has_sought, None));
             drop(stand);
             if let Some(state) = state {
-                self.server.tell_playback(state);
+                self.server.send_playback(state);
             }
             if has_sought {
                 self.next = self.recording.up_to(now);
@@ -223,7 +223,7 @@ impl Stage {
             }
             self.greet();
             self.give(now);
-            self.tell(wall, now);
+            self.send_positions(wall, now);
             let stand = player.lock();
             // Who comes to a playback that stands still is greeted within this time.
             let wait = if stand.status == PlaybackStatus::Playing { STEP } else { TIME_PERIOD };
@@ -254,7 +254,7 @@ impl Stage {
     fn show_before(&self, only: Option<(foxglove::SinkId, &str)>) {
         let sink = only.map(|(sink, _)| sink);
         for (topic, most) in [("/scene", usize::MAX), ("/log", EVENTS)] {
-            if only.is_some_and(|(_, wanted)| wanted != topic) {
+            if only.is_some_and(|(_, only)| only != topic) {
                 continue;
             }
             let is_of = |index: &usize| {
@@ -277,10 +277,10 @@ impl Stage {
     }
 
     /// Sends the time, the trail and the plan when they are due.
-    fn tell(&mut self, wall: Instant, now: HostTime) {
+    fn send_positions(&mut self, wall: Instant, now: HostTime) {
         if wall >= self.time_due {
             self.time_due = wall + TIME_PERIOD;
-            self.server.tell_time(now.as_ns());
+            self.server.send_time(now.as_ns());
         }
         if wall < self.trail_due || !self.scene.has_sinks() {
             return;

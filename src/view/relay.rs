@@ -29,14 +29,14 @@ where
 {
     let (mut from_client, mut to_client) = tokio::io::split(client);
     let (mut from_server, mut to_server) = tokio::io::split(server);
-    let mut said = Vec::with_capacity(AT_ONCE);
-    let mut asked = [0; AT_ONCE];
+    let mut from_server_buffer = Vec::with_capacity(AT_ONCE);
+    let mut from_client_buffer = [0; AT_ONCE];
     let (mut splitter, mut backlog) = (Splitter::default(), Backlog::default());
     let mut leaving = Leaving::default();
     loop {
         leaving.refill(&mut backlog);
         tokio::select! {
-            length = from_server.read_buf(&mut said) => {
+            length = from_server.read_buf(&mut from_server_buffer) => {
                 if length? == 0 {
                     // The last messages include the reason for closing.
                     let last = async {
@@ -48,15 +48,15 @@ where
                     };
                     return timeout(LAST_LIMIT, last).await?;
                 }
-                splitter.push(&said, &mut backlog)?;
-                said.clear();
+                splitter.push(&from_server_buffer, &mut backlog)?;
+                from_server_buffer.clear();
             }
             length = to_client.write(leaving.rest()), if !leaving.rest().is_empty() => {
                 leaving.left(length?);
             }
-            length = from_client.read(&mut asked) => match length? {
+            length = from_client.read(&mut from_client_buffer) => match length? {
                 0 => return Ok(()),
-                length => to_server.write_all(&asked[..length]).await?,
+                length => to_server.write_all(&from_client_buffer[..length]).await?,
             },
         }
     }

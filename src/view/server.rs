@@ -29,7 +29,7 @@ const BACKLOG: usize = 1024;
 /// Subscriptions kept until the feed takes them.
 const NEWCOMERS_MAX: usize = 4096;
 /// Time for viewers to receive the last messages.
-const LAST_WORDS: Duration = Duration::from_millis(100);
+const LINGER: Duration = Duration::from_millis(100);
 
 /// Why a view cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -144,7 +144,7 @@ impl Server {
                         tokio::select! {
                             () = front::serve(listener, inner, gate) => {}
                             // The last messages are still in transit.
-                            _ = stopped => tokio::time::sleep(LAST_WORDS).await,
+                            _ = stopped => tokio::time::sleep(LINGER).await,
                         }
                     }
                 }
@@ -206,12 +206,12 @@ impl Server {
     }
 
     /// Sends viewers the time, ns.
-    pub fn tell_time(&self, time: u64) {
+    pub fn send_time(&self, time: u64) {
         self.handle.broadcast_time(time);
     }
 
     /// Sends viewers the state of the playback.
-    pub fn tell_playback(&self, state: PlaybackState) {
+    pub fn send_playback(&self, state: PlaybackState) {
         self.handle.broadcast_playback_state(state);
     }
 
@@ -261,8 +261,9 @@ impl ParameterHandler for Shared {
         responder: GetParametersResponder,
     ) {
         let parameters = lock(&self.parameters);
-        let wanted = parameters.iter().filter(|(name, _)| names.is_empty() || names.contains(name));
-        responder.respond(wanted.map(|(name, value)| parameter(name, value)).collect());
+        let requested =
+            parameters.iter().filter(|(name, _)| names.is_empty() || names.contains(name));
+        responder.respond(requested.map(|(name, value)| parameter(name, value)).collect());
     }
 
     /// Queues the request and answers with the current values; accepted changes are published when
@@ -270,15 +271,15 @@ impl ParameterHandler for Shared {
     fn set(
         &self,
         _: AnyClient,
-        asked: Vec<Parameter>,
+        requested: Vec<Parameter>,
         _: Option<String>,
         responder: SetParametersResponder,
     ) {
         if let Some(writer) = &self.writer {
-            writer.offer(&asked);
+            writer.offer(&requested);
         }
         let parameters = lock(&self.parameters);
-        let held = asked.iter().filter_map(|Parameter { name, .. }| {
+        let held = requested.iter().filter_map(|Parameter { name, .. }| {
             parameters.get(name).map(|value| parameter(name, value))
         });
         responder.respond(held.collect());
@@ -287,11 +288,11 @@ impl ParameterHandler for Shared {
 
 impl ServerListener for Shared {
     fn on_client_connect(&self) {
-        self.writer.iter().for_each(Writer::came);
+        self.writer.iter().for_each(Writer::viewer_connected);
     }
 
     fn on_client_disconnect(&self) {
-        self.writer.iter().for_each(Writer::went);
+        self.writer.iter().for_each(Writer::viewer_disconnected);
     }
 
     fn on_subscribe(&self, client: Client, channel: ChannelView<'_>) {

@@ -47,24 +47,24 @@ impl Writer {
     }
 
     /// Counts a connected viewer.
-    pub fn came(&self) {
+    pub fn viewer_connected(&self) {
         self.all.fetch_add(1, Ordering::AcqRel);
     }
 
     /// Counts a disconnected viewer.
-    pub fn went(&self) {
+    pub fn viewer_disconnected(&self) {
         self.all.fetch_sub(1, Ordering::AcqRel);
     }
 
     /// Queues a change. Parameters off the list, values that are not numbers, and changes beyond
     /// the queue's length are dropped.
-    pub fn offer(&self, asked: &[Parameter]) {
+    pub fn offer(&self, requested: &[Parameter]) {
         // A viewer bypassed the front, and may be the sender.
         if self.all.load(Ordering::Acquire) > self.led.load(Ordering::Acquire) {
             tracing::warn!("a viewer's change is dropped: a viewer bypassed the access check");
             return;
         }
-        if let Some(change) = change(asked)
+        if let Some(change) = change(requested)
             && self.queue.try_send(change).is_err()
         {
             tracing::warn!("a viewer's change is dropped: too many at once");
@@ -83,9 +83,9 @@ pub(super) fn shown_as(held: &Adjusted) -> Vec<(String, String)> {
         .collect()
 }
 
-fn change(asked: &[Parameter]) -> Option<Adjustment> {
+fn change(requested: &[Parameter]) -> Option<Adjustment> {
     let value = |name: &str| {
-        let found = asked.iter().find(|parameter| parameter.name == name)?;
+        let found = requested.iter().find(|parameter| parameter.name == name)?;
         match found.value {
             Some(ParameterValue::Float64(value)) => Some(value),
             Some(ParameterValue::Integer(value)) => Some(value as f64),
@@ -104,16 +104,16 @@ mod tests {
     #[test]
     fn changes_are_ignored_while_a_viewer_bypasses_the_front() {
         let (writer, changes) = Writer::new();
-        let asked = [Parameter::float64(WRITABLE[0], 0.5)];
+        let requested = [Parameter::float64(WRITABLE[0], 0.5)];
         writer.led().fetch_add(1, Ordering::AcqRel);
-        writer.came();
-        writer.offer(&asked);
+        writer.viewer_connected();
+        writer.offer(&requested);
         assert!(changes.take().is_some());
-        writer.came();
-        writer.offer(&asked);
+        writer.viewer_connected();
+        writer.offer(&requested);
         assert_eq!(changes.take(), None);
-        writer.went();
-        writer.offer(&asked);
+        writer.viewer_disconnected();
+        writer.offer(&requested);
         assert!(changes.take().is_some());
     }
 }

@@ -11,7 +11,7 @@ use downwash::link::counters::LinkState;
 use downwash::link::profile::{MessageRate, PD_VEHICLE};
 use downwash::link::received::Received;
 use downwash::link::request::Outcome;
-use downwash::link::session::{Event, Heard, Session, Settings};
+use downwash::link::session::{Delivery, Event, Session, Settings};
 use downwash::setpoint::Setpoint;
 use message::Inbound;
 use wire::dialect::*;
@@ -214,10 +214,10 @@ impl World {
 
     pub fn deliver(&mut self, peer: Peer, bytes: &[u8]) {
         let (messages, frames) = (&mut self.messages, &mut self.frames);
-        self.session.receive(self.now, peer, bytes, true, &mut |heard| match heard {
-            Heard::Frame { .. } => *frames += 1,
-            Heard::Message(received) => messages.push(received),
-            Heard::Replaced => {}
+        self.session.receive(self.now, peer, bytes, true, &mut |delivery| match delivery {
+            Delivery::Frame { .. } => *frames += 1,
+            Delivery::Message(received) => messages.push(received),
+            Delivery::Replaced => {}
         });
     }
 

@@ -314,18 +314,18 @@ impl Physics {
     ///
     /// Returns `None` if full output does not balance the weight.
     pub fn hover_collective(&self, env: &Environment) -> Option<f64> {
-        let wanted = self.body.mass() * self.body.gravity();
+        let weight_n = self.body.mass() * self.body.gravity();
         let even = |collective: f64| -> f64 {
             self.thrusts(&self.rotors_for_wrench(&[collective, 0.0, 0.0, 0.0]), env).iter().sum()
         };
         let (mut low, mut high) = (0.0, self.allocation.collective_max());
-        if even(high) < wanted {
+        if even(high) < weight_n {
             return None;
         }
         // Thrust grows with the collective for every accepted curve; 60 bisections reach rounding.
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
-            if even(middle) < wanted { low = middle } else { high = middle }
+            if even(middle) < weight_n { low = middle } else { high = middle }
         }
         Some(0.5 * (low + high))
     }

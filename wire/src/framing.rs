@@ -108,12 +108,12 @@ mod tests {
 
     #[test]
     fn truncated_datagram_does_not_swallow_the_next() {
-        let whole = encoded(1, MavlinkVersion::V2);
+        let frame = encoded(1, MavlinkVersion::V2);
         let mut decoder = Decoder::new();
-        for cut in 0..whole.len() {
-            decoder.datagram(&whole[..cut], |_| panic!("there was no whole frame"));
+        for cut in 0..frame.len() {
+            decoder.datagram(&frame[..cut], |_| panic!("there was no whole frame"));
             let mut frames = 0;
-            decoder.datagram(&whole, |_| frames += 1);
+            decoder.datagram(&frame, |_| frames += 1);
             assert_eq!(frames, 1, "after a cut at {cut}");
         }
     }

@@ -460,9 +460,9 @@ mod tests {
                 }
             }
             let log = writer.into_inner();
-            let whole = log.len().saturating_sub(cut);
-            let (entries, _) = read_all(&log[..whole]);
-            let expected: Vec<_> = ends.iter().filter(|(end, _)| *end <= whole).collect();
+            let length = log.len().saturating_sub(cut);
+            let (entries, _) = read_all(&log[..length]);
+            let expected: Vec<_> = ends.iter().filter(|(end, _)| *end <= length).collect();
             prop_assert_eq!(entries.len(), expected.len());
             for (entry, (_, frame)) in entries.iter().zip(expected) {
                 prop_assert_eq!(&entry.frame, frame);

@@ -24,7 +24,7 @@ impl Arrival {
 
 /// A time on the ground's clock with the number of its frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Heard {
+pub(super) struct FrameTime {
     /// Number of the frame.
     pub index: u32,
     /// Time on the ground's clock, s.
@@ -35,9 +35,9 @@ pub(super) struct Heard {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Exchange {
     /// Ground time of the request, s.
-    pub asked: f64,
+    pub requested: f64,
     /// Ground time of the reply.
-    pub answered: Heard,
+    pub answered: FrameTime,
     /// The vehicle's clock, s.
     pub vehicle: f64,
 }
@@ -184,14 +184,14 @@ impl ClockMap {
     /// Measures the minimum downlink delay with TIMESYNC. Returns whether the exchanges agree with
     /// the messages' time stamps; if not, the map stays unchanged.
     pub fn synchronise(&mut self, exchanges: &[Exchange]) -> bool {
-        let round_trip = |e: &Exchange| e.answered.ground - e.asked;
+        let round_trip = |e: &Exchange| e.answered.ground - e.requested;
         let sound = exchanges.iter().filter(|e| round_trip(e) >= 0.0);
         let least = sound.clone().map(round_trip).fold(f64::INFINITY, f64::min);
         let mut delays: Vec<f64> = sound
             .filter(|e| round_trip(e) <= 1.5 * least + RESOLUTION)
             .filter_map(|e| {
                 // The vehicle reads its clock in the middle of the round trip.
-                let middle = 0.5 * (e.asked + e.answered.ground);
+                let middle = 0.5 * (e.requested + e.answered.ground);
                 let piece = self.piece(e.answered.index)?;
                 Some(e.vehicle - piece.vehicle_at(middle))
             })
@@ -211,11 +211,11 @@ impl ClockMap {
 
     /// The vehicle's clock at a time on the ground's; `None` within a step of the ground's clock or
     /// far from any message of the vehicle.
-    pub fn vehicle_time(&self, heard: Heard) -> Option<f64> {
-        let piece = self.piece(heard.index)?;
+    pub fn vehicle_time(&self, frame_time: FrameTime) -> Option<f64> {
+        let piece = self.piece(frame_time.index)?;
         let (first, last) = (piece.knots.first()?, piece.knots.last()?);
         let near = first.ground - REACH..=last.ground + REACH;
-        near.contains(&heard.ground).then(|| piece.vehicle_at(heard.ground) + self.delay)
+        near.contains(&frame_time.ground).then(|| piece.vehicle_at(frame_time.ground) + self.delay)
     }
 
     /// The ground's clock at a time on the vehicle's, as if messages had no delay; `None` without
@@ -362,8 +362,8 @@ mod tests {
         envelope
     }
 
-    fn heard(vehicle: f64, ground: f64) -> Heard {
-        Heard { index: (vehicle / 0.004) as u32, ground }
+    fn frame_time(vehicle: f64, ground: f64) -> FrameTime {
+        FrameTime { index: (vehicle / 0.004) as u32, ground }
     }
 
     #[test]
@@ -371,7 +371,7 @@ mod tests {
         let envelope = envelope(20.0, |v| v + 1000.0);
         let map = ClockMap::new([(&envelope, 0.0)].into_iter(), 1.5e-3);
         for v in [0.0, 0.5, 7.3, 19.9] {
-            let found = map.vehicle_time(heard(v, v + 1000.0)).unwrap();
+            let found = map.vehicle_time(frame_time(v, v + 1000.0)).unwrap();
             assert!((found - v).abs() < 1e-4, "{v}: {found}");
         }
         assert_eq!(map.steps(), 0);
@@ -383,7 +383,7 @@ mod tests {
         let envelope = envelope(60.0, ground);
         let map = ClockMap::new([(&envelope, 0.0)].into_iter(), 1.5e-3);
         for v in [1.0, 20.0, 40.5, 59.0] {
-            let found = map.vehicle_time(heard(v, ground(v))).unwrap();
+            let found = map.vehicle_time(frame_time(v, ground(v))).unwrap();
             assert!((found - v).abs() < 1e-3, "{v}: {found}");
         }
     }
@@ -395,7 +395,7 @@ mod tests {
         let envelope = envelope(40.0, stalled);
         let map = ClockMap::new([(&envelope, 0.0)].into_iter(), 1.5e-3);
         assert_eq!(map.steps(), 0);
-        let found = map.vehicle_time(heard(12.0, 12.0)).unwrap();
+        let found = map.vehicle_time(frame_time(12.0, 12.0)).unwrap();
         assert!((found - 12.0).abs() < 5e-3, "{found}");
     }
 
@@ -407,7 +407,7 @@ mod tests {
             let map = ClockMap::new([(&envelope, 0.0)].into_iter(), 1.5e-3);
             assert_eq!(map.steps(), 1);
             for v in [5.0, 18.0, 22.0, 39.0] {
-                let found = map.vehicle_time(heard(v, ground(v))).unwrap();
+                let found = map.vehicle_time(frame_time(v, ground(v))).unwrap();
                 assert!((found - v).abs() < 1e-3, "{v}: {found}");
             }
         }
@@ -417,11 +417,14 @@ mod tests {
     fn timesync_measures_the_delay() {
         let envelope = envelope(20.0, |v| v + 0.008);
         let mut map = ClockMap::new([(&envelope, 0.0)].into_iter(), 0.0);
-        let exchange =
-            |v: f64| Exchange { asked: v - 0.009, answered: heard(v, v + 0.0095), vehicle: v };
+        let exchange = |v: f64| Exchange {
+            requested: v - 0.009,
+            answered: frame_time(v, v + 0.0095),
+            vehicle: v,
+        };
         let exchanges: Vec<_> = (1..100).map(|k| exchange(f64::from(k) * 0.2)).collect();
         assert!(map.synchronise(&exchanges));
-        let found = map.vehicle_time(heard(10.0, 10.0)).unwrap();
+        let found = map.vehicle_time(frame_time(10.0, 10.0)).unwrap();
         assert!((found - 10.0).abs() < 5e-4, "{found}");
         let other_epoch: Vec<_> =
             exchanges.iter().map(|e| Exchange { vehicle: e.vehicle + 1.7e9, ..*e }).collect();

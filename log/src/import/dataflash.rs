@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
 use super::flight::Flight;
-use super::onboard::{Topics, Wanted};
+use super::onboard::{TopicSpec, Topics};
 use super::tally::Tally;
 use super::{LogFault, foreign};
 use layout::{Access, Layout, Units};
@@ -29,8 +29,8 @@ const INSTANCES: [&str; 4] = ["I", "C", "Instance", "Inst"];
 /// not say.
 #[derive(Clone, Copy, Debug)]
 struct Source {
-    wanted: Wanted,
-    unsaid: &'static [f64],
+    spec: TopicSpec,
+    default_factors: &'static [f64],
     has_instances: bool,
 }
 
@@ -46,20 +46,20 @@ struct Kept {
 
 impl Kept {
     fn new(kind: u8, layout: &Layout, units: &Units) -> Option<Self> {
-        let source = ardupilot::SOURCES.iter().find(|s| s.wanted.topic == layout.name)?;
+        let source = ardupilot::SOURCES.iter().find(|s| s.spec.topic == layout.name)?;
         // Before ArduPilot 3.3 in ms.
         let stamp = match layout.field(&["TimeUS"]) {
             Some(field) => (field, 1e-6),
             None => (layout.field(&["TimeMS"])?, 1e-3),
         };
-        let named = source.wanted.fields.iter().zip(source.unsaid);
-        let found = |(name, unsaid): (&&'static str, &f64)| {
+        let named = source.spec.fields.iter().zip(source.default_factors);
+        let found = |(name, default_factor): (&&'static str, &f64)| {
             if *name == STAMP {
                 return Some(stamp);
             }
             let access = layout.field(&ardupilot::names(name))?;
-            let unsaid = ardupilot::older_unit(layout, access).unwrap_or(*unsaid);
-            Some((access, units.factor(kind, access, unsaid)))
+            let default_factor = ardupilot::older_unit(layout, access).unwrap_or(*default_factor);
+            Some((access, units.factor(kind, access, default_factor)))
         };
         let instance = if source.has_instances { layout.field(&INSTANCES) } else { None };
         Some(Self { source: *source, stamp, instance, fields: named.map(found).collect() })
@@ -118,7 +118,7 @@ pub(super) fn read(source: impl Read, flight: &mut Flight) -> Result<super::Cont
                 .iter()
                 .map(|field| field.map_or(f64::NAN, |(access, factor)| number(access) * factor)),
         );
-        contents.topics.push(kept.source.wanted, instance, number(stamp) * seconds, &values);
+        contents.topics.push(kept.source.spec, instance, number(stamp) * seconds, &values);
     }
     if reader.messages == 0 {
         return Err(LogFault::Foreign("no complete message of a DataFlash log".into()));

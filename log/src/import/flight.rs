@@ -370,9 +370,9 @@ impl Flight {
 
     /// Stores the outputs' ranges from the parameters.
     pub(super) fn state_ranges(&mut self, stated: Option<([OutputRange; 4], String)>) {
-        if let Some((ranges, said)) = stated {
+        if let Some((ranges, basis)) = stated {
             self.facts.output_ranges = Some(ranges);
-            self.facts.notes.push(format!("outputs over the range {said}"));
+            self.facts.notes.push(format!("outputs over the range {basis}"));
         }
     }
 

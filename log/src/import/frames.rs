@@ -10,7 +10,7 @@ use wire::dialect::{
 };
 
 use super::LogFault;
-use super::clocks::{Exchange, Heard};
+use super::clocks::{Exchange, FrameTime};
 use super::flight::{AttitudeSetpoint, Flight};
 use super::setpoints::Sent;
 use super::tally::Tally;
@@ -110,7 +110,7 @@ impl Frames {
             Ok(message) => message.message_name().to_owned(),
             Err(_) => format!("message {}", frame.id()),
         });
-        let heard = Heard { index: self.index, ground: self.latest };
+        let frame_time = FrameTime { index: self.index, ground: self.latest };
         let sender = (frame.system(), frame.component());
         if !self.numbers.contains_key(&sender) && self.numbers.len() == SENDERS_MAX {
             self.tally.add("frame from one sender too many", 1);
@@ -121,13 +121,13 @@ impl Frames {
             return;
         }
         match frame.id() {
-            SET_ATTITUDE_TARGET_DATA::ID => self.add_setpoint(heard, sender, frame),
-            TIMESYNC_DATA::ID => self.add_timesync(heard, sender, frame),
+            SET_ATTITUDE_TARGET_DATA::ID => self.add_setpoint(frame_time, sender, frame),
+            TIMESYNC_DATA::ID => self.add_timesync(frame_time, sender, frame),
             // A sender that is not an autopilot, such as a ground station, is not a vehicle.
             HEARTBEAT_DATA::ID
                 if frame.payload().get(5) == Some(&(MavAutopilot::MAV_AUTOPILOT_INVALID as u8)) => {
             }
-            _ => self.vehicles.entry(sender).or_default().add(heard, frame),
+            _ => self.vehicles.entry(sender).or_default().add(frame_time, frame),
         }
     }
 
@@ -136,7 +136,7 @@ impl Frames {
         self.tally.add(reason, count);
     }
 
-    fn add_setpoint(&mut self, heard: Heard, sender: Sender, frame: &Frame) {
+    fn add_setpoint(&mut self, frame_time: FrameTime, sender: Sender, frame: &Frame) {
         match attitude_target::decode(frame) {
             Ok(Some(target)) => {
                 let AttitudeTarget { time_boot_ms, target_system, attitude, body_rate, thrust } =
@@ -146,7 +146,7 @@ impl Frames {
                 let missing = std::mem::take(&mut numbers.missing);
                 let stamp_s = f64::from(time_boot_ms) * 1e-3;
                 let sent = self.setpoints.entry((sender, target_system)).or_default();
-                sent.push(Sent { heard, stamp_s, missing, setpoint });
+                sent.push(Sent { frame_time, stamp_s, missing, setpoint });
             }
             Ok(None) => {}
             Err(refusal) => self.tally.add(&format!("SET_ATTITUDE_TARGET: {refusal}"), 1),
@@ -155,19 +155,19 @@ impl Frames {
 
     /// Requests have no `tc1`; a reply repeats the request's `ts1`. The requester stamps `ts1` and
     /// the responder `tc1`, so only the ground's requests have ground times for both directions.
-    fn add_timesync(&mut self, heard: Heard, sender: Sender, frame: &Frame) {
+    fn add_timesync(&mut self, frame_time: FrameTime, sender: Sender, frame: &Frame) {
         let Ok(MavMessage::TIMESYNC(data)) = frame.message() else { return };
         if data.tc1 == 0 {
             if self.requests.len() == OPEN_REQUESTS {
                 self.requests.pop_front();
             }
-            self.requests.push_back((data.ts1, heard.ground));
+            self.requests.push_back((data.ts1, frame_time.ground));
         } else if let Some(at) = self.requests.iter().position(|(ts1, _)| *ts1 == data.ts1)
-            && let Some((_, asked)) = self.requests.remove(at)
+            && let Some((_, requested)) = self.requests.remove(at)
         {
             let vehicle = data.tc1 as f64 * 1e-9;
             let log = self.vehicles.entry(sender).or_default();
-            log.synchronise(Exchange { asked, answered: heard, vehicle });
+            log.synchronise(Exchange { requested, answered: frame_time, vehicle });
         }
     }
 

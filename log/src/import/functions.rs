@@ -171,8 +171,8 @@ pub(super) fn ardupilot_motors(parameters: &BTreeMap<String, f64>) -> Stated {
         return Stated::Nothing;
     }
     let output = |motor: usize| {
-        let wanted = Some(ARDUPILOT_MOTOR_1 + motor as f64);
-        (0..ARDUPILOT_OUTPUTS).find(|at| function(*at) == wanted)
+        let function_code = Some(ARDUPILOT_MOTOR_1 + motor as f64);
+        (0..ARDUPILOT_OUTPUTS).find(|at| function(*at) == function_code)
     };
     let outputs: [Option<usize>; MOTORS] = std::array::from_fn(output);
     match outputs {

@@ -196,7 +196,7 @@ fn of_functions(parameters: &BTreeMap<String, f64>) -> Option<StatedKind> {
         .filter(|(name, _)| name.starts_with("SERVO") && name.ends_with("_FUNCTION"))
         .map(|(name, value)| (name.as_str(), *value as u32))
         .collect();
-    let first = |wanted: &[u32]| functions.iter().find(|(_, f)| wanted.contains(f)).copied();
+    let first = |codes: &[u32]| functions.iter().find(|(_, f)| codes.contains(f)).copied();
     // Ailerons, elevators, flaperons, elevons, V-tails.
     let wing = first(&[4, 19, 24, 25, 77, 78, 79, 80]);
     let motor = first(&[33, 34, 35, 36]);

@@ -17,7 +17,7 @@ const OFF_CLOCK: f64 = 10.0;
 
 /// A topic to read and the fields of its rows.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Wanted {
+pub(super) struct TopicSpec {
     pub topic: &'static str,
     pub fields: &'static [&'static str],
 }
@@ -111,18 +111,18 @@ pub(super) struct Topics {
 }
 
 impl Topics {
-    /// Adds a row of `wanted`: its time stamp in s and its numbers.
-    pub fn push(&mut self, wanted: Wanted, instance: u8, time: f64, values: &[f64]) {
+    /// Adds a row of `spec`: its time stamp in s and its numbers.
+    pub fn push(&mut self, spec: TopicSpec, instance: u8, time: f64, values: &[f64]) {
         let Ok(number) = u32::try_from(self.clock.len()) else { return };
-        debug_assert_eq!(values.len(), wanted.fields.len());
+        debug_assert_eq!(values.len(), spec.fields.len());
         self.clock.push(time);
         let fresh = || Topic {
-            name: wanted.topic,
-            fields: wanted.fields,
+            name: spec.topic,
+            fields: spec.fields,
             values: Vec::new(),
             numbers: Vec::new(),
         };
-        let topic = self.topics.entry((wanted.topic, instance)).or_insert_with(fresh);
+        let topic = self.topics.entry((spec.topic, instance)).or_insert_with(fresh);
         topic.values.extend_from_slice(values);
         topic.numbers.push(number);
     }
@@ -233,12 +233,12 @@ fn ordered<T>(samples: Vec<(f64, T)>) -> (Stream<T>, u64) {
 mod tests {
     use super::*;
 
-    const WANTED: Wanted = Wanted { topic: "topic", fields: &["x"] };
+    const SPEC: TopicSpec = TopicSpec { topic: "topic", fields: &["x"] };
 
     fn stream(stamps: &[f64]) -> (Vec<f64>, Vec<(String, u64)>) {
         let mut topics = Topics::default();
         for stamp in stamps {
-            topics.push(WANTED, 0, *stamp, &[*stamp]);
+            topics.push(SPEC, 0, *stamp, &[*stamp]);
         }
         let mut tally = Tally::default();
         let topic = topics.primary("topic", 0, &mut tally).expect("rows");
@@ -277,7 +277,7 @@ mod tests {
     fn rows_of_other_instances_are_counted() {
         let mut topics = Topics::default();
         for instance in [1, 2, 2] {
-            topics.push(WANTED, instance, 0.0, &[0.0]);
+            topics.push(SPEC, instance, 0.0, &[0.0]);
         }
         let mut tally = Tally::default();
         assert_eq!(topics.primary("topic", 2, &mut tally).map(Topic::len), Some(2));

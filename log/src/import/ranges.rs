@@ -90,8 +90,8 @@ pub(super) fn px4(parameters: &BTreeMap<String, f64>, drive: &Drive, most: f64) 
         && !parameters.keys().any(|name| name.starts_with("PWM_MAIN_M"));
     of_all.or_else(|| {
         is_simulated.then(|| {
-            let said = "of PX4's simulated outputs, 1000 to 2000: no parameter states another";
-            ([SIMULATED; MOTORS], said.to_owned())
+            let basis = "of PX4's simulated outputs, 1000 to 2000: no parameter states another";
+            ([SIMULATED; MOTORS], basis.to_owned())
         })
     })
 }
@@ -109,10 +109,10 @@ pub(super) fn ardupilot(parameters: &BTreeMap<String, f64>) -> Option<Stated> {
     let [zero, one] = [least, most].map(|share| low + share * (high - low));
     let is_sound = PULSES.contains(&low) && PULSES.contains(&high) && zero < one;
     is_sound.then(|| {
-        let said = format!(
+        let basis = format!(
             "of {zero:.0} to {one:.0} us, by MOT_PWM_MIN, MOT_PWM_MAX, MOT_SPIN_MIN and MOT_SPIN_MAX"
         );
-        ([OutputRange { zero, one }; MOTORS], said)
+        ([OutputRange { zero, one }; MOTORS], basis)
     })
 }
 
@@ -147,9 +147,9 @@ mod tests {
         for channel in 1..=4 {
             real += &format!("\nPWM_MAIN_MIN{channel} 110{channel}\nPWM_MAIN_MAX{channel} 1900");
         }
-        let (ranges, said) = px4(&parameters(&real), &main_outputs(), 1600.0).expect("ranges");
+        let (ranges, basis) = px4(&parameters(&real), &main_outputs(), 1600.0).expect("ranges");
         assert_eq!(ranges[2], OutputRange { zero: 1103.0, one: 1900.0 });
-        assert!(said.contains("PWM_MAIN_MINn"));
+        assert!(basis.contains("PWM_MAIN_MINn"));
         // Functions exist, but the range of one output is missing: no conclusion.
         let partial = real.replace("PWM_MAIN_MIN3 1103", "");
         assert_eq!(px4(&parameters(&partial), &main_outputs(), 1600.0), None);

@@ -5,7 +5,7 @@
 //! better, despite its resolution of 1 ms. Sequence numbers reveal the setpoints that the log lacks
 //! and that the vehicle may have followed.
 
-use super::clocks::{Arrival, ClockMap, Envelope, Heard};
+use super::clocks::{Arrival, ClockMap, Envelope, FrameTime};
 use super::flight::AttitudeSetpoint;
 
 /// Resolution of the ground's time stamps, s.
@@ -17,7 +17,7 @@ const ROUGH_S: f64 = 1.5e-3;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sent {
     /// Time stamp in the log.
-    pub heard: Heard,
+    pub frame_time: FrameTime,
     /// The ground's time stamp in the message, s.
     pub stamp_s: f64,
     /// Number of the sender's frames missing since the last setpoint.
@@ -29,28 +29,31 @@ pub(super) struct Sent {
 /// Replaces rough time stamps of the log with the ground's, mapped to the log's clock at the least
 /// delay. The vehicle's messages, which serve as the reference, are at their least delay too.
 pub(super) fn steadied(mut sent: Vec<Sent>) -> Vec<Sent> {
-    let goes_back = sent.windows(2).any(|pair| pair[1].stamp_s < pair[0].stamp_s);
+    let steps_back = sent.windows(2).any(|pair| pair[1].stamp_s < pair[0].stamp_s);
     let stands = sent.first().map(|s| s.stamp_s) == sent.last().map(|s| s.stamp_s);
-    if goes_back || stands {
+    if steps_back || stands {
         return sent;
     }
     let mut envelope = Envelope::default();
-    for Sent { heard, stamp_s, .. } in &sent {
-        let (index, ground) = (heard.index, heard.ground);
+    for Sent { frame_time, stamp_s, .. } in &sent {
+        let (index, ground) = (frame_time.index, frame_time.ground);
         envelope.add(Arrival { index, ground, vehicle: *stamp_s });
     }
     let map = ClockMap::new([(&envelope, 0.0)].into_iter(), 0.0);
     let earliest: Option<Vec<f64>> =
         sent.iter().map(|sent| map.ground_time(sent.stamp_s)).collect();
     let Some(earliest) = earliest.filter(|_| map.steps() == 0) else { return sent };
-    let mut late: Vec<f64> =
-        sent.iter().zip(&earliest).map(|(sent, earliest)| sent.heard.ground - earliest).collect();
+    let mut late: Vec<f64> = sent
+        .iter()
+        .zip(&earliest)
+        .map(|(sent, earliest)| sent.frame_time.ground - earliest)
+        .collect();
     let middle = late.len() / 2;
     if late.is_empty() || *late.select_nth_unstable_by(middle, f64::total_cmp).1 < ROUGH_S {
         return sent;
     }
     for (sent, earliest) in sent.iter_mut().zip(earliest) {
-        sent.heard.ground = earliest + 0.5 * RESOLUTION_S;
+        sent.frame_time.ground = earliest + 0.5 * RESOLUTION_S;
     }
     sent
 }
@@ -69,7 +72,7 @@ mod tests {
                 let off = rough * (f64::from(k * 7919 % 1000) / 499.5 - 1.0);
                 let own = (time - 3.0) * (1.0 - 1e-4);
                 Sent {
-                    heard: Heard { index: k as u32, ground: time + off },
+                    frame_time: FrameTime { index: k as u32, ground: time + off },
                     stamp_s: (own * 1e3).floor() * 1e-3,
                     missing: 0,
                     setpoint,
@@ -82,7 +85,7 @@ mod tests {
     fn accurate_log_timestamps_are_kept() {
         let sent = flown(2e-4);
         for (before, after) in sent.iter().zip(steadied(sent.clone())) {
-            assert_eq!(before.heard, after.heard);
+            assert_eq!(before.frame_time, after.frame_time);
         }
     }
 
@@ -91,7 +94,7 @@ mod tests {
         let rough = 5e-3;
         for (k, sent) in steadied(flown(rough)).into_iter().enumerate() {
             let time = 10.0 + k as f64 * 0.01 + 0.0004;
-            let off = sent.heard.ground - (time - rough);
+            let off = sent.frame_time.ground - (time - rough);
             assert!(off.abs() < 8e-4, "{k}: {off}");
         }
     }
@@ -101,7 +104,7 @@ mod tests {
         let mut sent = flown(5e-3);
         sent.iter_mut().for_each(|sent| sent.stamp_s = 0.0);
         for (before, after) in sent.iter().zip(steadied(sent.clone())) {
-            assert_eq!(before.heard, after.heard);
+            assert_eq!(before.frame_time, after.frame_time);
         }
     }
 }

@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
 use super::flight::Flight;
-use super::onboard::{Topics, Wanted};
+use super::onboard::{TopicSpec, Topics};
 use super::tally::Tally;
 use format::Place;
 pub(super) use reader::{MAGIC, UlogError};
@@ -40,17 +40,17 @@ struct Contents {
 
 /// A topic whose rows are kept.
 struct Kept {
-    wanted: Wanted,
+    spec: TopicSpec,
     stamp: Place,
     places: Vec<Option<Place>>,
 }
 
 impl Kept {
     fn new(topic: &Subscription) -> Option<Self> {
-        let wanted = px4::WANTED.iter().find(|wanted| wanted.topic == topic.name)?;
+        let spec = px4::TOPIC_SPECS.iter().find(|spec| spec.topic == topic.name)?;
         let layout = topic.layout.as_ref()?;
-        let places = wanted.fields.iter().map(|field| layout.place(field)).collect();
-        Some(Self { wanted: *wanted, stamp: layout.place("timestamp")?, places })
+        let places = spec.fields.iter().map(|field| layout.place(field)).collect();
+        Some(Self { spec: *spec, stamp: layout.place("timestamp")?, places })
     }
 }
 
@@ -91,7 +91,7 @@ impl Contents {
                         kept.places.iter().map(|place| place.as_ref().map_or(f64::NAN, read)),
                     );
                     let time = read(&kept.stamp) * 1e-6;
-                    contents.topics.push(kept.wanted, topic.instance, time, &values);
+                    contents.topics.push(kept.spec, topic.instance, time, &values);
                 }
                 Record::Parameter { name, value } => {
                     let before = contents.parameters.insert(name.to_owned(), value);

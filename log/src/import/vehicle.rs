@@ -18,7 +18,7 @@ use wire::Frame;
 use wire::dialect::*;
 
 use super::LogFault;
-use super::clocks::{Arrival, ClockMap, Exchange, Heard};
+use super::clocks::{Arrival, ClockMap, Exchange, FrameTime};
 use super::epoch::{Epoch, IMUS, ImuSample, PoseSample, Source};
 use super::flight::{Clock, Flight, Stream};
 use super::setpoints::{Sent, steadied};
@@ -59,11 +59,11 @@ pub(super) struct VehicleLog {
     switches: Vec<(u32, usize)>,
     /// Consecutive messages that do not follow the clock.
     jumped: u32,
-    battery: Vec<(Heard, f64)>,
+    battery: Vec<(FrameTime, f64)>,
     /// Voltage from SYS_STATUS.
-    system_voltage: Vec<(Heard, f64)>,
-    armed: Vec<(Heard, bool)>,
-    landed: Vec<(Heard, bool)>,
+    system_voltage: Vec<(FrameTime, f64)>,
+    armed: Vec<(FrameTime, bool)>,
+    landed: Vec<(FrameTime, bool)>,
     exchanges: Vec<Exchange>,
     messages: u64,
     tally: Tally,
@@ -91,9 +91,9 @@ impl VehicleLog {
     }
 
     /// Adds a frame from this vehicle.
-    pub fn add(&mut self, heard: Heard, frame: &Frame) {
+    pub fn add(&mut self, frame_time: FrameTime, frame: &Frame) {
         if let Some(raw) = Raw::of(frame.id()) {
-            self.add_raw(raw, heard, frame);
+            self.add_raw(raw, frame_time, frame);
             return;
         }
         if !is_kept(frame.id()) {
@@ -116,7 +116,7 @@ impl VehicleLog {
             {
                 self.autopilot = Some(autopilot);
                 *self.types.entry(vehicle_type).or_default() += 1;
-                self.armed.push((heard, armed));
+                self.armed.push((frame_time, armed));
                 if autopilot == PX4 {
                     self.codec.set_parameter_cast(ParameterCast::Bytes);
                 }
@@ -132,7 +132,7 @@ impl VehicleLog {
                     AttitudeSource::Quaternion => Source::Quaternion,
                     AttitudeSource::Euler => Source::Euler,
                 };
-                self.keep(source, heard, vehicle, |epoch, time| {
+                self.keep(source, frame_time, vehicle, |epoch, time| {
                     match source {
                         Source::Quaternion => &mut epoch.quaternion,
                         _ => &mut epoch.euler,
@@ -141,13 +141,13 @@ impl VehicleLog {
                 });
             }
             Inbound::LocalPosition { position, velocity } => {
-                self.keep(Source::LocalPosition, heard, vehicle, |epoch, time| {
+                self.keep(Source::LocalPosition, frame_time, vehicle, |epoch, time| {
                     epoch.local_position.push(time, (position, velocity))
                 });
             }
             Inbound::Odometry { position, velocity, attitude, body_rate, .. } => {
                 let pose = PoseSample { position, velocity, attitude, body_rate };
-                self.keep(Source::Odometry, heard, vehicle, |epoch, time| {
+                self.keep(Source::Odometry, frame_time, vehicle, |epoch, time| {
                     epoch.odometry.push(time, pose)
                 });
             }
@@ -157,31 +157,31 @@ impl VehicleLog {
                     return;
                 }
                 let sample = (force.then_some(specific_force), rate.then_some(body_rate));
-                self.keep_imu(Source::Imu, heard, vehicle, sample);
+                self.keep_imu(Source::Imu, frame_time, vehicle, sample);
             }
             Inbound::MotorOutputs { outputs, .. } => {
                 let outputs = outputs.map(f64::from);
-                self.keep(Source::ActuatorOutputs, heard, vehicle, |epoch, time| {
+                self.keep(Source::ActuatorOutputs, frame_time, vehicle, |epoch, time| {
                     epoch.actuator_outputs.push(time, outputs)
                 });
             }
             Inbound::Battery(Battery { voltage: Some(voltage), .. }) => {
-                self.battery.push((heard, voltage));
+                self.battery.push((frame_time, voltage));
             }
             Inbound::LandedState(state) => match state {
                 LandedState::Undefined => {}
                 // While taking off or landing, the vehicle may still touch the ground.
                 LandedState::OnGround | LandedState::TakingOff | LandedState::Landing => {
-                    self.landed.push((heard, false));
+                    self.landed.push((frame_time, false));
                 }
-                LandedState::InAir => self.landed.push((heard, true)),
+                LandedState::InAir => self.landed.push((frame_time, true)),
             },
             _ => {}
         }
     }
 
     /// Adds a message that only the importer needs, not the link.
-    fn add_raw(&mut self, raw: Raw, heard: Heard, frame: &Frame) {
+    fn add_raw(&mut self, raw: Raw, frame_time: FrameTime, frame: &Frame) {
         let Ok(message) = frame.message() else {
             self.tally.add(&format!("{}: payload does not fit its message", raw.name()), 1);
             return;
@@ -198,24 +198,24 @@ impl VehicleLog {
             MavMessage::ESC_STATUS(data) if data.index == 0 => {
                 let rpm = data.rpm.map(|rpm| f64::from(rpm).abs());
                 let time = Some(data.time_usec as f64 * 1e-6);
-                self.keep(Source::EscStatus, heard, time, |e, time| e.rpm.push(time, rpm));
+                self.keep(Source::EscStatus, frame_time, time, |e, time| e.rpm.push(time, rpm));
             }
             MavMessage::RAW_IMU(d) => {
                 let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
                 let time = Some(d.time_usec as f64 * 1e-6);
-                self.keep_imu(Source::RawImu, heard, time, sample);
+                self.keep_imu(Source::RawImu, frame_time, time, sample);
             }
             MavMessage::SCALED_IMU(d) => {
                 let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
-                self.keep_imu(Source::ScaledImu, heard, ms(d.time_boot_ms), sample);
+                self.keep_imu(Source::ScaledImu, frame_time, ms(d.time_boot_ms), sample);
             }
             MavMessage::SCALED_IMU2(d) => {
                 let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
-                self.keep_imu(Source::ScaledImu2, heard, ms(d.time_boot_ms), sample);
+                self.keep_imu(Source::ScaledImu2, frame_time, ms(d.time_boot_ms), sample);
             }
             MavMessage::SCALED_IMU3(d) => {
                 let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
-                self.keep_imu(Source::ScaledImu3, heard, ms(d.time_boot_ms), sample);
+                self.keep_imu(Source::ScaledImu3, frame_time, ms(d.time_boot_ms), sample);
             }
             MavMessage::SERVO_OUTPUT_RAW(d) => {
                 let first = [d.servo1_raw, d.servo2_raw, d.servo3_raw, d.servo4_raw];
@@ -232,36 +232,42 @@ impl VehicleLog {
                 let ahead = d.time_usec.wrapping_sub(self.latest_us as u32) as i32;
                 let us = self.latest_us.saturating_add_signed(ahead.into());
                 self.latest_us = self.latest_us.max(us);
-                self.keep(source, heard, Some(us as f64 * 1e-6), |epoch, time| {
+                self.keep(source, frame_time, Some(us as f64 * 1e-6), |epoch, time| {
                     epoch.servo_outputs[port].push(time, outputs)
                 });
             }
             // 0 and the largest number mean unknown.
             MavMessage::SYS_STATUS(d) if !matches!(d.voltage_battery, 0 | u16::MAX) => {
                 let voltage = f64::from(d.voltage_battery) * 1e-3;
-                self.system_voltage.push((heard, voltage));
+                self.system_voltage.push((frame_time, voltage));
             }
             _ => {}
         }
     }
 
-    fn keep_imu(&mut self, source: Source, heard: Heard, time: Option<f64>, sample: ImuSample) {
+    fn keep_imu(
+        &mut self,
+        source: Source,
+        frame_time: FrameTime,
+        time: Option<f64>,
+        sample: ImuSample,
+    ) {
         let Some(at) = IMUS.iter().position(|imu| *imu == source) else { return };
-        self.keep(source, heard, time, |epoch, time| epoch.imus[at].push(time, sample));
+        self.keep(source, frame_time, time, |epoch, time| epoch.imus[at].push(time, sample));
     }
 
     /// Adds a sample to the epoch that its time stamp belongs to.
     fn keep(
         &mut self,
         source: Source,
-        heard: Heard,
+        frame_time: FrameTime,
         vehicle: Option<f64>,
         push: impl FnOnce(&mut Epoch, f64) -> bool,
     ) {
         let Some(vehicle) = vehicle else { return };
-        let arrival = Arrival { index: heard.index, ground: heard.ground, vehicle };
+        let arrival = Arrival { index: frame_time.index, ground: frame_time.ground, vehicle };
         if self.epochs.is_empty() {
-            self.begin_epoch(heard.index);
+            self.begin_epoch(frame_time.index);
         }
         let epoch = &self.epochs[self.current];
         let is_new = epoch.tracks[source as usize].is_none();
@@ -275,9 +281,9 @@ impl VehicleLog {
             match self.epochs.iter().position(|epoch| epoch.follows(source, &arrival)) {
                 Some(epoch) => {
                     self.current = epoch;
-                    self.switches.push((heard.index, epoch));
+                    self.switches.push((frame_time.index, epoch));
                 }
-                None => self.begin_epoch(heard.index),
+                None => self.begin_epoch(frame_time.index),
             }
         }
         self.jumped = 0;
@@ -334,9 +340,9 @@ impl VehicleLog {
                 tally.add(&reason, epoch.messages() as u64);
             }
         }
-        let in_epoch = |heard: &Heard| self.epoch_at(heard.index) == Some(chosen);
-        let of_epoch = |all: &[(Heard, f64)]| -> Vec<(Heard, f64)> {
-            all.iter().filter(|(heard, _)| in_epoch(heard)).copied().collect()
+        let in_epoch = |frame_time: &FrameTime| self.epoch_at(frame_time.index) == Some(chosen);
+        let of_epoch = |all: &[(FrameTime, f64)]| -> Vec<(FrameTime, f64)> {
+            all.iter().filter(|(frame_time, _)| in_epoch(frame_time)).copied().collect()
         };
         let (mut battery, mut voltage_source) = (of_epoch(&self.battery), "BATTERY_STATUS");
         if battery.is_empty() {
@@ -350,7 +356,7 @@ impl VehicleLog {
             self.exchanges.iter().filter(|e| in_epoch(&e.answered)).copied().collect();
         let all = setpoints.len();
         let setpoints: Vec<_> =
-            setpoints.into_iter().filter(|sent| in_epoch(&sent.heard)).collect();
+            setpoints.into_iter().filter(|sent| in_epoch(&sent.frame_time)).collect();
         let other = (all - setpoints.len()) as u64;
         tally.add("setpoint during another run of the vehicle's clock", other);
         let mut epoch = self.epochs.swap_remove(chosen);
@@ -378,7 +384,8 @@ impl VehicleLog {
         place(&map, battery, &mut flight.voltage, voltage_source, &mut tally);
         place(&map, landed, &mut flight.in_air, "EXTENDED_SYS_STATE", &mut tally);
         let setpoints = steadied(setpoints).into_iter();
-        let setpoints = setpoints.map(|sent| (sent.heard, (sent.setpoint, sent.missing))).collect();
+        let setpoints =
+            setpoints.map(|sent| (sent.frame_time, (sent.setpoint, sent.missing))).collect();
         let mut placed = Stream::default();
         place(&map, setpoints, &mut placed, "SET_ATTITUDE_TARGET", &mut tally);
         flight.setpoint = placed.map(|(setpoint, _)| *setpoint);
@@ -391,14 +398,14 @@ impl VehicleLog {
 /// Maps samples with a ground time stamp to the vehicle's clock.
 fn place<T>(
     map: &ClockMap,
-    samples: Vec<(Heard, T)>,
+    samples: Vec<(FrameTime, T)>,
     stream: &mut Stream<T>,
     name: &str,
     tally: &mut Tally,
 ) {
     let (mut far, mut unordered) = (0, 0);
-    for (heard, value) in samples {
-        match map.vehicle_time(heard) {
+    for (frame_time, value) in samples {
+        match map.vehicle_time(frame_time) {
             Some(time) => unordered += u64::from(!stream.push(time, value)),
             None => far += 1,
         }

@@ -72,12 +72,12 @@ impl Read<'_> {
     }
 
     /// A parameter that older versions lack, with its default.
-    fn or(&self, name: &str, unsaid: f64) -> f64 {
-        self.parameters.number(name).unwrap_or(unsaid)
+    fn or(&self, name: &str, default: f64) -> f64 {
+        self.parameters.number(name).unwrap_or(default)
     }
 
-    fn cutoff(&self, name: &str, unsaid: f64) -> f64 {
-        let hz = self.or(name, unsaid);
+    fn cutoff(&self, name: &str, default: f64) -> f64 {
+        let hz = self.or(name, default);
         if hz > 0.0 { hz } else { NO_FILTER }
     }
 

@@ -24,12 +24,12 @@ impl RotorFact {
         const ON_AXIS: f64 = 0.2;
         let arm = rotors.iter().map(|rotor| rotor.front.hypot(rotor.right)).fold(0.0, f64::max);
         rotors.map(|rotor| {
-            let word = |place: f64, words: [&'static str; 2]| match place {
+            let side = |place: f64, names: [&'static str; 2]| match place {
                 place if place.abs() < ON_AXIS * arm => None,
-                place => Some(words[usize::from(place < 0.0)]),
+                place => Some(names[usize::from(place < 0.0)]),
             };
             let place =
-                [word(rotor.front, ["front", "rear"]), word(rotor.right, ["right", "left"])];
+                [side(rotor.front, ["front", "rear"]), side(rotor.right, ["right", "left"])];
             let place: Vec<&str> = place.into_iter().flatten().collect();
             let turns = if rotor.spin > 0 { "+1" } else { "-1" };
             format!("{} (spin {turns})", place.join(" "))

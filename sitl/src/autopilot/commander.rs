@@ -35,7 +35,7 @@ pub struct Situation {
 
 /// A text message for all peers.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Notice {
+pub struct StatusText {
     /// Severity of the message.
     pub severity: MavSeverity,
     /// Text of the message.
@@ -66,7 +66,7 @@ pub struct Commander {
     pub(super) ground_station_lost: bool,
     /// Whether the loss of the sticks has been handled.
     pub(super) sticks_lost: bool,
-    notices: Vec<Notice>,
+    status_texts: Vec<StatusText>,
 }
 
 impl Commander {
@@ -88,7 +88,7 @@ impl Commander {
             loss_us: None,
             ground_station_lost: false,
             sticks_lost: false,
-            notices: Vec::new(),
+            status_texts: Vec::new(),
         }
     }
 
@@ -117,18 +117,18 @@ impl Commander {
     }
 
     /// Takes the pending text messages.
-    pub fn take_notices(&mut self) -> impl Iterator<Item = Notice> + use<> {
-        std::mem::take(&mut self.notices).into_iter()
+    pub fn take_status_texts(&mut self) -> impl Iterator<Item = StatusText> + use<> {
+        std::mem::take(&mut self.status_texts).into_iter()
     }
 
     /// Whether there are pending text messages.
-    pub fn has_notices(&self) -> bool {
-        !self.notices.is_empty()
+    pub fn has_status_texts(&self) -> bool {
+        !self.status_texts.is_empty()
     }
 
     /// Queues a text message.
     pub fn notify(&mut self, severity: MavSeverity, text: impl Into<String>) {
-        self.notices.push(Notice { severity, text: text.into() });
+        self.status_texts.push(StatusText { severity, text: text.into() });
     }
 
     /// Changes the mode on request.
@@ -286,7 +286,7 @@ mod tests {
         let mut commander = airborne();
         assert_eq!(commander.request_mode(Mode::Offboard, false), Err(Refusal::NoOffboardSignal));
         assert_eq!((commander.mode(), commander.intended()), (Mode::Hold, Mode::Hold));
-        assert!(commander.take_notices().next().is_some());
+        assert!(commander.take_status_texts().next().is_some());
     }
 
     #[test]
@@ -373,7 +373,7 @@ mod tests {
         commander.update(&empty, &parameters);
         commander.update(&empty, &parameters);
         assert_eq!(commander.mode(), Mode::Hold);
-        assert_eq!(commander.take_notices().count(), 2);
+        assert_eq!(commander.take_status_texts().count(), 2);
 
         parameters.set("COM_LOW_BAT_ACT", Value::Int(2)).unwrap();
         let mut commander = airborne();

@@ -77,7 +77,7 @@ pub struct FlightControl {
     perception: Perception,
     setpoint: Option<AttitudeSetpoint>,
     /// Time at which the setpoint took effect, us, if after the previous tick.
-    came_us: Option<u64>,
+    arrived_us: Option<u64>,
     outputs: [f64; ROTORS],
     tick_s: f64,
 }
@@ -128,7 +128,7 @@ impl FlightControl {
             take_off_height: None,
             perception,
             setpoint: None,
-            came_us: None,
+            arrived_us: None,
             outputs: [0.0; ROTORS],
             tick_s: 1.0 / rate_hz,
         }
@@ -155,8 +155,8 @@ impl FlightControl {
     }
 
     /// The setpoint that ATTITUDE_TARGET reports.
-    pub(super) fn told_setpoint(&self) -> Option<AttitudeSetpoint> {
-        self.setpoint.map(|setpoint| self.attitude_loop.told(setpoint))
+    pub(super) fn reported_setpoint(&self) -> Option<AttitudeSetpoint> {
+        self.setpoint.map(|setpoint| self.attitude_loop.reported(setpoint))
     }
 
     /// Whether the estimator has a position.
@@ -198,7 +198,7 @@ impl FlightControl {
     }
 
     /// Reports a change of the estimator's status.
-    fn tell_estimator(&mut self, before: EstimatorStatus) {
+    fn report_estimator(&mut self, before: EstimatorStatus) {
         let now = self.perception.estimator;
         if now.rejects_gps == before.rejects_gps {
             return;
@@ -224,7 +224,7 @@ impl FlightControl {
     }
 
     /// Records a HEARTBEAT from another system.
-    pub(super) fn hear_heartbeat(&mut self, now_us: u64, system: u8, kind: MavType) {
+    pub(super) fn receive_heartbeat(&mut self, now_us: u64, system: u8, kind: MavType) {
         if self.personality.is_ground_station(system, kind, &self.parameters) {
             self.ground_station_us = Some(now_us);
         }
@@ -332,9 +332,9 @@ impl FlightControl {
 
     /// The inputs of the arming checks at `now_us`.
     pub fn preflight(&self, now_us: u64) -> Preflight {
-        let heard = self
+        let is_ground_station_live = self
             .ground_station_us
-            .is_some_and(|heard| now_us.saturating_sub(heard) < GROUND_STATION_LOST_US);
+            .is_some_and(|at| now_us.saturating_sub(at) < GROUND_STATION_LOST_US);
         Preflight {
             tilt: self.perception.attitude.tilt(),
             tilt_max: self.parameters.get(Key::ComArmLevel),
@@ -345,7 +345,8 @@ impl FlightControl {
             stream_missing: self.personality.needs_stream()
                 && self.commander.mode() == Mode::Offboard
                 && !self.stream_live(now_us),
-            ground_station_missing: self.parameters.get(Key::NavDllAct) > 0.0 && !heard,
+            ground_station_missing: self.parameters.get(Key::NavDllAct) > 0.0
+                && !is_ground_station_live,
         }
     }
 
@@ -354,8 +355,8 @@ impl FlightControl {
         if self.parameters.get(Key::ComRcInMode) >= 4.0 {
             return None;
         }
-        let (heard, sticks) = self.sticks?;
-        (now_us.saturating_sub(heard) < timeout).then_some(sticks)
+        let (received_us, sticks) = self.sticks?;
+        (now_us.saturating_sub(received_us) < timeout).then_some(sticks)
     }
 
     /// Runs one tick of the on-board loop.
@@ -366,7 +367,7 @@ impl FlightControl {
         let Perception { position, velocity, estimator, .. } = &mut perception;
         self.correct(position, velocity, estimator);
         let before = std::mem::replace(&mut self.perception, perception);
-        self.tell_estimator(before.estimator);
+        self.report_estimator(before.estimator);
         self.watch(now_us);
         self.setpoint = if self.commander.armed() { self.choose_setpoint(now_us) } else { None };
         self.outputs = match &mut self.setpoint {
@@ -380,8 +381,8 @@ impl FlightControl {
                 self.attitude_loop.outputs(&LoopInput {
                     setpoint,
                     new_for_s: self
-                        .came_us
-                        .map(|came_us| now_us.saturating_sub(came_us) as f64 * 1e-6),
+                        .arrived_us
+                        .map(|arrived_us| now_us.saturating_sub(arrived_us) as f64 * 1e-6),
                     attitude: perception.attitude,
                     body_rate: perception.body_rate,
                     landed: self.detector.landed(),
@@ -404,7 +405,7 @@ impl FlightControl {
                 velocity: self.perception.velocity,
                 body_rate: self.perception.body_rate,
                 thrust_over_hover: thrust / self.parameters.get(Key::MpcThrHover),
-                lean_asked: attitude.map_or(0.0, |asked| asked.attitude().tilt()),
+                requested_tilt: attitude.map_or(0.0, |attitude| attitude.attitude().tilt()),
             },
         );
         let sticks = self.live_sticks(now_us);
@@ -414,7 +415,7 @@ impl FlightControl {
             sticks_live: sticks.is_some(),
             sticks_moved: sticks.is_some_and(|sticks| sticks.moved()),
             sticks_known: self.sticks.is_some(),
-            ground_station_age_us: self.ground_station_us.map(|heard| now_us.saturating_sub(heard)),
+            ground_station_age_us: self.ground_station_us.map(|at| now_us.saturating_sub(at)),
             landed: self.detector.landed(),
             climbed: self.guidance.climbed(),
             battery: self.perception.battery,

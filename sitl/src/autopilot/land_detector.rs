@@ -17,7 +17,7 @@ pub struct Motion {
     /// Collective output over the one at hover; 0 while disarmed.
     pub thrust_over_hover: f64,
     /// Commanded tilt of the attitude loop, rad.
-    pub lean_asked: f64,
+    pub requested_tilt: f64,
 }
 
 /// The land detector, with hysteresis.
@@ -59,7 +59,7 @@ impl LandDetector {
                 && speed < 0.25
                 && motion.body_rate.norm() < 0.7
                 && motion.thrust_over_hover < 0.4
-                && motion.lean_asked <= self.lean_max
+                && motion.requested_tilt <= self.lean_max
         };
         let hold_us = if self.landed { LIFTING_US } else { STILL_US };
         if !suspected {
@@ -82,7 +82,7 @@ mod tests {
 
     fn motion(down: f64, thrust_over_hover: f64) -> Motion {
         let velocity = Ned::new(0.0, 0.0, down);
-        Motion { velocity, body_rate: Frd::zero(), thrust_over_hover, lean_asked: 0.0 }
+        Motion { velocity, body_rate: Frd::zero(), thrust_over_hover, requested_tilt: 0.0 }
     }
 
     #[test]
@@ -112,7 +112,7 @@ mod tests {
     #[test]
     fn commanded_lean_prevents_landing_detection() {
         let mut detector = LandDetector::new(false, true, 0.3);
-        let leaning = Motion { lean_asked: 0.4, ..motion(0.0, 0.1) };
+        let leaning = Motion { requested_tilt: 0.4, ..motion(0.0, 0.1) };
         for tick in 0..1000 {
             assert!(!detector.update(tick * 4000, &leaning));
         }

@@ -72,7 +72,7 @@ impl Outbox {
 pub(super) struct Link {
     pub(super) peer: Peer,
     encoder: Encoder,
-    speaks_v2: bool,
+    uses_v2: bool,
     pub(super) schedule: Schedule,
     /// Index of the next parameter, while a parameter list is being sent.
     pub(super) parameter_list: Option<usize>,
@@ -83,12 +83,12 @@ impl Link {
         let mut encoder = Encoder::new(SYSTEM_ID, COMPONENT_ID);
         encoder.set_version(MavlinkVersion::V1);
         let schedule = Schedule::new(rules, now_us);
-        Self { peer, encoder, speaks_v2: false, schedule, parameter_list: None }
+        Self { peer, encoder, uses_v2: false, schedule, parameter_list: None }
     }
 
     /// Starts or stops signing with the next frame. Signed frames are MAVLink 2.
     pub(super) fn sign(&mut self, signer: Option<Signer>) {
-        self.speaks_v2 |= signer.is_some();
+        self.uses_v2 |= signer.is_some();
         self.encoder.set_signer(signer);
     }
 
@@ -98,16 +98,16 @@ impl Link {
     }
 
     /// Records the peer's protocol version.
-    pub(super) fn hear(&mut self, version: MavlinkVersion) {
-        if version == MavlinkVersion::V2 && !self.speaks_v2 {
-            self.speaks_v2 = true;
+    pub(super) fn note_version(&mut self, version: MavlinkVersion) {
+        if version == MavlinkVersion::V2 && !self.uses_v2 {
+            self.uses_v2 = true;
             self.encoder.set_version(MavlinkVersion::V2);
         }
     }
 
     /// Whether the peer's protocol version can carry a message with this id.
     pub(super) fn can_carry(&self, id: u32) -> bool {
-        self.speaks_v2 || id <= u8::MAX.into()
+        self.uses_v2 || id <= u8::MAX.into()
     }
 
     /// Queues `message`, unless the peer's protocol version cannot carry it.

@@ -179,7 +179,7 @@ impl Vehicle {
             Beginning { perception, airborne, seed },
         );
         let rng = Pcg64Mcg::seed_from_u64(seed);
-        let motor_output = params.motor_output.filter(|_| personality.heeds_motor_output());
+        let motor_output = params.motor_output.filter(|_| personality.uses_motor_output());
         let protocol = Protocol::new(flight, airframe.report(), motor_output, config.home, rng);
         Ok(Self {
             airframe,

@@ -69,15 +69,21 @@ pub struct OffboardStream {
     under_way: VecDeque<(u64, AttitudeSetpoint)>,
     in_force: Option<AttitudeSetpoint>,
     /// Time at which the active setpoint took effect, if after the previous tick.
-    came_us: Option<u64>,
-    heard_us: Option<u64>,
+    arrived_us: Option<u64>,
+    received_us: Option<u64>,
 }
 
 impl OffboardStream {
     /// Creates a stream whose setpoints take effect `delay_s` after reception, on average. Up to 1
     /// ms of the delay is exponential jitter; the rest is constant.
     pub fn new(delay_s: f64) -> Self {
-        Self { delay_s, under_way: VecDeque::new(), in_force: None, came_us: None, heard_us: None }
+        Self {
+            delay_s,
+            under_way: VecDeque::new(),
+            in_force: None,
+            arrived_us: None,
+            received_us: None,
+        }
     }
 
     /// Adds a setpoint received at `now_us`. Setpoints never overtake one another.
@@ -91,17 +97,17 @@ impl OffboardStream {
             self.under_way.pop_front();
         }
         self.under_way.push_back((acts_us, setpoint));
-        self.heard_us = Some(now_us);
+        self.received_us = Some(now_us);
     }
 
     /// The active setpoint at the tick at `now_us`.
     pub fn at(&mut self, now_us: u64) -> Option<AttitudeSetpoint> {
-        self.came_us = None;
+        self.arrived_us = None;
         while let Some((acts_us, setpoint)) =
             self.under_way.front().filter(|(acts, _)| *acts <= now_us)
         {
             self.in_force = Some(*setpoint);
-            self.came_us = Some(*acts_us);
+            self.arrived_us = Some(*acts_us);
             self.under_way.pop_front();
         }
         self.in_force
@@ -109,8 +115,8 @@ impl OffboardStream {
 
     /// Time at which the setpoint of the last [`OffboardStream::at`] took effect, us; `None` if it
     /// was active before.
-    pub fn came_us(&self) -> Option<u64> {
-        self.came_us
+    pub fn arrived_us(&self) -> Option<u64> {
+        self.arrived_us
     }
 
     /// Drops all setpoints.
@@ -120,7 +126,7 @@ impl OffboardStream {
 
     /// Whether the last setpoint is younger than `timeout_us`.
     pub fn is_live(&self, now_us: u64, timeout_us: u64) -> bool {
-        self.heard_us.is_some_and(|heard| now_us.saturating_sub(heard) < timeout_us)
+        self.received_us.is_some_and(|at| now_us.saturating_sub(at) < timeout_us)
     }
 }
 

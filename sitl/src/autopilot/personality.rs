@@ -74,7 +74,7 @@ pub(super) trait OnboardLoop: fmt::Debug + Send {
     fn configure(&mut self, _parameters: &Parameters) {}
 
     /// The setpoint that ATTITUDE_TARGET reports while `setpoint` is active.
-    fn told(&self, setpoint: AttitudeSetpoint) -> AttitudeSetpoint {
+    fn reported(&self, setpoint: AttitudeSetpoint) -> AttitudeSetpoint {
         setpoint
     }
 }
@@ -152,8 +152,8 @@ pub(super) trait Personality: fmt::Debug + Sync {
     }
 
     /// The mode with this `custom_mode`.
-    fn mode_of_word(&self, word: u32) -> Option<Mode> {
-        self.modes().iter().copied().find(|mode| self.custom_mode(*mode) == word)
+    fn mode_of_custom_mode(&self, custom_mode: u32) -> Option<Mode> {
+        self.modes().iter().copied().find(|mode| self.custom_mode(*mode) == custom_mode)
     }
 
     /// The autopilot's name for a mode.
@@ -225,7 +225,7 @@ pub(super) trait Personality: fmt::Debug + Sync {
 
     /// Whether outputs are sent with the scale of the vehicle file's `motor_output` instead of the
     /// autopilot's parameters.
-    fn heeds_motor_output(&self) -> bool {
+    fn uses_motor_output(&self) -> bool {
         false
     }
 

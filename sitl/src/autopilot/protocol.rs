@@ -171,11 +171,11 @@ impl Protocol {
 
     /// Sends pending texts, and CURRENT_MODE after a change of mode.
     pub(super) fn announce(&mut self) {
-        if self.flight.commander.has_notices() {
-            for notice in self.flight.commander.take_notices() {
+        if self.flight.commander.has_status_texts() {
+            for pending in self.flight.commander.take_status_texts() {
                 self.texts = self.texts.wrapping_add(1);
-                let text = self.flight.personality.text(&notice.text);
-                for message in status_text::status_text(notice.severity, &text, self.texts) {
+                let text = self.flight.personality.text(&pending.text);
+                for message in status_text::status_text(pending.severity, &text, self.texts) {
                     self.broadcast(&message);
                 }
             }
@@ -208,7 +208,7 @@ impl Protocol {
             outputs: flight.outputs(),
             rpm: report.rpm,
             motor_output: self.motor_output.as_ref(),
-            setpoint: flight.told_setpoint(),
+            setpoint: flight.reported_setpoint(),
             battery: report.battery,
             charge: flight.charge_state(),
             estimator: report.estimator,
@@ -246,10 +246,10 @@ impl Protocol {
         if (system, component) == (SYSTEM_ID, COMPONENT_ID) {
             return;
         }
-        if self.signing.as_mut().is_some_and(|signing| !signing.believes(frame)) {
+        if self.signing.as_mut().is_some_and(|signing| !signing.accepts(frame)) {
             return;
         }
-        self.links[link].hear(frame.version());
+        self.links[link].note_version(frame.version());
         let sender = Sender { link, system, component };
         if let Some(command) = Command::from_frame(frame) {
             if addressed(Some(command.target_system), Some(command.target_component)) {
@@ -280,7 +280,7 @@ impl Protocol {
                 self.reply(sender, &self.timesync_answer(sender, request.ts1));
             }
             MavMessage::HEARTBEAT(heartbeat) => {
-                self.flight.hear_heartbeat(self.now_us, sender.system, heartbeat.mavtype);
+                self.flight.receive_heartbeat(self.now_us, sender.system, heartbeat.mavtype);
             }
             MavMessage::MANUAL_CONTROL(sticks)
                 if sticks.target == SYSTEM_ID || sticks.target == 0 =>
@@ -290,7 +290,7 @@ impl Protocol {
             MavMessage::SET_MODE(request) => {
                 let custom =
                     request.base_mode.contains(MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED);
-                let mode = self.flight.personality.mode_of_word(request.custom_mode);
+                let mode = self.flight.personality.mode_of_custom_mode(request.custom_mode);
                 let result = self.set_mode(custom, mode);
                 self.acknowledge(sender, MavCmd::MAV_CMD_DO_SET_MODE as u16, result);
             }
@@ -336,7 +336,7 @@ impl Protocol {
             }
             // Once a key is set, only a sender that knows it gets here.
             MavMessage::SETUP_SIGNING(data) if !self.flight.commander.armed() => {
-                self.sign(signing::asked(data));
+                self.sign(signing::requested(data));
             }
             _ => {}
         }

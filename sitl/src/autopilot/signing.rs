@@ -43,7 +43,7 @@ impl Signing {
     }
 
     /// Whether a frame is accepted.
-    pub(super) fn believes(&mut self, frame: &Frame) -> bool {
+    pub(super) fn accepts(&mut self, frame: &Frame) -> bool {
         self.verifier.check(frame).is_ok()
     }
 
@@ -55,7 +55,7 @@ impl Signing {
 
 /// Decodes SETUP_SIGNING: a key and the time, or `None` for a key of zeros, which turns signing
 /// off.
-pub(super) fn asked(data: &SETUP_SIGNING_DATA) -> Option<(Key, Stamp)> {
+pub(super) fn requested(data: &SETUP_SIGNING_DATA) -> Option<(Key, Stamp)> {
     let is_off = data.secret_key == [0; KEY_LEN];
     (!is_off).then(|| (Key::new(data.secret_key), Stamp::from_ticks(data.initial_timestamp)))
 }

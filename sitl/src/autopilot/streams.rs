@@ -123,8 +123,8 @@ pub static PX4: StreamRules = StreamRules {
             Stream::Odometry | Stream::LocalPositionNed => 8_000,
             _ => 4_000,
         };
-        let whole = if interval < 10_000 { interval.div_ceil(4_000) * 4_000 } else { interval };
-        Some(whole.clamp(shortest, NEVER))
+        let rounded = if interval < 10_000 { interval.div_ceil(4_000) * 4_000 } else { interval };
+        Some(rounded.clamp(shortest, NEVER))
     },
 };
 
@@ -142,15 +142,15 @@ pub static ARDUCOPTER: StreamRules = StreamRules {
     ],
     silent: &[],
     granted: |_, interval| {
-        let whole = interval / 1_000 * 1_000;
-        (whole >= 3_000).then_some(whole)
+        let rounded = interval / 1_000 * 1_000;
+        (rounded >= 3_000).then_some(rounded)
     },
 };
 
 impl StreamRules {
     fn default_interval(&self, stream: Stream) -> u64 {
-        let told = self.defaults.iter().find(|(told, _)| *told == stream);
-        told.map_or(NEVER, |(_, rate)| hz(*rate))
+        let default = self.defaults.iter().find(|(known, _)| *known == stream);
+        default.map_or(NEVER, |(_, rate)| hz(*rate))
     }
 
     /// Whether the autopilot has this stream.
@@ -234,8 +234,8 @@ impl Schedule {
         } else if us < 0.0 || self.rules.silent.contains(&stream) {
             NEVER
         } else {
-            let asked = f64::from(us).round() as u64;
-            (self.rules.granted)(stream, asked).ok_or(IntervalError::TooOften)?
+            let requested_us = f64::from(us).round() as u64;
+            (self.rules.granted)(stream, requested_us).ok_or(IntervalError::TooOften)?
         };
         self.start(stream, interval, now_us);
         Ok(())

@@ -16,7 +16,7 @@ struct Court {
 }
 
 impl Court {
-    fn new(on_its_way_s: f64) -> Self {
+    fn new(in_transit_s: f64) -> Self {
         let bounds = Bounds {
             thrust: [0.0, 1.0],
             tilt_rad: 1.0,
@@ -27,7 +27,7 @@ impl Court {
             lands: 4 << 16 | 6 << 24,
         };
         let script = Script { policy: EngagePolicy::Command, ..draw::script(1, 1) };
-        let judge = Judge::new(&script, bounds, &[[0.0; 3]]).patient(on_its_way_s);
+        let judge = Judge::new(&script, bounds, &[[0.0; 3]]).patient(in_transit_s);
         Self { judge, vehicle: Encoder::new(1, 1), station: Encoder::new(254, 191) }
     }
 
@@ -37,21 +37,22 @@ impl Court {
         bytes
     }
 
-    fn hears(&mut self, ms: u64, message: &MavMessage) {
+    fn receive(&mut self, ms: u64, message: &MavMessage) {
         let bytes = self.encoded(message);
         let now_us = ms * 1000;
-        let passing = Passing { due_us: now_us, said_us: now_us, origin: Origin::Vehicle, bytes };
-        self.judge.heard(now_us, &passing);
+        let passing =
+            Passing { arrival_us: now_us, sent_us: now_us, origin: Origin::Vehicle, bytes };
+        self.judge.station_received(now_us, &passing);
     }
 
     fn mode(&mut self, ms: u64, custom_mode: u32) {
         let base_mode = MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED;
         let data = HEARTBEAT_DATA { custom_mode, base_mode, ..Default::default() };
-        self.hears(ms, &MavMessage::HEARTBEAT(data));
+        self.receive(ms, &MavMessage::HEARTBEAT(data));
     }
 
     fn state(&mut self, ms: u64) {
-        self.hears(ms, &MavMessage::ODOMETRY(ODOMETRY_DATA::default()));
+        self.receive(ms, &MavMessage::ODOMETRY(ODOMETRY_DATA::default()));
     }
 
     fn setpoint(&mut self, ms: u64) {
@@ -63,7 +64,7 @@ impl Court {
         };
         let mut bytes = Vec::new();
         self.station.encode(&MavMessage::SET_ATTITUDE_TARGET(data), &mut bytes);
-        self.judge.said(ms * 1000, &bytes);
+        self.judge.station_sent(ms * 1000, &bytes);
     }
 
     fn rules(&self) -> Vec<Rule> {
@@ -72,8 +73,8 @@ impl Court {
 }
 
 /// A normal flight until 1000 ms.
-fn in_flight(on_its_way_s: f64) -> Court {
-    let mut court = Court::new(on_its_way_s);
+fn in_flight(in_transit_s: f64) -> Court {
+    let mut court = Court::new(in_transit_s);
     court.mode(990, OBEYS);
     court.state(1000);
     court.setpoint(1000);
@@ -91,7 +92,7 @@ fn lockstep_answer_must_leave_at_the_instant_of_its_state() {
 
 #[test]
 fn socket_answer_may_be_in_transit_but_only_once_per_state() {
-    let mut court = in_flight(ON_ITS_WAY_S);
+    let mut court = in_flight(IN_TRANSIT_S);
     court.state(1010);
     court.state(1020);
     court.setpoint(1022);
@@ -99,7 +100,7 @@ fn socket_answer_may_be_in_transit_but_only_once_per_state() {
     assert_eq!(court.rules(), []);
     court.setpoint(1024);
     assert_eq!(court.rules(), [Rule::Fresh], "a third answer to two states");
-    let mut court = in_flight(ON_ITS_WAY_S);
+    let mut court = in_flight(IN_TRANSIT_S);
     court.state(1010);
     court.setpoint(1075);
     assert_eq!(court.rules(), [Rule::Fresh], "65 ms are not a transit time");
@@ -107,25 +108,25 @@ fn socket_answer_may_be_in_transit_but_only_once_per_state() {
 
 #[test]
 fn late_duplicate_state_is_not_the_one_answered() {
-    let mut court = in_flight(ON_ITS_WAY_S);
+    let mut court = in_flight(IN_TRANSIT_S);
     court.state(1010);
     let copy = Passing {
-        due_us: 1_011_000,
-        said_us: 20_000,
+        arrival_us: 1_011_000,
+        sent_us: 20_000,
         origin: Origin::Copy,
         bytes: court.encoded(&MavMessage::ODOMETRY(ODOMETRY_DATA::default())),
     };
-    court.judge.heard(1_011_000, &copy);
+    court.judge.station_received(1_011_000, &copy);
     court.setpoint(1012);
     assert_eq!(court.rules(), []);
-    court.judge.heard(1_100_000, &Passing { due_us: 1_100_000, ..copy });
+    court.judge.station_received(1_100_000, &Passing { arrival_us: 1_100_000, ..copy });
     court.setpoint(1101);
     assert_eq!(court.rules(), [Rule::Fresh], "the copy alone is too old to answer");
 }
 
 #[test]
 fn setpoint_crossing_the_pilots_mode_change_is_no_violation() {
-    let mut court = in_flight(ON_ITS_WAY_S);
+    let mut court = in_flight(IN_TRANSIT_S);
     court.mode(1005, POSITION);
     court.state(1010);
     court.setpoint(1012);
@@ -143,7 +144,7 @@ fn setpoint_crossing_the_pilots_mode_change_is_no_violation() {
 #[test]
 fn no_answer_is_allowed_while_the_backlog_is_read() {
     for (ms, rules) in [(1205, &[Rule::Stalled][..]), (1215, &[])] {
-        let mut court = in_flight(ON_ITS_WAY_S);
+        let mut court = in_flight(IN_TRANSIT_S);
         court.judge.woke(1_200_000);
         court.state(ms - 1);
         court.setpoint(ms);

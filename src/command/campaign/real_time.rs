@@ -19,7 +19,7 @@ use crate::command::{program, write_file};
 use crate::supervisor::EngagePolicy;
 
 /// What the process says.
-const SAID: &str = "station.txt";
+const OUTPUT_FILE: &str = "station.txt";
 const CONFIG: &str = "downwash.toml";
 const VEHICLE: &str = "vehicle.toml";
 const TRAJECTORY: &str = "trajectory.toml";
@@ -30,7 +30,7 @@ pub(super) fn flown(script: &Script, folder: &Path, stop: &AtomicBool) -> anyhow
     let script = live::playable(script);
     let post = Post::new(folder.to_owned(), &script)?;
     let mut flown = live::fly(&script, &kit(&script)?, &|port| post.command(port), stop)?;
-    flown.end = format!("{}: {}", flown.end, post.last_word());
+    flown.end = format!("{}: {}", flown.end, post.last_line());
     if flown.violations.is_empty() {
         let _ = fs::remove_dir_all(folder);
     }
@@ -48,11 +48,11 @@ struct Post {
 impl Post {
     /// Makes the folder, anew.
     fn new(folder: PathBuf, script: &Script) -> anyhow::Result<Self> {
-        let say = || folder.display().to_string();
+        let shown = || folder.display().to_string();
         if folder.exists() {
-            fs::remove_dir_all(&folder).with_context(say)?;
+            fs::remove_dir_all(&folder).with_context(shown)?;
         }
-        fs::create_dir_all(&folder).with_context(say)?;
+        fs::create_dir_all(&folder).with_context(shown)?;
         let vehicle = VehicleFile::load(Path::new(&script.vehicle))?;
         write_file(&folder.join(VEHICLE), vehicle.text.as_bytes())?;
         write_file(&folder.join(TRAJECTORY), script.trajectory.as_bytes())?;
@@ -66,7 +66,7 @@ impl Post {
             ("control".to_owned(), table("law", text(&script.law)).into()),
         ]);
         if script.signed {
-            write_key(&folder.join(KEY), &live::key()).with_context(say)?;
+            write_key(&folder.join(KEY), &live::key()).with_context(shown)?;
             let signing = table("key_file", text(KEY));
             config.insert("link".to_owned(), table("signing", signing.into()).into());
         }
@@ -80,20 +80,21 @@ impl Post {
         config.insert("connect".to_owned(), Value::String(format!("udpin:127.0.0.1:{port}")));
         let path = self.folder.join(CONFIG);
         fs::write(&path, config.to_string())?;
-        let said = File::options().create(true).append(true).open(self.folder.join(SAID))?;
+        let output =
+            File::options().create(true).append(true).open(self.folder.join(OUTPUT_FILE))?;
         let mut command = Command::new(&self.program);
         match self.policy {
             EngagePolicy::Command => command.arg("fly").arg(self.folder.join(TRAJECTORY)),
             EngagePolicy::PilotSwitch => command.arg("daemon"),
         };
         command.arg("--config").arg(path).stdin(Stdio::null());
-        command.stdout(said.try_clone()?).stderr(said);
+        command.stdout(output.try_clone()?).stderr(output);
         Ok(command)
     }
 
     /// What the process said last.
-    fn last_word(&self) -> String {
-        let said = fs::read_to_string(self.folder.join(SAID)).unwrap_or_default();
-        said.lines().last().unwrap_or_default().to_owned()
+    fn last_line(&self) -> String {
+        let output = fs::read_to_string(self.folder.join(OUTPUT_FILE)).unwrap_or_default();
+        output.lines().last().unwrap_or_default().to_owned()
     }
 }

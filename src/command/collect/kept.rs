@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 
 use crate::command::simulation::Truth;
 use crate::command::vehicle_file::VehicleFile;
-use crate::command::{in_words, say};
+use crate::command::{in_words, print_status};
 use crate::config::Config;
 use crate::log::LogReader;
 use crate::log::descriptor::hex;
@@ -77,7 +77,7 @@ impl LogOf {
         Ok((info.run.get(FINGERPRINT).cloned(), log))
     }
 
-    pub fn is_whole(&self, length_s: f64) -> bool {
+    pub fn is_complete(&self, length_s: f64) -> bool {
         self.finished && self.tracked_s >= length_s - MISSING_MAX_S
     }
 }
@@ -100,7 +100,7 @@ pub(super) fn logs_of_flights(folder: &Path) -> anyhow::Result<BTreeMap<String, 
             Ok((Some(fingerprint), log)) => logs.entry(fingerprint).or_default().push(log),
             Ok((None, _)) => {}
             Err(error) => {
-                say(format_args!("{}: left alone: {}", path.display(), in_words(&error)));
+                print_status(format_args!("{}: left alone: {}", path.display(), in_words(&error)));
             }
         }
     }

@@ -15,7 +15,7 @@ use crate::command::setup::{required, run_info, station_settings};
 use crate::command::signing_state::SigningState;
 use crate::command::stop::StopSignals;
 use crate::command::vehicle_file::VehicleFile;
-use crate::command::{Exit, say};
+use crate::command::{Exit, print_status};
 use crate::config::Config;
 use crate::plan::programme::ProgrammeFlight;
 use crate::supervisor::EngagePolicy;
@@ -44,7 +44,7 @@ pub(super) fn fly_vehicle(
             rows.push((*index, FlightRow { exit: Exit::Interrupted, ..row }));
             break;
         }
-        say(format_args!("flight {} of {}: {}", turn + 1, ahead.len(), flight.name));
+        print_status(format_args!("flight {} of {}: {}", turn + 1, ahead.len(), flight.name));
         let endpoint = endpoint(&url)?;
         let mut settings = station_settings(
             config,
@@ -63,7 +63,10 @@ pub(super) fn fly_vehicle(
         let log = log.ok_or_else(|| anyhow!("{}: its log was not written", flight.name))?;
         rows.push((*index, FlightRow::flown(flight, &end, exit, Some(&log))));
         if exit != Exit::Ok {
-            say(format_args!("flight {}: {end}; run the command again to continue", flight.name));
+            print_status(format_args!(
+                "flight {}: {end}; run the command again to continue",
+                flight.name
+            ));
             break;
         }
     }

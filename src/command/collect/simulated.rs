@@ -16,7 +16,7 @@ use crate::command::course::Course;
 use crate::command::simulation::{SimulatedFlight, Truth};
 use crate::command::stop::StopSignals;
 use crate::command::vehicle_file::VehicleFile;
-use crate::command::{Exit, say, summary};
+use crate::command::{Exit, print_status, summary};
 use crate::config::Config;
 use crate::plan::programme::ProgrammeFlight;
 
@@ -49,7 +49,7 @@ impl Simulator<'_> {
     ) -> anyhow::Result<Vec<(usize, FlightRow)>> {
         // A bar shows only on a terminal.
         if !io::stderr().is_terminal() && !ahead.is_empty() {
-            say(format_args!("... flying {} flights", ahead.len()));
+            print_status(format_args!("... flying {} flights", ahead.len()));
         }
         let next = AtomicUsize::new(0);
         let rows = Mutex::new(Vec::new());
@@ -70,7 +70,7 @@ impl Simulator<'_> {
                 if signals.wait(WATCH_PERIOD).is_some()
                     && !self.stopping.swap(true, Ordering::AcqRel)
                 {
-                    say(format_args!(
+                    print_status(format_args!(
                         "stopping: waiting for the simulated flights in the air to end"
                     ));
                 }

@@ -13,7 +13,7 @@ use crate::cli::Contestant;
 use crate::command::course::Course;
 use crate::command::progress::flight_bar;
 use crate::command::simulation::{Simulated, SimulatedFlight};
-use crate::command::{Exit, ExitContext, say, summary};
+use crate::command::{Exit, ExitContext, print_status, summary};
 use crate::config::Config;
 use crate::offboard::EffectiveVehicle;
 use crate::report::comparison::{Contender, Track};
@@ -89,13 +89,13 @@ impl Demo<'_> {
                     tracks.extend((!track.is_empty()).then_some(track));
                 }
                 reading_s += reading.elapsed().as_secs_f64();
-                let (words, exit) = summary::end_in_words(Some(&end), None);
+                let (text, exit) = summary::end_in_words(Some(&end), None);
                 if end != End::Done {
-                    say(format_args!("{name} did not end as planned: {words}"));
+                    print_status(format_args!("{name} did not end as planned: {text}"));
                 }
                 let all = flown.get_or_insert_with(|| Flown {
                     first: report,
-                    end: words.clone(),
+                    end: text.clone(),
                     exit,
                     logs: Vec::new(),
                     contenders: Vec::new(),
@@ -103,7 +103,7 @@ impl Demo<'_> {
                     wall_s: 0.0,
                 });
                 if all.exit == Exit::Ok {
-                    (all.end, all.exit) = (words, exit);
+                    (all.end, all.exit) = (text, exit);
                 }
                 all.simulated_s += simulated_s;
                 all.logs.push(LogRow { contender: name.clone(), seed, log });

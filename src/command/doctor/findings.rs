@@ -14,11 +14,11 @@ use crate::link::profile::Profile;
 use crate::log::import::VehicleKind;
 
 /// A clock that is off by more than crystals are.
-const SKEW_TOLD: f64 = 2e-3;
+const SKEW_NOTABLE: f64 = 2e-3;
 /// Beyond this round trip feedback at 100 Hz suffers, s.
-const ROUND_TRIP_TOLD_S: f64 = 0.05;
+const ROUND_TRIP_NOTABLE_S: f64 = 0.05;
 /// A latency timer of a serial adapter that delays every sample, ms.
-const LATENCY_TIMER_TOLD_MS: u32 = 2;
+const LATENCY_TIMER_NOTABLE_MS: u32 = 2;
 
 /// How much a finding matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
@@ -59,12 +59,12 @@ pub(super) fn findings(
     report: &Report,
     observed: &Observed,
     listener: &Listener,
-    is_asking: bool,
+    is_requesting: bool,
 ) -> Vec<Finding> {
     let mut found = Findings(Vec::new());
     found.identity(report, observed, listener);
     found.parameters(report, listener);
-    found.state(report, listener, is_asking);
+    found.state(report, listener, is_requesting);
     found.condition(report, observed, listener);
     found.link(report, listener);
     found.0
@@ -89,7 +89,7 @@ impl Findings {
         } else if report.autopilot == Some(Profile::UNKNOWN.name) {
             self.refuses("autopilot", "its modes are unknown; downwash flies PX4 and ArduCopter");
         }
-        if !report.others.is_empty() && listener.session.wanted_system().is_none() {
+        if !report.others.is_empty() && listener.session.requested_system().is_none() {
             self.refuses("vehicles", "several autopilots are on the link; choose with --system");
         }
         if report.is_signed
@@ -161,7 +161,7 @@ impl Findings {
         }
     }
 
-    fn state(&mut self, report: &Report, listener: &Listener, is_asking: bool) {
+    fn state(&mut self, report: &Report, listener: &Listener, is_requesting: bool) {
         let settings = &listener.config.settings;
         let needed = settings.offboard.preflight.tick_rate_min * settings.control.rate_hz;
         let comes = report.odometry_hz.max(report.attitude_hz.min(report.position_hz));
@@ -170,7 +170,7 @@ impl Findings {
                 "needs {needed:.0} Hz of ODOMETRY, or of attitude and position; {comes:.0} Hz \
                  arrive"
             );
-            match (is_asking, comes > 0.0) {
+            match (is_requesting, comes > 0.0) {
                 (true, _) => self.refuses("state", text),
                 (false, _) => {
                     self.warns("state", format!("{text}; a flight requests more: try with --rates"))
@@ -236,7 +236,7 @@ impl Findings {
                  a slow clock",
             );
         }
-        if let Some(skew) = report.clock_skew.filter(|skew| skew.abs() > SKEW_TOLD) {
+        if let Some(skew) = report.clock_skew.filter(|skew| skew.abs() > SKEW_NOTABLE) {
             let rate = 1.0 + skew;
             self.warns(
                 "clock",
@@ -245,10 +245,11 @@ impl Findings {
                 ),
             );
         }
-        if report.round_trip_p50_s.is_some_and(|time| time > ROUND_TRIP_TOLD_S) {
+        if report.round_trip_p50_s.is_some_and(|time| time > ROUND_TRIP_NOTABLE_S) {
             self.warns("round trip", "it is long for feedback; use a faster link");
         }
-        if let Some(timer) = report.serial_latency_timer_ms.filter(|ms| *ms > LATENCY_TIMER_TOLD_MS)
+        if let Some(timer) =
+            report.serial_latency_timer_ms.filter(|ms| *ms > LATENCY_TIMER_NOTABLE_MS)
         {
             self.warns(
                 "serial",

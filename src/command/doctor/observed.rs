@@ -13,7 +13,7 @@ use crate::link::budget::{LineBudget, message_name};
 use crate::link::loss_reaction::LossReaction;
 use crate::link::profile::Profile;
 use crate::link::request::Request;
-use crate::link::session::Heard;
+use crate::link::session::Delivery;
 use crate::link::vehicle_clock::ClockSource;
 use crate::telemetry::Telemetry;
 
@@ -33,7 +33,7 @@ pub(super) struct Observed {
     /// MAV_SYS_STATUS_SENSOR bits of what works.
     pub health: Option<u32>,
     frames: BTreeSet<(String, String)>,
-    asked: Option<Vec<String>>,
+    requested: Option<Vec<String>>,
     round_trips_s: Vec<f64>,
 }
 
@@ -47,16 +47,16 @@ impl Observed {
             texts: Vec::new(),
             health: None,
             frames: BTreeSet::new(),
-            asked: None,
+            requested: None,
             round_trips_s: Vec::new(),
         }
     }
 
-    pub(super) fn take(&mut self, heard: Heard<'_>) {
-        match heard {
-            Heard::Frame { bytes, .. } => self.odometry_frame(bytes),
-            Heard::Replaced => self.telemetry.forget(),
-            Heard::Message(received) => {
+    pub(super) fn take(&mut self, delivery: Delivery<'_>) {
+        match delivery {
+            Delivery::Frame { bytes, .. } => self.odometry_frame(bytes),
+            Delivery::Replaced => self.telemetry.forget(),
+            Delivery::Message(received) => {
                 // Jumps and late messages are counted elsewhere.
                 let _ = self.telemetry.update(&received);
                 match received.message {
@@ -88,7 +88,7 @@ impl Observed {
         let session = &mut listener.session;
         let round_trip = session.stats().round_trip;
         self.round_trips_s.extend(round_trip.map(|time| time.as_secs_f64()));
-        let Some(profile) = session.profile().filter(|_| self.asked.is_none()) else { return };
+        let Some(profile) = session.profile().filter(|_| self.requested.is_none()) else { return };
         let more = match profile.name {
             name if name == Profile::ARDUCOPTER.name => ARDUCOPTER_PARAMETERS,
             name if name == Profile::UNKNOWN.name => &[],
@@ -102,7 +102,7 @@ impl Observed {
         for name in &names {
             session.request(now, Request::ReadParameter(name.clone()));
         }
-        self.asked = Some(names.into_iter().collect());
+        self.requested = Some(names.into_iter().collect());
     }
 
     pub(super) fn report(&self, listener: &Listener, seconds: f64) -> Report {
@@ -133,7 +133,7 @@ impl Observed {
             unknown_frames: stats.received.unknown,
             lost_frames: stats.lost,
             repeated_frames: stats.repeated,
-            lost_share: stats.lost as f64 / ((stats.lost + stats.heard) as f64).max(1.0),
+            lost_share: stats.lost as f64 / ((stats.lost + stats.vehicle_frames) as f64).max(1.0),
             vehicle: session.vehicle().map(|id| id.to_string()),
             autopilot: session.profile().map(|profile| profile.name),
             version: self.version.map(version),
@@ -172,7 +172,7 @@ impl Observed {
                 }
             }),
             parameters: self
-                .asked
+                .requested
                 .iter()
                 .flatten()
                 .filter_map(|name| status.parameters.get(name).map(|value| (name.clone(), *value)))
@@ -197,8 +197,8 @@ impl Observed {
 }
 
 /// Major, minor and patch of the firmware, from the highest byte down.
-fn version(word: u32) -> String {
-    let [major, minor, patch, _] = word.to_be_bytes();
+fn version(packed: u32) -> String {
+    let [major, minor, patch, _] = packed.to_be_bytes();
     format!("{major}.{minor}.{patch}")
 }
 
@@ -211,7 +211,7 @@ fn latency_timer(endpoint: &wire::Endpoint) -> Option<u32> {
     std::fs::read_to_string(file).ok()?.trim().parse().ok()
 }
 
-/// All that was heard, as numbers.
+/// All that was received, as numbers.
 #[derive(JsonSchema, Serialize)]
 pub(super) struct Report {
     endpoint: String,
@@ -293,7 +293,8 @@ impl fmt::Display for Report {
         for other in &self.others {
             writeln!(f, "another    {other}")?;
         }
-        let word = |mode: Option<u32>| mode.map_or("unknown".to_owned(), |m| format!("{m:#010x}"));
+        let mode_text =
+            |mode: Option<u32>| mode.map_or("unknown".to_owned(), |m| format!("{m:#010x}"));
         let armed = match self.armed {
             Some(true) => "armed",
             Some(false) => "disarmed",
@@ -303,8 +304,8 @@ impl fmt::Display for Report {
         writeln!(
             f,
             "mode       {}, intended {}; {armed}, {landed}",
-            word(self.mode),
-            word(self.intended_mode)
+            mode_text(self.mode),
+            mode_text(self.intended_mode)
         )?;
         writeln!(
             f,

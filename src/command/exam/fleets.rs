@@ -10,7 +10,7 @@ use serde::Serialize;
 use vehicle::effects::EffectId;
 
 use super::super::fleet::find;
-use super::super::{Exit, in_words, say, write_file};
+use super::super::{Exit, in_words, print_status, write_file};
 use super::Hall;
 use super::candidate::log_names;
 use crate::cli::{DiagnoseArgs, ExamArgs};
@@ -108,14 +108,14 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
         let case = match FleetCase::fly(&settings, (hall.seed, number as u64), &shape) {
             Ok(case) => case,
             Err(error) => {
-                say(format_args!("fleet {number}: left out: {error}"));
+                print_status(format_args!("fleet {number}: left out: {error}"));
                 return Ok(None);
             }
         };
-        match hall.told(&format!("fleet_{number:03}"), &case) {
+        match hall.read_answer(&format!("fleet_{number:03}"), &case) {
             Ok(row) => Ok(row),
             Err(error) => {
-                say(format_args!("fleet {number}: left out: {}", in_words(&error)));
+                print_status(format_args!("fleet {number}: left out: {}", in_words(&error)));
                 Ok(None)
             }
         }
@@ -146,7 +146,7 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
 
 impl Hall<'_> {
     /// Diagnoses a fleet by its files alone, and holds the answer against the truth.
-    fn told(&self, name: &str, case: &FleetCase) -> anyhow::Result<Option<FleetRow>> {
+    fn read_answer(&self, name: &str, case: &FleetCase) -> anyhow::Result<Option<FleetRow>> {
         let folder = self.folder(name);
         let logs = folder.join("vehicles");
         let names: Vec<String> =

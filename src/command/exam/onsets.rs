@@ -15,7 +15,7 @@ use super::super::diagnose::audited;
 use super::super::simulate::Simulation;
 use super::super::simulation::Truth;
 use super::super::vehicle_file::VehicleFile;
-use super::super::{Exit, ExitContext, configuration, in_words, say};
+use super::super::{Exit, ExitContext, configuration, in_words, print_status};
 use super::Hall;
 use crate::campaign::bench::set_up;
 use crate::cli::ExamArgs;
@@ -91,7 +91,7 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
         match hall.flown_onset(&name, number as u64, number < count) {
             Ok(row) => Ok(Some(row)),
             Err(error) => {
-                say(format_args!("{name}: left out: {}", in_words(&error)));
+                print_status(format_args!("{name}: left out: {}", in_words(&error)));
                 Ok(None)
             }
         }
@@ -115,17 +115,17 @@ fn near<'a>(row: &OnsetRow, changes: &'a [Change]) -> Option<&'a Change> {
     changes.iter().find(|change| (change.at_s - at).abs() <= NEAR_S)
 }
 
-fn side(rows: &[OnsetRow], told: impl Fn(&OnsetRow) -> &Vec<Change>) -> Side {
+fn side(rows: &[OnsetRow], reported: impl Fn(&OnsetRow) -> &Vec<Change>) -> Side {
     let detectable =
         || rows.iter().filter(|row| row.ratio.is_some_and(|ratio| ratio >= DETECTABLE));
-    let found = || detectable().filter_map(|row| Some((row, near(row, told(row))?)));
+    let found = || detectable().filter_map(|row| Some((row, near(row, reported(row))?)));
     // The one next to a change that shows weakly, or is reported late, is no false one.
     let is_false = |row: &OnsetRow, change: &Change| {
         row.at_s.is_none_or(|at| change.at_s < at - NEAR_S || change.at_s > at + 10.0)
     };
     let false_onsets = rows
         .iter()
-        .map(|row| told(row).iter().filter(|change| is_false(row, change)).count())
+        .map(|row| reported(row).iter().filter(|change| is_false(row, change)).count())
         .sum();
     let hours = rows.iter().map(|row| row.seconds).sum::<f64>() / 3600.0;
     // The interval of a Poisson mean by Wilson and Hilferty's approximation of chi-squared.
@@ -134,7 +134,7 @@ fn side(rows: &[OnsetRow], told: impl Fn(&OnsetRow) -> &Vec<Change>) -> Side {
     let count = false_onsets as f64;
     let low = if false_onsets == 0 { 0.0 } else { bound(count, -1.96) };
     Side {
-        found: Rate::of(detectable().map(|row| near(row, told(row)).is_some())),
+        found: Rate::of(detectable().map(|row| near(row, reported(row)).is_some())),
         named: Rate::of(found().map(|(row, change)| Some(change.cause) == row.cause)),
         held: Rate::of(found().map(|(row, change)| {
             let [low, high] = change.interval_s;
@@ -185,11 +185,11 @@ impl Hall<'_> {
         };
         let mut monitor = Monitor::new(&params, Settings::LIVE).or_exit(Exit::Failure)?;
         let mut recorded = Recorded::default();
-        let mut heard = Duration::ZERO;
+        let mut monitored = Duration::ZERO;
         let (row, _) = simulation.fly_recorded(folder, |record| {
             let began = Instant::now();
-            monitor.hear(record);
-            heard += began.elapsed();
+            monitor.on_record(record);
+            monitored += began.elapsed();
             if case.change.is_some() {
                 keep(&mut recorded, &monitor, record);
             }
@@ -211,7 +211,7 @@ impl Hall<'_> {
             at_s: case.change.as_ref().map(|change| change.at_s),
             ratio,
             seconds: seen.seconds,
-            monitor_s: heard.as_secs_f64(),
+            monitor_s: monitored.as_secs_f64(),
             logs: seen.changes,
             live: monitor.take_changes().collect(),
         })
@@ -254,7 +254,7 @@ fn text(summary: &OnsetsSummary<'_>) -> String {
         "case", "vehicle", "autopilot", "ratio", "at/s", "logs", "live"
     );
     for row in summary.cases {
-        let told = |changes: &[Change]| match (row.at_s, near(row, changes), changes) {
+        let onset_text = |changes: &[Change]| match (row.at_s, near(row, changes), changes) {
             (_, _, []) => "-".to_owned(),
             (Some(at), Some(change), _) => format!("{:+.2}", change.at_s - at),
             (_, _, [first, ..]) => format!("{:.1}!", first.at_s),
@@ -266,8 +266,8 @@ fn text(summary: &OnsetsSummary<'_>) -> String {
             row.autopilot,
             row.ratio.map_or("-".to_owned(), |ratio| format!("{ratio:.1}")),
             row.at_s.map_or("-".to_owned(), |at| format!("{at:.1}")),
-            told(&row.logs),
-            told(&row.live),
+            onset_text(&row.logs),
+            onset_text(&row.live),
             row.effect.as_deref().unwrap_or("none"),
         );
     }

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{Hall, Sheet};
-use crate::command::{Exit, ExitContext, in_words, say, write_file};
+use crate::command::{Exit, ExitContext, in_words, print_status, write_file};
 use crate::exam::answer::Given;
 
 /// Where the scripts of a set lie, from its folder on: each may use another's.
@@ -132,8 +132,8 @@ pub(super) fn run(set: &Path, hall: &Hall<'_>) -> anyhow::Result<Exit> {
         scores: graded.as_ref().map(|(_, scores)| scores.clone()),
     };
     let mut text: String = rows.iter().map(line).collect();
-    if let Some((told, _)) = &graded {
-        text += &format!("\n{told}");
+    if let Some((report, _)) = &graded {
+        text += &format!("\n{report}");
     }
     hall.conclude(&summary, &text)
 }
@@ -215,13 +215,13 @@ fn row(
 
 fn line(row: &PracticeRow) -> String {
     let named = row.probabilities.iter().filter(|(_, p)| *p >= 0.05);
-    let mut said: Vec<String> = named.map(|(id, p)| format!("{id} {p:.2}")).collect();
+    let mut parts: Vec<String> = named.map(|(id, p)| format!("{id} {p:.2}")).collect();
     if !row.ambiguous_with.is_empty() {
-        said.push(format!("or {}", row.ambiguous_with.join(", ")));
+        parts.push(format!("or {}", row.ambiguous_with.join(", ")));
     }
-    said.extend(row.error.clone());
+    parts.extend(row.error.clone());
     let PracticeRow { case, truth, verdict, seconds, .. } = row;
-    format!("{case:26} {verdict:7} {:50} {seconds:5.0} s  truth: {truth}\n", said.join(", "))
+    format!("{case:26} {verdict:7} {:50} {seconds:5.0} s  truth: {truth}\n", parts.join(", "))
 }
 
 /// What the set's own script says of the answers: its text, and its JSON.
@@ -236,11 +236,11 @@ fn graded(
     let name = if by_alternatives { "score_real.py" } else { "score_exam.py" };
     let places = BESIDE.iter().map(|place| set.join(place).join(name));
     let Some(script) = places.into_iter().find(|path| path.is_file()) else {
-        say(format_args!("not graded: no {name} in {} or beside it", set.display()));
+        print_status(format_args!("not graded: no {name} in {} or beside it", set.display()));
         return Ok(None);
     };
     if key.cases.is_empty() {
-        say(format_args!("not graded: {} has no cases", key_path.display()));
+        print_status(format_args!("not graded: {} has no cases", key_path.display()));
         return Ok(None);
     }
     let json = out.join("scores.json");
@@ -254,7 +254,7 @@ fn graded(
         Ok(output) => {
             let errors = String::from_utf8_lossy(&output.stderr);
             let last = errors.lines().last().unwrap_or_default().to_owned();
-            say(format_args!(
+            print_status(format_args!(
                 "not graded: {} ended with {}: {last}",
                 script.display(),
                 output.status
@@ -262,7 +262,10 @@ fn graded(
             return Ok(None);
         }
         Err(error) => {
-            say(format_args!("not graded: cannot run python3 {}: {error}", script.display()));
+            print_status(format_args!(
+                "not graded: cannot run python3 {}: {error}",
+                script.display()
+            ));
             return Ok(None);
         }
     };

@@ -64,17 +64,17 @@ impl Questions {
     }
 
     fn drawn(&self) -> Vec<Kind> {
-        let wanted: Vec<(Kind, f64)> = Kind::SHARES
+        let shares: Vec<(Kind, f64)> = Kind::SHARES
             .into_iter()
             .filter(|(kind, _)| self.kinds.is_empty() || self.kinds.contains(kind))
             .collect();
-        let total: f64 = wanted.iter().map(|(_, share)| share).sum();
+        let total: f64 = shares.iter().map(|(_, share)| share).sum();
         let count = self.cases.unwrap_or(CASES) as f64;
         let mut kinds = vec![Kind::Null; self.nulls];
-        let (mut due, mut before) = (0.0, 0);
-        for (kind, share) in wanted {
-            due += share / total * count;
-            let upto = f64::round(due) as usize;
+        let (mut target, mut before) = (0.0, 0);
+        for (kind, share) in shares {
+            target += share / total * count;
+            let upto = f64::round(target) as usize;
             kinds.extend(std::iter::repeat_n(kind, upto - before));
             before = upto;
         }

@@ -65,7 +65,7 @@ impl MocapSummary {
         }
     }
 
-    pub(super) fn was_vehicle_heard(&self) -> bool {
+    pub(super) fn was_vehicle_found(&self) -> bool {
         self.vehicle.is_some()
     }
 

@@ -72,8 +72,8 @@ pub(super) fn plan(
     config: &Config,
     stop: Stop<'_>,
 ) -> anyhow::Result<(Plan, Fastest)> {
-    let through = PlanModel::nominal(vehicle)?;
-    let (checked, answer) = planner(vehicle, &through, config)?;
+    let plan_model = PlanModel::nominal(vehicle)?;
+    let (checked, answer) = planner(vehicle, &plan_model, config)?;
     let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
     let flight = FlightPlanner {
         physics: Physics::new(vehicle, &EffectSet::new()).or_exit(Exit::Usage)?,
@@ -100,7 +100,7 @@ pub(super) fn plan(
         trajectory: task.name.clone(),
         vehicle: vehicle.name.clone(),
         body: effective.body(),
-        model: through.note.clone(),
+        model: plan_model.note.clone(),
         period_s: checked.period_s(),
         answer,
         desired: planned.outcome.iterate.states.clone(),

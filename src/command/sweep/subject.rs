@@ -24,7 +24,7 @@ pub(super) enum Subject {
 }
 
 /// Of a log beyond so many bytes the hash takes its length, and so many of either end.
-const WHOLE: u64 = 1 << 20;
+const HASHED_IN_FULL: u64 = 1 << 20;
 const END: u64 = 1 << 16;
 
 impl Subject {
@@ -101,15 +101,15 @@ impl Subject {
         let _ = match input {
             "logs" | "holdout" => files.fitting(name).iter().try_for_each(|log| ends(log, hash)),
             "case" => CaseFiles::in_folder(&path).and_then(|case| {
-                whole(&case.vehicle, hash)?;
+                hash_file(&case.vehicle, hash)?;
                 case.logs.iter().try_for_each(|log| ends(log, hash))
             }),
-            _ => whole(&path, hash),
+            _ => hash_file(&path, hash),
         };
     }
 }
 
-fn whole(path: &Path, hash: &mut Sha256) -> io::Result<()> {
+fn hash_file(path: &Path, hash: &mut Sha256) -> io::Result<()> {
     hash.update(fs::read(path)?);
     Ok(())
 }
@@ -119,8 +119,8 @@ fn ends(path: &Path, hash: &mut Sha256) -> io::Result<()> {
     hash.update(path.file_name().unwrap_or_default().as_encoded_bytes());
     let mut file = File::open(path)?;
     let length = file.metadata()?.len();
-    if length <= WHOLE {
-        return whole(path, hash);
+    if length <= HASHED_IN_FULL {
+        return hash_file(path, hash);
     }
     hash.update(length.to_le_bytes());
     let mut bytes = vec![0; END as usize];

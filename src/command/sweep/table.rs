@@ -17,8 +17,8 @@ pub fn csv(rows: &BTreeMap<usize, Line>) -> anyhow::Result<Vec<u8>> {
     let mut columns: Vec<&str> = Vec::new();
     let mut places: BTreeMap<&str, usize> = BTreeMap::new();
     // Whole rows first, so that a failure moves no column.
-    let whole = rows.values().zip(&lines).filter(|(row, _)| row.failure.is_none());
-    for line in whole.map(|(_, line)| line).chain(&lines) {
+    let complete = rows.values().zip(&lines).filter(|(row, _)| row.failure.is_none());
+    for line in complete.map(|(_, line)| line).chain(&lines) {
         for (name, _) in line {
             places.entry(name).or_insert_with(|| {
                 columns.push(name);

@@ -17,7 +17,7 @@ use crate::command::course::Course;
 use crate::command::progress::count_bar;
 use crate::command::simulation::Truth;
 use crate::command::vehicle_file::VehicleFile;
-use crate::command::{Exit, ExitContext, config, print_json, print_text, say};
+use crate::command::{Exit, ExitContext, config, print_json, print_status, print_text};
 use crate::exam::interval::Rate;
 use crate::plan::keep_out::KeepOut;
 use crate::plan::planned::{Plan, PlannedReference};
@@ -152,7 +152,9 @@ pub(super) fn run(args: &TubeCheckArgs, stop: &AtomicBool) -> anyhow::Result<Exi
     }
     let is_short = check.is_short();
     if is_short {
-        say(format_args!("fewer flights stayed within the tube than its confidence allows"));
+        print_status(format_args!(
+            "fewer flights stayed within the tube than its confidence allows"
+        ));
     }
     Ok(if is_short || check.touched.count > 0 { Exit::Check } else { Exit::Ok })
 }

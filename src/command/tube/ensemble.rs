@@ -129,14 +129,14 @@ impl Ensemble<'_> {
                 let flown = flight.fly_logged(
                     folder,
                     |record| {
-                        gatherer.hear(record);
+                        gatherer.on_record(record);
                         None
                     },
                     |_| {},
                 )?;
                 (flown.end, Some(flown.log))
             }
-            None => (flight.fly_unlogged(|record| gatherer.hear(&record), |_| {})?.0, None),
+            None => (flight.fly_unlogged(|record| gatherer.on_record(&record), |_| {})?.0, None),
         };
         let is_done = end_in_words(Some(&end), None).1 == Exit::Ok;
         let flown = gatherer.flown();

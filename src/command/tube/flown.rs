@@ -62,7 +62,7 @@ struct Along {
 
 impl FlownGatherer {
     /// Adds the next record.
-    pub fn hear(&mut self, record: &Record) {
+    pub fn on_record(&mut self, record: &Record) {
         match record {
             Record::Truth { stamp, truth } => self.see(*stamp, truth.state.position),
             Record::Tick(tick) => self.add(tick),

@@ -6,7 +6,7 @@ use super::DisturbanceObserver;
 use super::equilibrium::Disturbance;
 use super::motion::Motion;
 use crate::clock::VehicleTime;
-use crate::control::adaptation::{Adaptation, AdaptationNotice, Moved, Parameters};
+use crate::control::adaptation::{Adaptation, AdaptationEvent, Moved, Parameters};
 use crate::control::attitude_loop::angle_error;
 use crate::control::hover_model::HoverVehicle;
 use crate::setpoint::{Expected, State};
@@ -78,7 +78,7 @@ impl DisturbanceObserver {
     }
 
     /// `state` with the filtered velocity.
-    pub(in crate::control) fn believed(&self, state: &State) -> State {
+    pub(in crate::control) fn filtered(&self, state: &State) -> State {
         let velocity = state.velocity + self.disturbance.velocity - self.velocity_noise();
         State { velocity, ..*state }
     }
@@ -93,9 +93,9 @@ impl DisturbanceObserver {
         &self.chain.vehicle
     }
 
-    /// Takes the pending notice of adaptation.
-    pub fn take_notice(&mut self) -> Option<AdaptationNotice> {
-        self.adapting.as_mut()?.adaptation.take_notice()
+    /// Takes the pending event of adaptation.
+    pub fn take_event(&mut self) -> Option<AdaptationEvent> {
+        self.adapting.as_mut()?.adaptation.take_event()
     }
 
     /// Records whether the last setpoint met a limit of thrust or tilt.
@@ -113,16 +113,16 @@ impl DisturbanceObserver {
         }
     }
 
-    /// The thrust to send, N, for `wanted_n` to act under the adapted thrust map: the positive root
-    /// of `T (1 + s + k (T/T_h - 1)) = wanted`.
-    pub fn thrust_n(&self, wanted_n: f64) -> f64 {
+    /// The thrust to send, N, for `requested_n` to act under the adapted thrust map: the positive
+    /// root of `T (1 + s + k (T/T_h - 1)) = T_requested`.
+    pub fn thrust_n(&self, requested_n: f64) -> f64 {
         let Some(Parameters { thrust_share, thrust_bend, .. }) = self.parameters() else {
-            return wanted_n;
+            return requested_n;
         };
         let linear = (1.0 + thrust_share - thrust_bend).max(THRUST_SLOPE_MIN);
         let bend = thrust_bend / self.chain.vehicle.hover_thrust_n();
-        let root = (linear * linear + 4.0 * bend * wanted_n).max(0.0).sqrt();
-        2.0 * wanted_n / (linear + root).max(THRUST_SLOPE_MIN)
+        let root = (linear * linear + 4.0 * bend * requested_n).max(0.0).sqrt();
+        2.0 * requested_n / (linear + root).max(THRUST_SLOPE_MIN)
     }
 
     /// Whether a state may be learned from. After adaptation loses trust, its learned values become
@@ -253,36 +253,36 @@ mod tests {
         ticks: std::ops::Range<u32>,
         sent: &Setpoint,
         state: impl Fn(u32) -> State,
-    ) -> Vec<AdaptationNotice> {
-        let mut notices = Vec::new();
+    ) -> Vec<AdaptationEvent> {
+        let mut events = Vec::new();
         for tick in ticks {
             observer.observe(at(tick), &state(tick), sent, &Expected::default());
-            notices.extend(observer.take_notice());
+            events.extend(observer.take_event());
         }
-        notices
+        events
     }
 
     /// An observer that has learned that the vehicle is a fifth heavier.
     fn taught(observes: bool) -> DisturbanceObserver {
         let mut observer = observer(observes);
         watch(&mut observer, 0..500, &hover(1.2), resting);
-        let wanted = QUAD.hover_thrust_n();
-        assert!((observer.thrust_n(wanted) / wanted - 1.2).abs() < 0.02);
+        let requested_n = QUAD.hover_thrust_n();
+        assert!((observer.thrust_n(requested_n) / requested_n - 1.2).abs() < 0.02);
         observer
     }
 
-    fn why(notices: &[AdaptationNotice]) -> Option<Distrust> {
-        notices.iter().find_map(|notice| match notice {
-            AdaptationNotice::SwitchedOff(distrust) => Some(*distrust),
-            AdaptationNotice::Changed(_) => None,
+    fn why(events: &[AdaptationEvent]) -> Option<Distrust> {
+        events.iter().find_map(|event| match event {
+            AdaptationEvent::SwitchedOff(distrust) => Some(*distrust),
+            AdaptationEvent::Changed(_) => None,
         })
     }
 
     #[test]
     fn heavier_vehicle_is_reported_and_compensated() {
         let mut observer = observer(false);
-        let notices = watch(&mut observer, 0..500, &hover(1.2), resting);
-        let [AdaptationNotice::Changed(change)] = notices[..] else { panic!("{notices:?}") };
+        let events = watch(&mut observer, 0..500, &hover(1.2), resting);
+        let [AdaptationEvent::Changed(change)] = events[..] else { panic!("{events:?}") };
         assert!(change.to_string().starts_with("mass +20 % or thrust -17 %"), "{change}");
         let shift = observer.shift(&Reference::default(), 0.0);
         assert!(shift.attitude.roll.abs() < 0.005 && shift.input.thrust_n.abs() < 0.01);
@@ -297,8 +297,8 @@ mod tests {
         };
         let mut frozen = taught(false);
         let mut spoiled = [taught(false), taught(false)];
-        let notices = watch(&mut frozen, 500..600, &hover(1.2), |_| resting(7));
-        assert_eq!(why(&notices), Some(Distrust::Frozen));
+        let events = watch(&mut frozen, 500..600, &hover(1.2), |_| resting(7));
+        assert_eq!(why(&events), Some(Distrust::Frozen));
         assert_eq!(
             why(&watch(&mut spoiled[0], 500..600, &hover(1.2), nan)),
             Some(Distrust::NotFinite)
@@ -308,12 +308,12 @@ mod tests {
             Some(Distrust::Jumping)
         );
         for observer in spoiled.iter_mut().chain([&mut frozen]) {
-            let wanted = QUAD.hover_thrust_n();
+            let requested_n = QUAD.hover_thrust_n();
             let shift = observer.shift(&Reference::default(), 0.0);
             assert!(shift.input.is_finite(), "{shift:?}");
-            let notices = watch(observer, 600..1500, &hover(1.0), resting);
-            assert!(observer.is_idle() && notices.is_empty());
-            assert_eq!(observer.thrust_n(wanted), wanted);
+            let events = watch(observer, 600..1500, &hover(1.0), resting);
+            assert!(observer.is_idle() && events.is_empty());
+            assert_eq!(observer.thrust_n(requested_n), requested_n);
             observer.reset();
             assert!(!observer.is_idle() && observer.parameters().is_some());
         }
@@ -323,8 +323,8 @@ mod tests {
     fn prolonged_saturation_switches_adaptation_off() {
         let mut observer = taught(false);
         observer.limited(true);
-        let notices = watch(&mut observer, 500..800, &hover(1.2), resting);
-        assert_eq!(why(&notices), Some(Distrust::Saturated));
+        let events = watch(&mut observer, 500..800, &hover(1.2), resting);
+        assert_eq!(why(&events), Some(Distrust::Saturated));
     }
 
     #[test]
@@ -335,8 +335,8 @@ mod tests {
             let velocity = Ned::new(0.0, 0.0, 9.0 * t);
             State { position: Ned::new(0.0, 0.0, 4.5 * t * t), velocity, ..State::default() }
         };
-        let notices = watch(&mut observer(false), 0..600, &hover(1.0), falling);
-        let why = why(&notices);
+        let events = watch(&mut observer(false), 0..600, &hover(1.0), falling);
+        let why = why(&events);
         assert!(matches!(why, Some(Distrust::Bound | Distrust::Diverging)), "{why:?}");
     }
 
@@ -355,8 +355,8 @@ mod tests {
         let mut observer = observer(false);
         // Held level against: the attitude sent is the negative of what the moment turns by.
         let sent = Setpoint { attitude: Euler::new(-0.1, 0.1, -0.02), ..hover(1.066) };
-        let notices = watch(&mut observer, 0..500, &sent, resting);
-        let words = notices.iter().map(|notice| format!("{notice}\n")).collect::<String>();
-        assert!(words.contains("less thrust at the front right rotor"), "{words}");
+        let events = watch(&mut observer, 0..500, &sent, resting);
+        let text = events.iter().map(|event| format!("{event}\n")).collect::<String>();
+        assert!(text.contains("less thrust at the front right rotor"), "{text}");
     }
 }

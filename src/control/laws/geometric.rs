@@ -122,23 +122,23 @@ impl Geometric {
 
     /// The law's command with `more` force over mass (world axes, m/s^2) added to its own.
     pub(super) fn pushing(&self, state: &State, reference: &Reference, more: Ned) -> Command {
-        let Reference { attitude: wanted, feedforward, .. } = *reference;
+        let Reference { attitude: desired, feedforward, .. } = *reference;
         let (error, is_cut) = self.reach.bounded(state.position - reference.position);
         let axes = |[horizontal, vertical]: [f64; 2]| [horizontal, horizontal, vertical];
         let feedback = error.scale_by(axes(self.position_per_s2))
             + (state.velocity - reference.velocity).scale_by(axes(self.velocity_per_s));
-        let wanted_attitude = wanted.attitude();
+        let desired_attitude = desired.attitude();
         let force = self.flyable(self.reference_force(reference) - feedback + more);
         let axis = state.attitude.to_world(Frd::new(0.0, 0.0, 1.0));
         let thrust_n = -self.mass_kg * force.dot(axis);
         let [roll, pitch] = tilt_towards(-force, state.attitude.yaw());
         let ahead = feedforward.attitude;
         let attitude = Euler::new(
-            roll + ahead.roll - wanted.roll,
-            pitch + ahead.pitch - wanted.pitch,
+            roll + ahead.roll - desired.roll,
+            pitch + ahead.pitch - desired.pitch,
             ahead.yaw,
         );
-        let body_rate = state.attitude.to_body(wanted_attitude.to_world(feedforward.body_rate));
+        let body_rate = state.attitude.to_body(desired_attitude.to_world(feedforward.body_rate));
         Command::absolute(
             reference,
             Setpoint { thrust_n: thrust_n.max(0.0), attitude, body_rate },
@@ -304,9 +304,9 @@ mod tests {
             // The loop's moment at a pitch, under the LQR, is linear and 0 where the pitch settles.
             let turning = |pitch: f64| {
                 let attitude = Euler::new(0.0, pitch, 0.0).attitude();
-                let (asked, _) = lqr.feedback(&State { attitude, ..ahead }, &hover);
-                let [_, rate, _] = asked.body_rate.to_array();
-                kp[1] * (asked.attitude.pitch - pitch) + kd[1] * rate
+                let (lqr_setpoint, _) = lqr.feedback(&State { attitude, ..ahead }, &hover);
+                let [_, rate, _] = lqr_setpoint.body_rate.to_array();
+                kp[1] * (lqr_setpoint.attitude.pitch - pitch) + kd[1] * rate
             };
             let settled = -turning(0.0) * 0.01 / (turning(0.01) - turning(0.0));
             let by_force = geometric.clone().command(&ahead, &hover, 0.0).feedback.attitude.pitch;

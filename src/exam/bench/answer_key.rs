@@ -23,7 +23,7 @@ use crate::exam::world::World;
 impl Bench {
     /// The key entry of a truth whose flights are logged in `condition`.
     pub(super) fn key(&self, kind: Kind, condition: Condition, drawn: &Drawn) -> KeyEntry {
-        let Drawn { truth, sizes, candidates, whole } = drawn;
+        let Drawn { truth, sizes, candidates, total } = drawn;
         let verdict = match kind {
             Kind::Null => Verdict::None,
             Kind::Trap if candidates.is_empty() => Verdict::None,
@@ -41,16 +41,16 @@ impl Bench {
             id: cause.name().to_owned(),
             parameters: BTreeMap::new(),
             neutral: BTreeMap::new(),
-            ratio: rounded(shown_as(whole)),
+            ratio: rounded(shown_as(total)),
         }));
-        let is_practical = match whole {
+        let is_practical = match total {
             None => false,
-            Some(whole) if sizes.is_empty() => self.is_practical(whole),
+            Some(total) if sizes.is_empty() => self.is_practical(total),
             Some(_) => sizes.iter().all(|(_, s)| s.as_ref().is_some_and(|s| self.is_practical(s))),
         };
         let names = |ids: &[EffectId]| ids.iter().map(|id| id.name().to_owned()).collect();
-        let strength = whole.as_ref().map_or_else(Strength::none, |whole| whole.strength.clone());
-        let beyond_file = whole.as_ref().filter(|_| self.world == World::Builders);
+        let strength = total.as_ref().map_or_else(Strength::none, |total| total.strength.clone());
+        let beyond_file = total.as_ref().filter(|_| self.world == World::Builders);
         let mut deviations = self.deviations_beside(truth).listed(&self.nominal);
         if kind == Kind::OtherLaw {
             deviations.extend(payload(&self.nominal, &truth.effects));

@@ -2,7 +2,7 @@
 
 use vehicle::effects::EffectId;
 
-use super::size::{Shown, Wanted};
+use super::size::{Shown, TargetStrength};
 use super::truth::{Truth, ids};
 use super::{Bench, NEED_DRAG};
 use crate::exam::draw::Draw;
@@ -32,7 +32,7 @@ pub(super) struct Drawn {
     /// Effects that a trap's flights do not distinguish from it.
     pub candidates: Vec<EffectId>,
     /// How strongly the whole truth shows.
-    pub whole: Option<Shown>,
+    pub total: Option<Shown>,
 }
 
 impl Bench {
@@ -45,7 +45,7 @@ impl Bench {
         let baseline = self.baseline()?;
         match order.kind {
             Kind::Foreign | Kind::OtherLaw => {
-                let (stranger, wanted) = match order.kind {
+                let (stranger, target) = match order.kind {
                     Kind::Foreign => {
                         let stranger = Stranger::disturbance(draw, &self.nominal);
                         (stranger, self.measure(FOREIGN_RATIOS, UNKNOWN_SIZES))
@@ -55,8 +55,8 @@ impl Bench {
                         (stranger, self.single(draw))
                     }
                 };
-                let (truth, shown) = self.sized_stranger(draw, &baseline, &stranger, wanted)?;
-                (drawn.truth, drawn.whole) = (truth, Some(shown));
+                let (truth, shown) = self.sized_stranger(draw, &baseline, &stranger, target)?;
+                (drawn.truth, drawn.total) = (truth, Some(shown));
             }
             Kind::Trap => {
                 let effect = self.trap.map_or(EffectId::GroundEffect, |trap| trap.effect);
@@ -65,23 +65,23 @@ impl Bench {
                     // Of a size that other flights would show clearly.
                     (Direction::draw(draw, &self.nominal, effect).at(0.5), None)
                 } else {
-                    let wanted = self.measure(TRAP_RATIOS, PAIR_SIZES);
-                    let (sized, shown) = self.sized_effect(draw, &baseline, effect, wanted)?;
+                    let target = self.measure(TRAP_RATIOS, PAIR_SIZES);
+                    let (sized, shown) = self.sized_effect(draw, &baseline, effect, target)?;
                     (sized, Some(shown))
                 };
                 drawn.truth.effects = sized;
                 drawn.sizes.push((effect, shown));
             }
             _ => {
-                for (effect, wanted) in self.wanted(draw, order) {
-                    let (sized, shown) = self.sized_effect(draw, &baseline, effect, wanted)?;
+                for (effect, target) in self.targets(draw, order) {
+                    let (sized, shown) = self.sized_effect(draw, &baseline, effect, target)?;
                     drawn.truth.effects = drawn.truth.effects.overlay(&sized);
                     drawn.sizes.push((effect, Some(shown)));
                 }
             }
         }
-        if drawn.whole.is_none() {
-            drawn.whole = match drawn.sizes.as_slice() {
+        if drawn.total.is_none() {
+            drawn.total = match drawn.sizes.as_slice() {
                 [(_, Some(one))] => Some(one.clone()),
                 _ => Some(self.shown(&baseline, &drawn.truth)?),
             };
@@ -90,17 +90,17 @@ impl Bench {
     }
 
     /// The effects of a case, with the strength that each should have.
-    fn wanted(&self, draw: &mut Draw, order: &Order) -> Vec<(EffectId, Wanted)> {
+    fn targets(&self, draw: &mut Draw, order: &Order) -> Vec<(EffectId, TargetStrength)> {
         if let Some(trip) = &order.round_trip {
-            return vec![(trip.effect, Wanted::Ratio([trip.ratio; 2]))];
+            return vec![(trip.effect, TargetStrength::Ratio([trip.ratio; 2]))];
         }
         let first = self.effect(draw, |_| true);
         match order.kind {
             Kind::LeftOut => vec![(first, self.measure(LEFT_OUT_RATIOS, UNKNOWN_SIZES))],
             Kind::Pair => {
                 let second = self.effect(draw, |other| other.class() != first.class());
-                let wanted = self.measure(PAIR_RATIOS, PAIR_SIZES);
-                vec![(first, wanted), (second, wanted)]
+                let target = self.measure(PAIR_RATIOS, PAIR_SIZES);
+                vec![(first, target), (second, target)]
             }
             Kind::Modelled => {
                 let modelled = ids(&self.nominal.modelled_effects).first().copied();
@@ -111,11 +111,11 @@ impl Bench {
         }
     }
 
-    /// Draws an effect that this vehicle may have and that satisfies `wanted`.
+    /// Draws an effect that this vehicle may have and that satisfies `allows`.
     pub(in crate::exam) fn effect(
         &self,
         draw: &mut Draw,
-        wanted: impl Fn(EffectId) -> bool,
+        allows: impl Fn(EffectId) -> bool,
     ) -> EffectId {
         let has_drag = self.has_drag();
         loop {
@@ -127,7 +127,7 @@ impl Bench {
                 EffectId::PdGain | EffectId::CommandDelay => self.setting.on_board.is_known(),
                 _ => !self.nominal.modelled_effects.contains(effect),
             };
-            if possible && wanted(effect) {
+            if possible && allows(effect) {
                 return effect;
             }
         }

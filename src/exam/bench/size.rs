@@ -55,9 +55,9 @@ impl Shown {
     }
 }
 
-/// The wanted strength of a truth.
+/// The target strength of a truth.
 #[derive(Clone, Copy)]
-pub(in crate::exam) enum Wanted {
+pub(in crate::exam) enum TargetStrength {
     /// Ratio over noise alone.
     Ratio([f64; 2]),
     /// Size relative to the practical one.
@@ -191,9 +191,9 @@ impl Bench {
         baseline: &Errors,
         at: &dyn Fn(f64) -> Truth,
         power: f64,
-        wanted: Wanted,
+        target: TargetStrength,
     ) -> Result<(Truth, Shown), FlightError> {
-        let (Wanted::Ratio(range) | Wanted::Size(range)) = wanted;
+        let (TargetStrength::Ratio(range) | TargetStrength::Size(range)) = target;
         let goal = draw.log_within(range);
         let mut size: f64 = 0.3;
         let mut last = Err(FlightError::Lost(0.0));
@@ -207,15 +207,15 @@ impl Bench {
                     continue;
                 }
             };
-            let reached = match wanted {
-                Wanted::Ratio(_) => shown.strength.ratio,
-                Wanted::Size(_) => shown.size(),
+            let reached = match target {
+                TargetStrength::Ratio(_) => shown.strength.ratio,
+                TargetStrength::Size(_) => shown.size(),
             };
             last = Ok((truth, shown));
             let off = goal / reached.max(1e-6);
             // The size must be on the right side of the practical one.
             let is_close = (1.0 / CLOSE..CLOSE).contains(&off)
-                && (matches!(wanted, Wanted::Ratio(_)) || (goal < 1.0) == (reached < 1.0));
+                && (matches!(target, TargetStrength::Ratio(_)) || (goal < 1.0) == (reached < 1.0));
             if is_close || (size >= 1.0 && off > 1.0) {
                 break;
             }
@@ -229,12 +229,12 @@ impl Bench {
         draw: &mut Draw,
         baseline: &Errors,
         effect: EffectId,
-        wanted: Wanted,
+        target: TargetStrength,
     ) -> Result<(EffectSet, Shown), FlightError> {
         let direction = Direction::draw(draw, &self.nominal, effect);
         let power = if direction.quadratic { 0.5 } else { 1.0 };
         let at = |size| direction.at(size).into();
-        let (truth, shown) = self.sized(draw, baseline, &at, power, wanted)?;
+        let (truth, shown) = self.sized(draw, baseline, &at, power, target)?;
         Ok((truth.effects, shown))
     }
 
@@ -243,7 +243,7 @@ impl Bench {
         draw: &mut Draw,
         baseline: &Errors,
         stranger: &Stranger,
-        wanted: Wanted,
+        target: TargetStrength,
     ) -> Result<(Truth, Shown), FlightError> {
         let at = |size: f64| Truth {
             effects: stranger.effects(size),
@@ -251,20 +251,20 @@ impl Bench {
             causes: stranger.causes,
             rotor: stranger.rotor(),
         };
-        self.sized(draw, baseline, &at, 1.0, wanted)
+        self.sized(draw, baseline, &at, 1.0, target)
     }
 
     /// The wanted strength in this world: a ratio over noise, or a size relative to the practical
     /// one.
-    pub(in crate::exam) fn measure(&self, ratio: [f64; 2], size: [f64; 2]) -> Wanted {
+    pub(in crate::exam) fn measure(&self, ratio: [f64; 2], size: [f64; 2]) -> TargetStrength {
         match self.world {
-            World::Exact => Wanted::Ratio(ratio),
-            World::Builders => Wanted::Size(size),
+            World::Exact => TargetStrength::Ratio(ratio),
+            World::Builders => TargetStrength::Size(size),
         }
     }
 
     /// The wanted strength of a single effect, which may be below the practical size.
-    pub(in crate::exam) fn single(&self, draw: &mut Draw) -> Wanted {
+    pub(in crate::exam) fn single(&self, draw: &mut Draw) -> TargetStrength {
         let is_small = self.world == World::Builders && draw.chance(SMALL_SHARE);
         self.measure(self.ratios, if is_small { SMALL } else { PRACTICAL })
     }

@@ -16,12 +16,12 @@ use wire::{Encoder, Frame};
 
 use self::selection::autopilot_of;
 use super::outbox::{Outbox, heartbeat};
-use super::{Event, Heard, Settings, VehicleId};
+use super::{Delivery, Event, Settings, VehicleId};
 use crate::clock::HostTime;
 use crate::link::budget::LineBudget;
 use crate::link::counters::{Counters, LinkState};
 use crate::link::intervals::Intervals;
-use crate::link::mode_words::{ModeWord, ModeWords, Newness};
+use crate::link::mode_reports::{ModeReport, ModeReports, Newness};
 use crate::link::profile::Profile;
 use crate::link::received::Received;
 use crate::link::request::Requests;
@@ -41,12 +41,12 @@ const ATTITUDE_FRESH: Duration = Duration::from_millis(200);
 /// Clock jump beyond which the vehicle may be another: backwards if it was started later, forwards
 /// if it was started earlier.
 const JUMP_NS: u64 = 1_000_000_000;
-/// Number of things that the vehicle repeats without a stamp: its mode, whether it is landed, its
-/// health, its pack.
-const THINGS_TOLD: usize = 4;
+/// Number of quantities that the vehicle repeats without a stamp: its mode, whether it is landed,
+/// its health, its pack.
+const UNSTAMPED_QUANTITIES: usize = 4;
 
 /// Which of them a message carries.
-fn thing_told(id: u32) -> Option<usize> {
+fn unstamped_quantity(id: u32) -> Option<usize> {
     match id {
         HEARTBEAT_DATA::ID | CURRENT_MODE_DATA::ID => Some(0),
         EXTENDED_SYS_STATE_DATA::ID => Some(1),
@@ -61,7 +61,7 @@ pub(super) struct Vehicle {
     pub(super) id: VehicleId,
     /// `None` from the close of its connection until its next frame.
     pub(super) peer: Option<Peer>,
-    pub(super) last_heard: HostTime,
+    pub(super) last_received: HostTime,
     /// Whether it signs its messages.
     pub(super) is_signed: bool,
     /// MAVLink version of its newest frame.
@@ -82,9 +82,9 @@ pub(super) struct Core {
     pub(super) codec: Codec,
     pub(super) counters: Counters,
     pub(super) sequence: Sequence,
-    /// Place in the sequence of the newest message on each of these repeated things.
-    pub(super) told: [u64; THINGS_TOLD],
-    pub(super) mode_words: ModeWords,
+    /// Place in the sequence of the newest message on each of these repeated quantities.
+    pub(super) newest_places: [u64; UNSTAMPED_QUANTITIES],
+    pub(super) mode_reports: ModeReports,
     #[cfg(test)]
     sent: Option<(HostTime, Peer, MavMessage)>,
     pub(super) clock: VehicleClock,
@@ -101,12 +101,12 @@ pub(super) struct Core {
 }
 
 /// The mode that a frame carries, if any: the first field of either message.
-fn mode_word(frame: &Frame) -> Option<u32> {
+fn reported_mode(frame: &Frame) -> Option<u32> {
     matches!(frame.id(), HEARTBEAT_DATA::ID | CURRENT_MODE_DATA::ID).then(|| {
         // A payload's trailing zeros are not sent.
-        let mut word = [0; 4];
-        word.iter_mut().zip(frame.payload()).for_each(|(to, from)| *to = *from);
-        u32::from_le_bytes(word)
+        let mut mode = [0; 4];
+        mode.iter_mut().zip(frame.payload()).for_each(|(to, from)| *to = *from);
+        u32::from_le_bytes(mode)
     })
 }
 
@@ -127,8 +127,8 @@ impl Core {
             codec: Codec::default(),
             counters: Counters::default(),
             sequence: Sequence::default(),
-            told: [0; THINGS_TOLD],
-            mode_words: ModeWords::default(),
+            newest_places: [0; UNSTAMPED_QUANTITIES],
+            mode_reports: ModeReports::default(),
             #[cfg(test)]
             sent: None,
             clock: VehicleClock::default(),
@@ -148,17 +148,17 @@ impl Core {
         now: HostTime,
         peer: Peer,
         frame: &Frame,
-        on: &mut impl FnMut(Heard<'_>),
+        on: &mut impl FnMut(Delivery<'_>),
     ) {
         // It contains a key: neither a log nor another station gets it.
-        if frame.id() == SETUP_SIGNING_DATA::ID || !self.is_believed(now, frame) {
+        if frame.id() == SETUP_SIGNING_DATA::ID || !self.is_accepted(now, frame) {
             return;
         }
-        on(Heard::Frame { peer, bytes: frame.bytes() });
+        on(Delivery::Frame { peer, bytes: frame.bytes() });
         let is_heartbeat = frame.id() == HEARTBEAT_DATA::ID;
         let autopilot = is_heartbeat.then(|| autopilot_of(peer, frame)).flatten();
         if autopilot.is_some_and(|id| self.select(now, id, frame.is_signed())) {
-            on(Heard::Replaced);
+            on(Delivery::Replaced);
         }
         let Some(vehicle) = &mut self.vehicle else {
             self.counters.foreign(frame);
@@ -176,10 +176,10 @@ impl Core {
             self.counters.stray += 1;
             return;
         }
-        vehicle.last_heard = now;
+        vehicle.last_received = now;
         vehicle.is_signed |= frame.is_signed();
         vehicle.version = frame.version();
-        self.counters.heard += 1;
+        self.counters.vehicle_frames += 1;
         match self.newness(now, frame) {
             Newness::New => {}
             Newness::Old => {
@@ -189,7 +189,7 @@ impl Core {
             Newness::Doubtful => {
                 self.counters.repeated += 1;
                 let message = Inbound::DoubtfulMode;
-                return on(Heard::Message(Received {
+                return on(Delivery::Message(Received {
                     host: now,
                     vehicle: None,
                     delay: None,
@@ -207,7 +207,7 @@ impl Core {
                 let delay = vehicle.map(|stamp| self.clock.observe(now, stamp));
                 self.timesync_due = self.timesync_due.min(now + self.clock.period());
                 self.message(now, &message);
-                on(Heard::Message(Received { host: now, vehicle, delay, message }));
+                on(Delivery::Message(Received { host: now, vehicle, delay, message }));
             }
             Ok(None) => {}
             Err(refusal) => self.counters.refuse(frame.id(), refusal),
@@ -215,13 +215,13 @@ impl Core {
     }
 
     /// Whether signing admits the frame; true where no key is set.
-    fn is_believed(&mut self, now: HostTime, frame: &Frame) -> bool {
+    fn is_accepted(&mut self, now: HostTime, frame: &Frame) -> bool {
         self.turn(now);
         let Self { signing: Some(signing), outbox, events, .. } = self else { return true };
         match signing.check(frame, outbox.signer()) {
             Ok(()) => true,
-            Err(disbelief) => {
-                events.extend(disbelief.map(Event::Disbelieved));
+            Err(rejection) => {
+                events.extend(rejection.map(Event::FrameRejected));
                 false
             }
         }
@@ -243,31 +243,33 @@ impl Core {
             Order::Copy => return Newness::Old,
             Order::New(place) | Order::Overtaken(place) => place,
         };
-        self.mode_words.heard(now);
-        let Some(told) = thing_told(frame.id()).and_then(|thing| self.told.get_mut(thing)) else {
+        self.mode_reports.frame_arrived(now);
+        let Some(newest) =
+            unstamped_quantity(frame.id()).and_then(|index| self.newest_places.get_mut(index))
+        else {
             return Newness::New;
         };
-        let is_newer = place > *told;
-        *told = place.max(*told);
+        let is_newer = place > *newest;
+        *newest = place.max(*newest);
         #[cfg(test)]
         if planted::is(Planted::OlderHeartbeat) {
             return Newness::New;
         }
         let is_settled = !self.sequence.is_unsettled(now);
-        match (mode_word(frame), is_newer) {
+        match (reported_mode(frame), is_newer) {
             (None, true) => Newness::New,
             (None, false) => Newness::Old,
-            (Some(word), _) => {
+            (Some(mode), _) => {
                 let obeys = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
-                let heard = ModeWord {
+                let report = ModeReport {
                     frame: frame.bytes(),
-                    word,
+                    mode,
                     obeys: obeys.map(|mode| mode.custom_mode),
                     is_newer,
                     is_settled,
                     is_next,
                 };
-                self.mode_words.judge(&heard)
+                self.mode_reports.judge(&report)
             }
         }
     }
@@ -356,13 +358,13 @@ impl Core {
         };
         if data.tc1 == 0 {
             let clock = self.clock.estimate();
-            let told_ns = match self.settings.answers_in_vehicle_time {
+            let answer_ns = match self.settings.answers_in_vehicle_time {
                 false => Some(now.as_ns()),
                 true => clock.map(|clock| clock.to_vehicle(now).as_us().saturating_mul(1000)),
             };
-            if let Some(told_ns) = told_ns.filter(|_| self.settings.answer_timesync) {
+            if let Some(answer_ns) = answer_ns.filter(|_| self.settings.answer_timesync) {
                 let answer = TIMESYNC_DATA {
-                    tc1: i64::try_from(told_ns).unwrap_or(i64::MAX),
+                    tc1: i64::try_from(answer_ns).unwrap_or(i64::MAX),
                     ts1: data.ts1,
                     target_system: frame.system() as u8,
                     target_component: frame.component(),
@@ -416,7 +418,7 @@ impl Core {
         }
         let Some(vehicle) = &self.vehicle else { return };
         let is_old = vehicle.version == MavlinkVersion::V1;
-        let silence = now.since(vehicle.last_heard);
+        let silence = now.since(vehicle.last_received);
         if silence >= self.settings.lost_after {
             if self.state != LinkState::Lost {
                 self.lose(now);
@@ -438,7 +440,7 @@ impl Core {
                 self.version_due = Some((now + VERSION_REPEAT, attempts + 1));
                 // A MAVLink 1 vehicle may understand no other version.
                 if attempts >= VERSION_ATTEMPTS / 2 && is_old {
-                    self.outbox.speak(MavlinkVersion::V1);
+                    self.outbox.set_version(MavlinkVersion::V1);
                 }
                 let id = AUTOPILOT_VERSION_DATA::ID as f32;
                 let params = [id, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
@@ -484,7 +486,7 @@ impl Core {
         };
         [
             Some(self.heartbeat_due),
-            Some(vehicle.last_heard + silence),
+            Some(vehicle.last_received + silence),
             Some(self.timesync_due),
             self.version_due.map(|(due, _)| due),
             Some(self.counters.window_end()),

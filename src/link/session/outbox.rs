@@ -23,7 +23,7 @@ impl Outbox {
     }
 
     /// Sets the MAVLink version from the next frame on.
-    pub(super) fn speak(&mut self, version: MavlinkVersion) {
+    pub(super) fn set_version(&mut self, version: MavlinkVersion) {
         self.encoder.set_version(version);
     }
 

@@ -77,7 +77,7 @@ fn body_is_forwarded_at_its_rate_in_vehicle_axes() {
     assert!(room.run(0.0, 0.9).is_empty(), "the body must be visible for a second");
     assert_eq!(room.news(), []);
     room.run(0.9, 2.0);
-    assert_eq!(room.news(), [News::Believed]);
+    assert_eq!(room.news(), [News::Accepted]);
     let poses = room.run(2.0, 6.0);
     assert_eq!(poses.len(), 200, "50 Hz of 100");
     for pose in &poses {
@@ -204,21 +204,21 @@ fn restarted_room_is_accepted_again() {
         sample.captured_s -= 4000.0;
         forwarded += usize::from(room.give(t + 0.002, &sample).is_some());
     }
-    assert_eq!(room.news(), [News::Fault(Fault::OutOfOrder, None), News::ClockSet, News::Believed]);
+    assert_eq!(room.news(), [News::Fault(Fault::OutOfOrder, None), News::ClockSet, News::Accepted]);
     assert!(forwarded > 70, "{forwarded}");
 }
 
 #[test]
 fn reason_for_waiting_is_reported() {
     let mut room = Room::new();
-    let said = |room: &Room, t| room.bridge.waits_for(at(t)).unwrap_or_default();
-    assert!(said(&room, 1.0).contains("nothing arrives"));
+    let reason = |room: &Room, t| room.bridge.waits_for(at(t)).unwrap_or_default();
+    assert!(reason(&room, 1.0).contains("nothing arrives"));
     let mut other = room.sample(1.0);
     other.body = "cart".to_owned();
     room.give(1.0, &other);
-    assert!(said(&room, 1.1).contains("\"cart\" (--body)"), "{}", said(&room, 1.1));
+    assert!(reason(&room, 1.1).contains("\"cart\" (--body)"), "{}", reason(&room, 1.1));
     room.run(1.2, 1.5);
-    assert!(said(&room, 1.5).contains("steady"));
+    assert!(reason(&room, 1.5).contains("steady"));
     room.run(1.5, 3.0);
     assert_eq!(room.bridge.waits_for(at(3.0)), None);
     assert_eq!(room.bridge.tally().others, 1);

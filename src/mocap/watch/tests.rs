@@ -6,7 +6,7 @@ use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 use vehicle::frame::{Attitude, Euler, Ned};
 
-use super::{Believed, Seen, Watch};
+use super::{Accepted, Seen, Watch};
 use crate::mocap::fault::Fault;
 use crate::mocap::settings::WatchSettings;
 
@@ -59,12 +59,12 @@ fn show(
     flight: &mut Flight,
     rate: f64,
     (from, to): (f64, f64),
-) -> Vec<Result<Believed, Fault>> {
+) -> Vec<Result<Accepted, Fault>> {
     let count = ((to - from) * rate) as usize;
     (0..count).map(|k| watch.see(flight.at(from + k as f64 / rate), true)).collect()
 }
 
-fn believed(verdicts: &[Result<Believed, Fault>]) -> usize {
+fn accepted(verdicts: &[Result<Accepted, Fault>]) -> usize {
     verdicts.iter().filter(|verdict| verdict.is_ok()).count()
 }
 
@@ -84,7 +84,7 @@ fn poses_of_a_healthy_room_are_accepted() {
         assert!(settling.iter().any(Result::is_ok), "seed {seed} is never accepted");
         let verdicts = show(&mut watch, &mut flight, rate, (1.1, 20.0));
         poses += verdicts.len();
-        let refused = verdicts.len() - believed(&verdicts);
+        let refused = verdicts.len() - accepted(&verdicts);
         assert_eq!(refused, 0, "seed {seed}: {:?}", verdicts.iter().find(|v| v.is_err()));
     }
     assert!(poses > 400_000, "{poses}");
@@ -176,7 +176,7 @@ fn frozen_room_is_rejected_from_the_first_repetition() {
         assert!(!watch.holds());
         // It moved on by 2 m meanwhile: too far and too long ago to be certain.
         let after = show(&mut watch, &mut flight, 100.0, (5.0, 9.0));
-        assert_eq!(believed(&after), 0, "seed {seed}");
+        assert_eq!(accepted(&after), 0, "seed {seed}");
     }
 }
 
@@ -190,14 +190,14 @@ fn hidden_body_is_accepted_again_at_its_expected_position() {
         show(&mut watch, &mut flight, 100.0, (0.0, 3.0));
         watch.lose(Fault::Silent);
         let after = show(&mut watch, &mut flight, 100.0, (3.4, 5.0));
-        back += usize::from(believed(&after) > 50);
+        back += usize::from(accepted(&after) > 50);
         // The other body's label appeared in its place.
         let mut flight = Flight::new(seed, HERE, 0.5);
         let mut watch = self::watch();
         show(&mut watch, &mut flight, 100.0, (0.0, 3.0));
         watch.lose(Fault::Silent);
         let mut other = Flight::new(seed, ELSEWHERE, 0.5);
-        wrong += believed(&show(&mut watch, &mut other, 100.0, (3.4, 9.0)));
+        wrong += accepted(&show(&mut watch, &mut other, 100.0, (3.4, 9.0)));
     }
     assert_eq!((back, wrong), (200, 0));
 }
@@ -215,8 +215,8 @@ fn carried_body_is_accepted_anew_while_disarmed() {
         (1..150).map(|k| watch.see(carried.at(3.0 + 0.01 * f64::from(k)), false)).collect();
     let first = verdicts.iter().position(Result::is_ok).expect("it is accepted");
     assert!((99..=102).contains(&first), "{first}");
-    assert_eq!(verdicts[first], Ok(Believed { is_anew: true }));
-    assert_eq!(verdicts[first + 1], Ok(Believed { is_anew: false }));
+    assert_eq!(verdicts[first], Ok(Accepted { is_anew: true }));
+    assert_eq!(verdicts[first + 1], Ok(Accepted { is_anew: false }));
 }
 
 #[test]

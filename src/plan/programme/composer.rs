@@ -37,7 +37,7 @@ pub(super) struct Composer<'a> {
 enum Level {
     Low,
     High,
-    Whole,
+    Full,
 }
 
 impl<'a> Composer<'a> {
@@ -53,7 +53,7 @@ impl<'a> Composer<'a> {
         // Bold and gentle flights: 0.55 to 1 of the limits.
         let share = self.rng.random_range(0.55..=1.0);
         let level = match self.slot.number % 3 {
-            0 => Level::Whole,
+            0 => Level::Full,
             1 => Level::Low,
             _ => Level::High,
         };
@@ -97,7 +97,7 @@ impl<'a> Composer<'a> {
         let altitude_m = match level {
             Level::Low => floor - lowest,
             Level::High => ceiling - highest,
-            Level::Whole => {
+            Level::Full => {
                 let spare = (ceiling - floor) - (highest - lowest);
                 floor - lowest + spare.max(0.0) * self.rng.random_range(0.0..=1.0)
             }
@@ -126,7 +126,7 @@ impl<'a> Composer<'a> {
         match level {
             Level::Low => [floor, floor + part],
             Level::High => [ceiling - part, ceiling],
-            Level::Whole => [floor, ceiling],
+            Level::Full => [floor, ceiling],
         }
     }
 

@@ -372,8 +372,8 @@ impl<'a> Search<'a> {
             period.length_s = (period.length_s * (1.0 + w[LENGTH].clamp(-STRETCH, STRETCH)))
                 .clamp(shortest, longest);
             let end = self.dynamics.end(&knots.states[n], &knots.periods[n]);
-            let wanted = moved(&self.knots.states[n + 1], &d.map(|d| share * d));
-            off = difference(&wanted, &end);
+            let moved_state = moved(&self.knots.states[n + 1], &d.map(|d| share * d));
+            off = difference(&moved_state, &end);
             knots.states[n + 1] = end;
         }
         knots

@@ -74,11 +74,11 @@ pub(super) fn motion(
         }
     };
     // What was asked stands beside what was flown, where it is known.
-    let with_asked = |first: &str, mut panels: Vec<Panel>| -> Vec<Panel> {
-        let asked = tracked.iter().skip_while(|signal| !signal.axis.starts_with(first));
-        for (panel, signal) in panels.iter_mut().zip(asked) {
+    let with_desired = |first: &str, mut panels: Vec<Panel>| -> Vec<Panel> {
+        let desired = tracked.iter().skip_while(|signal| !signal.axis.starts_with(first));
+        for (panel, signal) in panels.iter_mut().zip(desired) {
             let (factor, _) = scale(signal.unit);
-            let y: Vec<f64> = signal.asked.iter().map(|v| factor * v).collect();
+            let y: Vec<f64> = signal.desired.iter().map(|v| factor * v).collect();
             let y = if signal.unit == "rad" { unwrapped(y) } else { y };
             panel.curves.push(Curve { name: "asked".into(), style: Style::Reference, y });
         }
@@ -86,7 +86,7 @@ pub(super) fn motion(
     };
     let position =
         axes(&flight.position, ["north (m)", "east (m)", "down (m)"], |p| p.to_array(), 1.0);
-    add("Position", flight.position.times(), with_asked("position", position));
+    add("Position", flight.position.times(), with_desired("position", position));
     let velocity = ["north (m/s)", "east (m/s)", "down (m/s)"];
     add(
         "Velocity",
@@ -103,10 +103,10 @@ pub(super) fn motion(
     for curve in attitude.iter_mut().flat_map(|panel| &mut panel.curves) {
         curve.y = unwrapped(std::mem::take(&mut curve.y));
     }
-    add("Attitude", flight.attitude.times(), with_asked("attitude", attitude));
+    add("Attitude", flight.attitude.times(), with_desired("attitude", attitude));
     let rate = ["roll (deg/s)", "pitch (deg/s)", "yaw (deg/s)"];
     let rate = axes(&flight.body_rate, rate, |w| w.to_array(), degrees);
-    add("Body rate", flight.body_rate.times(), with_asked("body rate", rate));
+    add("Body rate", flight.body_rate.times(), with_desired("body rate", rate));
     let force = ["front (m/s\u{b2})", "right (m/s\u{b2})", "down (m/s\u{b2})"];
     let force = axes(&flight.specific_force, force, |f| f.to_array(), 1.0);
     add("Specific force", flight.specific_force.times(), force);

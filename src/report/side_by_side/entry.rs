@@ -179,14 +179,14 @@ impl Entry {
             Signal { axis: tracked.axis, unit: tracked.unit, time, error }
         });
         let position = flight.position.iter().filter(|(time, _)| inside(*time));
-        let wanted = flight.reference.iter().filter(|(time, _)| inside(*time));
+        let references = flight.reference.iter().filter(|(time, _)| inside(*time));
         let mut entry = Self {
             name: name.to_owned(),
             facts,
             signals: signals.collect(),
             metrics: BTreeMap::new(),
             flown: position.map(|(time, p)| (time - start, *p)).collect(),
-            desired: wanted.map(|(time, r)| (time - start, r.position)).collect(),
+            desired: references.map(|(time, r)| (time - start, r.position)).collect(),
             duration_s: end - start,
         };
         entry.measure(Some(recording));

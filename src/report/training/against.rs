@@ -40,7 +40,7 @@ fn pairs(summary: &TrainingSummary, acceleration: usize, model: usize) -> Vec<(f
     let of = |series: &Series| -> Vec<(f64, f64)> {
         let Some(predicted) = series.predicted.get(model) else { return Vec::new() };
         let both = series.observed.iter().copied().zip(predicted.iter().copied());
-        both.filter(|(seen, said)| seen.is_finite() && said.is_finite()).collect()
+        both.filter(|(seen, prediction)| seen.is_finite() && prediction.is_finite()).collect()
     };
     pieces.flat_map(of).collect()
 }
@@ -59,7 +59,8 @@ fn fits(summary: &TrainingSummary) -> Vec<Fit> {
             let deviation = (square / n as f64).sqrt();
             pairs.sort_by(|a, b| (a.0 - mean).abs().total_cmp(&(b.0 - mean).abs()));
             let error = |part: &[(f64, f64)]| {
-                let square: f64 = part.iter().map(|(seen, said)| (said - seen).powi(2)).sum();
+                let square: f64 =
+                    part.iter().map(|(seen, prediction)| (prediction - seen).powi(2)).sum();
                 (square / part.len() as f64).sqrt() / deviation.max(f64::MIN_POSITIVE)
             };
             let regimes = [0, 1, 2].map(|k| error(&pairs[k * n / 3..(k + 1) * n / 3]));
@@ -137,7 +138,7 @@ pub(super) fn html(summary: &TrainingSummary) -> String {
 fn one(summary: &TrainingSummary, acceleration: usize) -> String {
     let all: Vec<Vec<(f64, f64)>> =
         (0..ModelKind::ALL.len()).map(|model| pairs(summary, acceleration, model)).collect();
-    let values = all.iter().flatten().flat_map(|(seen, said)| [*seen, *said]);
+    let values = all.iter().flatten().flat_map(|(seen, prediction)| [*seen, *prediction]);
     let Some(range) = range_of(values) else { return String::new() };
     let axis = Axis::padded(Some(range));
     let label = format!("observed {}", AXES[acceleration]);

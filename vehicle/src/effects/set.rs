@@ -274,9 +274,9 @@ impl EffectSet {
 }
 
 fn check(effect: EffectId, parameter: &Parameter, value: f64) -> Result<(), EffectError> {
-    let whole = parameter.kind != Kind::Index || value.fract() == 0.0;
+    let is_integral = parameter.kind != Kind::Index || value.fract() == 0.0;
     // NaN is in no range.
-    if (parameter.min..=parameter.max).contains(&value) && whole {
+    if (parameter.min..=parameter.max).contains(&value) && is_integral {
         return Ok(());
     }
     let number = if parameter.kind == Kind::Index { "a whole number" } else { "a number" };

@@ -195,9 +195,9 @@ impl<'a> Parser<'a> {
             return Err(format!("the power {power} is beyond {POWER_MAX}"));
         }
         if power.fract() == 0.0 {
-            let whole = power as i8;
-            self.push(Operation::Unary(Unary::Whole(whole)))?;
-            return unit.to_power(whole).ok_or_else(|| "a unit's power is too large".to_owned());
+            let integer = power as i8;
+            self.push(Operation::Unary(Unary::IntegerPower(integer)))?;
+            return unit.to_power(integer).ok_or_else(|| "a unit's power is too large".to_owned());
         }
         if power == 0.5
             && let Some(unit) = unit.root()

@@ -50,7 +50,7 @@ pub enum Unary {
     Sine,
     Cosine,
     /// An integer power.
-    Whole(i8),
+    IntegerPower(i8),
     /// A real power; the base is clamped to positive values.
     Power(f64),
 }
@@ -149,7 +149,7 @@ impl Unary {
             Self::Sine => x.sin(),
             Self::Cosine => x.cos(),
             Self::Power(power) => above_zero(x).powf(power),
-            Self::Whole(power) => {
+            Self::IntegerPower(power) => {
                 let base = if power < 0 { T::from(1.0) / away_from_zero(x) } else { x };
                 (0..power.unsigned_abs()).fold(T::from(1.0), |product, _| product * base)
             }

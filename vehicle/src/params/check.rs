@@ -223,7 +223,7 @@ impl VehicleParams {
                     });
                 }
             };
-            let told = |expected: [f64; 2]| format!("{} to {}", expected[0], expected[1]);
+            let range_text = |expected: [f64; 2]| format!("{} to {}", expected[0], expected[1]);
             remark(
                 natural,
                 LOOP_RAD_S,
@@ -233,7 +233,7 @@ impl VehicleParams {
                      gains (N m/rad) and inertia do not match",
                     brief(moment),
                     brief(natural),
-                    told(LOOP_RAD_S)
+                    range_text(LOOP_RAD_S)
                 ),
             );
             let damping = kd / (2.0 * (kp * moment).sqrt());
@@ -245,7 +245,7 @@ impl VehicleParams {
                     format!(
                         "the on-board loop in {name} has a damping ratio of {}, expected {}",
                         brief(damping),
-                        told(LOOP_DAMPING)
+                        range_text(LOOP_DAMPING)
                     ),
                 );
             }
@@ -361,7 +361,10 @@ mod tests {
 
     #[test]
     fn numbers_are_printed_briefly() {
-        let told = [0.0, 0.0123456, 1.23456, 12.3456, 1234.56, 1.0e300, 2.0e-7].map(brief);
-        assert_eq!(told, ["0.00000", "0.0123", "1.23", "12.3", "1235", "1.00e300", "2.00e-7"]);
+        let range_text = [0.0, 0.0123456, 1.23456, 12.3456, 1234.56, 1.0e300, 2.0e-7].map(brief);
+        assert_eq!(
+            range_text,
+            ["0.00000", "0.0123", "1.23", "12.3", "1235", "1.00e300", "2.00e-7"]
+        );
     }
 }

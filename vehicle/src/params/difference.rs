@@ -24,11 +24,11 @@ impl Difference {
         if this == other {
             return None;
         }
-        let told = |value: &T| match serde_json::to_value(value) {
+        let text = |value: &T| match serde_json::to_value(value) {
             Ok(value) => value,
             Err(error) => format!("a value that no file can hold ({error})").into(),
         };
-        let (this, other) = (told(this), told(other));
+        let (this, other) = (text(this), text(other));
         let (place, this, other) = first_difference(&this, &other);
         Some(Self { field, place, this: this.to_string(), other: other.to_string() })
     }
@@ -109,9 +109,9 @@ mod tests {
     fn differing_rotor_is_named() {
         let mut other = quad();
         other.rotors[2].thrust_max_n = 7.5;
-        let told = quad().difference(&other).expect("a difference").to_string();
-        assert!(told.starts_with("rotors[2].thrust_max_N is 7.5 there and "), "{told}");
-        assert!(!told.contains('{'), "{told}");
+        let text = quad().difference(&other).expect("a difference").to_string();
+        assert!(text.starts_with("rotors[2].thrust_max_N is 7.5 there and "), "{text}");
+        assert!(!text.contains('{'), "{text}");
     }
 
     #[test]
@@ -164,7 +164,7 @@ mod tests {
         let mut other = quad();
         other.rotor_max_rpm = Some(8000.0);
         let difference = quad().difference(&other).map(|difference| difference.to_string());
-        let told = "rotor_max_rpm is 8000.0 there and 9000.0 in this vehicle";
-        assert_eq!(difference.as_deref(), Some(told));
+        let text = "rotor_max_rpm is 8000.0 there and 9000.0 in this vehicle";
+        assert_eq!(difference.as_deref(), Some(text));
     }
 }

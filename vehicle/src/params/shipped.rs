@@ -65,7 +65,7 @@ mod tests {
     fn unknown_name_error_lists_the_names() {
         let error = VehicleParams::load("crazyfly").unwrap_err();
         assert!(matches!(error, VehicleError::Read { .. }));
-        let told = error.to_string();
-        assert!(told.contains("crazyfly") && told.contains("crazyflie, quad1200"), "{told}");
+        let text = error.to_string();
+        assert!(text.contains("crazyfly") && text.contains("crazyflie, quad1200"), "{text}");
     }
 }

@@ -25,7 +25,7 @@ impl Signer {
 
     /// Records the stamp of an accepted frame. A receiver of that frame refuses much older stamps
     /// from a new stream.
-    pub fn heard(&mut self, stamp: Stamp) {
+    pub fn observe(&mut self, stamp: Stamp) {
         self.newest = self.newest.max(stamp);
     }
 

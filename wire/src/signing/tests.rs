@@ -30,7 +30,7 @@ fn sender(byte: u8, link: u8, at: Stamp) -> Encoder {
     encoder
 }
 
-fn said(encoder: &mut Encoder) -> Vec<u8> {
+fn encoded(encoder: &mut Encoder) -> Vec<u8> {
     let message = MavMessage::ATTITUDE(ATTITUDE_DATA { yaw: 1.5, ..Default::default() });
     let mut bytes = Vec::new();
     assert!(encoder.encode(&message, &mut bytes));
@@ -46,7 +46,7 @@ fn signed_frame_is_accepted_once_and_stamps_advance() {
     let (mut verifier, mut sender) = (verifier(), sender(7, 3, NOW));
     let mut last = None;
     for _ in 0..100 {
-        let bytes = said(&mut sender);
+        let bytes = encoded(&mut sender);
         let frame = frame(&bytes);
         assert!(frame.is_signed() && frame.message().is_ok());
         let stamp = verifier.check(&frame).expect("it belongs to the key");
@@ -54,19 +54,19 @@ fn signed_frame_is_accepted_once_and_stamps_advance() {
         last = stamp;
         assert_eq!(verifier.check(&frame), Err(Refused::Replayed));
     }
-    assert_eq!(verifier.believed(), 100);
+    assert_eq!(verifier.accepted(), 100);
     assert_eq!(verifier.streams().len(), 1);
 }
 
 #[test]
 fn frames_without_the_key_are_refused_with_the_reason() {
     let mut verifier = verifier();
-    let unsigned = said(&mut Encoder::new(1, 1));
+    let unsigned = encoded(&mut Encoder::new(1, 1));
     assert_eq!(verifier.check(&frame(&unsigned)), Err(Refused::Unsigned));
     let mut old = Encoder::new(1, 1);
     old.set_version(MavlinkVersion::V1);
-    assert_eq!(verifier.check(&frame(&said(&mut old))), Err(Refused::OldProtocol));
-    let other = said(&mut sender(8, 3, NOW));
+    assert_eq!(verifier.check(&frame(&encoded(&mut old))), Err(Refused::OldProtocol));
+    let other = encoded(&mut sender(8, 3, NOW));
     assert_eq!(verifier.check(&frame(&other)), Err(Refused::Signature));
     // Stamps, ids and links of a sender without the key leave no trace.
     assert!(verifier.streams().is_empty());
@@ -91,7 +91,7 @@ fn overtaken_frame_is_accepted_once_within_a_second() {
         .map(|number| {
             let at = Stamp::from_ticks(NOW.ticks() + number * Stamp::PER_S / 500);
             sender.signer().expect("it signs").turn(at);
-            frame(&said(&mut sender))
+            frame(&encoded(&mut sender))
         })
         .collect();
     // Nine frames in ten arrive in time; the others arrive half a second late.
@@ -111,14 +111,14 @@ fn overtaken_frame_is_accepted_once_within_a_second() {
         assert_eq!(verifier.check(frame).is_ok(), is_new, "{number}");
     }
     let late = Stamp::from_ticks(verifier.streams()[0].newest.ticks() - Stamp::PER_S - 1);
-    let old = said(&mut self::sender(7, 3, late));
+    let old = encoded(&mut self::sender(7, 3, late));
     assert_eq!(verifier.check(&frame(&old)), Err(Refused::Replayed));
 }
 
 #[test]
 fn new_stream_may_be_a_minute_behind_or_a_day_ahead() {
     let minute = 60 * Stamp::PER_S;
-    let at = |ticks: u64| frame(&said(&mut sender(7, 9, Stamp::from_ticks(ticks))));
+    let at = |ticks: u64| frame(&encoded(&mut sender(7, 9, Stamp::from_ticks(ticks))));
     let now = NOW.ticks();
     assert_eq!(verifier().check(&at(now - minute - 1)), Err(Refused::Old));
     assert!(verifier().check(&at(now - minute)).is_ok());
@@ -128,29 +128,29 @@ fn new_stream_may_be_a_minute_behind_or_a_day_ahead() {
     // A known stream may be late, and a refused jump does not lock it out.
     let mut verifier = verifier();
     let mut late = sender(7, 9, Stamp::from_ticks(now - minute));
-    assert!(verifier.check(&frame(&said(&mut late))).is_ok());
+    assert!(verifier.check(&frame(&encoded(&mut late))).is_ok());
     verifier.turn(Stamp::from_ticks(now + minute));
     assert_eq!(verifier.check(&at(now + 5 * YEAR)), Err(Refused::Ahead));
-    assert!(verifier.check(&frame(&said(&mut late))).is_ok());
+    assert!(verifier.check(&frame(&encoded(&mut late))).is_ok());
 }
 
 #[test]
 fn signing_streams_are_separate_and_bounded() {
     let mut verifier = verifier();
     let mut streams: Vec<Encoder> = (0..=255).map(|link| sender(7, link, NOW)).collect();
-    let mut believed = 0;
+    let mut accepted = 0;
     for stream in &mut streams {
-        match verifier.check(&frame(&said(stream))) {
-            Ok(_) => believed += 1,
+        match verifier.check(&frame(&encoded(stream))) {
+            Ok(_) => accepted += 1,
             Err(refused) => assert_eq!(refused, Refused::Streams),
         }
     }
-    assert_eq!((believed, verifier.streams().len()), (64, 64));
+    assert_eq!((accepted, verifier.streams().len()), (64, 64));
     // Streams that were silent for more than a minute make room, and cannot be replayed.
-    let old = frame(&said(&mut sender(7, 0, Stamp::from_ticks(NOW.ticks() + 5))));
+    let old = frame(&encoded(&mut sender(7, 0, Stamp::from_ticks(NOW.ticks() + 5))));
     verifier.turn(Stamp::from_ticks(NOW.ticks() + 61 * Stamp::PER_S));
     let late = Stamp::from_ticks(NOW.ticks() + 61 * Stamp::PER_S);
-    assert!(verifier.check(&frame(&said(&mut sender(7, 200, late)))).is_ok());
+    assert!(verifier.check(&frame(&encoded(&mut sender(7, 200, late)))).is_ok());
     assert_eq!(verifier.streams().len(), 1);
     assert_eq!(verifier.check(&old), Err(Refused::Old));
 }
@@ -158,7 +158,7 @@ fn signing_streams_are_separate_and_bounded() {
 #[test]
 fn frames_from_before_a_restart_are_refused_as_replays() {
     let (mut before, mut sender) = (verifier(), sender(7, 3, NOW));
-    let bytes = said(&mut sender);
+    let bytes = encoded(&mut sender);
     before.check(&frame(&bytes)).expect("new");
     let settings = VerifierSettings {
         key: key(7),
@@ -168,7 +168,7 @@ fn frames_from_before_a_restart_are_refused_as_replays() {
     };
     let mut after = Verifier::new(settings, NOW);
     assert_eq!(after.check(&frame(&bytes)), Err(Refused::Replayed));
-    assert!(after.check(&frame(&said(&mut sender))).is_ok());
+    assert!(after.check(&frame(&encoded(&mut sender))).is_ok());
 }
 
 #[test]
@@ -182,7 +182,7 @@ fn stamps_never_decrease_with_any_clock() {
         assert!(signer.newest() > last, "{clock}");
         last = signer.newest();
     }
-    signer.heard(Stamp::from_ticks(NOW.ticks() + YEAR));
+    signer.observe(Stamp::from_ticks(NOW.ticks() + YEAR));
     signer.sign(&mut vec![], 0);
     assert_eq!(signer.newest().ticks(), NOW.ticks() + YEAR + 1);
 }
@@ -191,7 +191,7 @@ fn stamps_never_decrease_with_any_clock() {
 fn signer_sends_only_mavlink_2() {
     let mut encoder = sender(7, 0, NOW);
     encoder.set_version(MavlinkVersion::V1);
-    assert!(frame(&said(&mut encoder)).is_signed());
+    assert!(frame(&encoded(&mut encoder)).is_signed());
 }
 
 #[test]
@@ -235,7 +235,7 @@ fn key_file_readable_by_others_is_refused() {
 proptest! {
     #[test]
     fn modified_signed_frame_is_never_accepted(at in 0usize..53, bits in 1u8.., cut in 0usize..53) {
-        let bytes = said(&mut sender(7, 3, NOW));
+        let bytes = encoded(&mut sender(7, 3, NOW));
         prop_assume!(at < bytes.len());
         let mut changed = bytes.clone();
         changed[at] ^= bits;

@@ -77,7 +77,7 @@ impl Refused {
     ];
 
     /// The reason's name in counters.
-    pub const fn word(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Self::OldProtocol => "mavlink1",
             Self::Unsigned => "unsigned",
@@ -141,7 +141,7 @@ pub struct Verifier {
     /// One window for each stream.
     windows: Vec<Window>,
     refused: [u64; Refused::ALL.len()],
-    believed: u64,
+    accepted: u64,
 }
 
 impl Verifier {
@@ -153,7 +153,7 @@ impl Verifier {
         let windows =
             streams.iter().map(|stream: &StreamStamp| Window::new(stream.newest)).collect();
         let refused = Default::default();
-        Self { settings, now, newest: now, streams, windows, refused, believed: 0 }
+        Self { settings, now, newest: now, streams, windows, refused, accepted: 0 }
     }
 
     /// Advances the time, which never goes back.
@@ -170,7 +170,7 @@ impl Verifier {
     pub fn check(&mut self, frame: &Frame) -> Result<Option<Stamp>, Refused> {
         let judged = self.judge(frame);
         match judged {
-            Ok(_) => self.believed += 1,
+            Ok(_) => self.accepted += 1,
             Err(refused) => {
                 let place = Refused::ALL.iter().position(|it| *it == refused);
                 let count = place.and_then(|place| self.refused.get_mut(place));
@@ -238,8 +238,8 @@ impl Verifier {
     }
 
     /// Number of accepted frames.
-    pub fn believed(&self) -> u64 {
-        self.believed
+    pub fn accepted(&self) -> u64 {
+        self.accepted
     }
 
     /// Numbers of refused frames by reason.

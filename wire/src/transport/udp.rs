@@ -45,7 +45,7 @@ pub(super) struct UdpListener {
     socket: Socket,
     senders: Vec<Sender>,
     /// Counts datagrams, to find the sender that has been silent longest.
-    heard: u64,
+    datagrams: u64,
     next_id: u32,
     evicted: VecDeque<Peer>,
     /// The peer that is never evicted.
@@ -56,14 +56,14 @@ pub(super) struct UdpListener {
 struct Sender {
     peer: Peer,
     address: SocketAddr,
-    last_heard: u64,
+    last_datagram: u64,
 }
 
 impl UdpListener {
     pub(super) async fn bind(address: &Address) -> io::Result<Self> {
         let socket = Socket::new(UdpSocket::bind(resolve(address).await?.as_slice())?)?;
         let (senders, evicted) = (Vec::new(), VecDeque::new());
-        Ok(Self { socket, senders, heard: 0, next_id: 0, evicted, kept: None })
+        Ok(Self { socket, senders, datagrams: 0, next_id: 0, evicted, kept: None })
     }
 
     pub(super) fn local_addr(&self) -> Option<SocketAddr> {
@@ -91,7 +91,7 @@ impl UdpListener {
             match ready!(self.socket.watched.poll_recv_from(cx, &mut read)) {
                 Ok(address) => {
                     let len = read.filled().len();
-                    let peer = self.hear(address);
+                    let peer = self.peer_of(address);
                     return Poll::Ready(Ok(Incoming::Bytes { peer, len }));
                 }
                 Err(error) if is_transient(&error) => {}
@@ -112,28 +112,28 @@ impl UdpListener {
             return Ok(None);
         }
         match self.socket.direct.recv_from(buffer) {
-            Ok((len, address)) => Ok(Some(Incoming::Bytes { peer: self.hear(address), len })),
+            Ok((len, address)) => Ok(Some(Incoming::Bytes { peer: self.peer_of(address), len })),
             Err(error) if is_nothing(&error) => Ok(None),
             Err(error) => Err(error),
         }
     }
 
-    fn hear(&mut self, address: SocketAddr) -> Peer {
-        self.heard += 1;
+    fn peer_of(&mut self, address: SocketAddr) -> Peer {
+        self.datagrams += 1;
         if let Some(sender) = self.senders.iter_mut().find(|sender| sender.address == address) {
-            sender.last_heard = self.heard;
+            sender.last_datagram = self.datagrams;
             return sender.peer;
         }
         if self.senders.len() >= PEERS_MAX {
             let others = self.senders.iter().enumerate().filter(|(_, s)| Some(s.peer) != self.kept);
-            let oldest = others.min_by_key(|(_, s)| s.last_heard);
+            let oldest = others.min_by_key(|(_, s)| s.last_datagram);
             if let Some((index, _)) = oldest {
                 self.evicted.push_back(self.senders.swap_remove(index).peer);
             }
         }
         let peer = Peer(self.next_id);
         self.next_id = self.next_id.wrapping_add(1);
-        self.senders.push(Sender { peer, address, last_heard: self.heard });
+        self.senders.push(Sender { peer, address, last_datagram: self.datagrams });
         peer
     }
 

@@ -10,7 +10,7 @@ use super::{Contents, Source};
 use crate::import::facts::VehicleFacts;
 use crate::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
 use crate::import::kind::{self, StatedKind};
-use crate::import::onboard::{Row, Sample, Topic, Wanted};
+use crate::import::onboard::{Row, Sample, Topic, TopicSpec};
 use crate::import::tally::Tally;
 
 /// Of two messages of one quantity the second is taken only where it is this much more frequent.
@@ -41,11 +41,11 @@ const CENTIVOLT: f64 = 0.01;
 const DEG: f64 = std::f64::consts::PI / 180.0;
 
 macro_rules! sources {
-    ($($topic:literal $has_instances:ident: [$($field:literal = $unsaid:expr),* $(,)?]),* $(,)?) => {
+    ($($topic:literal $has_instances:ident: [$($field:literal = $default_factor:expr),* $(,)?]),* $(,)?) => {
         /// What is read of a log.
         pub(super) const SOURCES: &[Source] = &[$(Source {
-            wanted: Wanted { topic: $topic, fields: &["TimeUS", $($field),*] },
-            unsaid: &[1e-6, $($unsaid),*],
+            spec: TopicSpec { topic: $topic, fields: &["TimeUS", $($field),*] },
+            default_factors: &[1e-6, $($default_factor),*],
             has_instances: $has_instances,
         }),*];
     };
@@ -85,7 +85,7 @@ pub(super) fn names(field: &'static str) -> Vec<&'static str> {
 
 /// What a number of a field is in SI where its format tells that it is an old one.
 pub(super) fn older_unit(layout: &Layout, access: Access) -> Option<f64> {
-    (layout.name == "CURR" && access.is_whole()).then_some(CENTIVOLT)
+    (layout.name == "CURR" && access.is_integer()).then_some(CENTIVOLT)
 }
 
 fn stamp(row: &Row<'_>) -> f64 {
@@ -126,8 +126,8 @@ impl Contents {
     }
 
     fn facts(&self) -> VehicleFacts {
-        let said = |words: &str| {
-            self.texts.iter().find_map(|text| Some(text[text.find(words)?..].to_owned()))
+        let text_from = |start: &str| {
+            self.texts.iter().find_map(|text| Some(text[text.find(start)?..].to_owned()))
         };
         let firmwares = [
             "ArduCopter",
@@ -148,7 +148,7 @@ impl Contents {
             StatedKind::new(kind::of_build(build), || format!("BU of VER is {build}"))
         });
         let of_parameters = kind::of_parameters(&self.parameters);
-        let frame = said("Frame: ").map(|text| text["Frame: ".len()..].to_owned());
+        let frame = text_from("Frame: ").map(|text| text["Frame: ".len()..].to_owned());
         let of_frame = frame.as_deref().and_then(kind::of_frame);
         let frame_kind = of_frame.and_then(|(kind, _)| {
             let name = frame.as_deref().unwrap_or_default();
@@ -158,7 +158,7 @@ impl Contents {
         let stated = Parameters::from(self.parameters.clone());
         let parameters = self.parameters.iter().filter(|(name, _)| is_of_vehicle(name));
         VehicleFacts {
-            autopilot: firmwares.iter().find_map(|name| said(name)),
+            autopilot: firmwares.iter().find_map(|name| text_from(name)),
             frame,
             kinds: kinds.collect(),
             motors: stated.motor_count().or(of_frame.and_then(|(_, motors)| motors)),
@@ -170,11 +170,11 @@ impl Contents {
 
     /// The core of the estimator that flies.
     fn core(&self) -> u8 {
-        let said = ["XKF4", "NKF4"].into_iter().find_map(|name| {
+        let primary = ["XKF4", "NKF4"].into_iter().find_map(|name| {
             let (_, topic) = self.topics.instances(name).next()?;
             topic.most_frequent("PI")
         });
-        said.or(self.parameter("EK3_PRIMARY")).map_or(0, |core| core as u8)
+        primary.or(self.parameter("EK3_PRIMARY")).map_or(0, |core| core as u8)
     }
 
     fn fill_attitude(

@@ -68,7 +68,7 @@ pub(super) struct Access {
 
 impl Access {
     /// Whether the field is a whole number that its format does not scale.
-    pub fn is_whole(self) -> bool {
+    pub fn is_integer(self) -> bool {
         matches!(self.format, b'b' | b'B' | b'h' | b'H' | b'i' | b'I')
     }
 
@@ -169,9 +169,9 @@ impl Units {
     }
 
     /// What a field's number must be multiplied with to be in SI, if the log says; else, as in
-    /// logs of before 2018, what `unsaid` is in SI.
-    pub fn factor(&self, kind: u8, access: Access, unsaid: f64) -> f64 {
-        let said = || {
+    /// logs of before 2018, `default_factor`.
+    pub fn factor(&self, kind: u8, access: Access, default_factor: f64) -> f64 {
+        let stated = || {
             let (units, multipliers) = self.fields.get(&kind)?;
             let unit = match self.labels.get(units.get(access.at)?)?.as_str() {
                 "deg" | "degheading" | "deg/s" => 1f64.to_radians(),
@@ -185,7 +185,7 @@ impl Units {
             let multiplier = multiplier.copied().filter(|m| *m != 0.0 && m.is_finite() && !has_own);
             Some(unit * multiplier.map_or(1.0, decimal))
         };
-        said().unwrap_or(unsaid)
+        stated().unwrap_or(default_factor)
     }
 }
 

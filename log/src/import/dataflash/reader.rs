@@ -83,7 +83,7 @@ impl<R: Read> Reader<R> {
             if rest.is_empty() {
                 return Ok(None);
             }
-            let Some(length) = self.length(rest).filter(|length| self.goes_on(rest, *length))
+            let Some(length) = self.length(rest).filter(|length| self.continues(rest, *length))
             else {
                 // The marks at the earliest, of the next message.
                 let next = rest[1..].iter().position(|byte| *byte == MARKS[0]);
@@ -135,7 +135,7 @@ impl<R: Read> Reader<R> {
     }
 
     /// Whether another message, or the end, follows one of this length.
-    fn goes_on(&self, bytes: &[u8], length: usize) -> bool {
+    fn continues(&self, bytes: &[u8], length: usize) -> bool {
         match bytes.get(length..) {
             None => false,
             Some([]) => true,
@@ -144,8 +144,8 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    fn fill(&mut self, wanted: usize) -> io::Result<()> {
-        if self.buffer.len() - self.start >= wanted || self.ended {
+    fn fill(&mut self, needed: usize) -> io::Result<()> {
+        if self.buffer.len() - self.start >= needed || self.ended {
             return Ok(());
         }
         self.buffer.drain(..self.start);

@@ -16,7 +16,7 @@ use super::{
 const STANDARD_GRAVITY: f64 = 9.806_65;
 
 /// Error message for a missing key.
-fn unsaid(field: &str, expected: &str) -> String {
+fn missing(field: &str, expected: &str) -> String {
     format!("{field} is missing: write {field} = {expected}")
 }
 
@@ -86,7 +86,7 @@ impl Binder<'_> {
 
     fn world(&self) -> Result<WorldFrame, String> {
         self.world.ok_or_else(|| {
-            unsaid(
+            missing(
                 "world_frame",
                 r#""ned", "enu", "nwu" or where its axes point, as ["north", "up", "east"]"#,
             )
@@ -95,7 +95,7 @@ impl Binder<'_> {
 
     fn body(&self) -> Result<BodyFrame, String> {
         self.body.ok_or_else(|| {
-            unsaid(
+            missing(
                 "body_frame",
                 r#""frd", "flu" or where its axes point, as ["front", "up", "right"]"#,
             )
@@ -104,7 +104,7 @@ impl Binder<'_> {
 
     fn axes(&self, field: &str, axes: Option<Axes>) -> Result<Axes, String> {
         let field = format!("{field}.axes");
-        let axes = axes.ok_or_else(|| unsaid(&field, r#""world" or "body""#))?;
+        let axes = axes.ok_or_else(|| missing(&field, r#""world" or "body""#))?;
         match axes {
             Axes::World => self.world().map(drop)?,
             Axes::Body => self.body().map(drop)?,
@@ -128,21 +128,22 @@ impl Binder<'_> {
         refuse(map.rotates.is_some() && map.euler.is_some(), "rotates")?;
         let (rotation, is_inverse) = if let Some(names) = &map.euler {
             let expected = r#""rad" or "deg" (yaw, then pitch, then roll turn the world into the body; columns: roll, pitch, yaw)"#;
-            let factor = match map.unit.ok_or_else(|| unsaid(&format!("{field}.unit"), expected))? {
-                AngleUnit::Rad => 1.0,
-                AngleUnit::Deg => 1f64.to_radians(),
-            };
+            let factor =
+                match map.unit.ok_or_else(|| missing(&format!("{field}.unit"), expected))? {
+                    AngleUnit::Rad => 1.0,
+                    AngleUnit::Deg => 1f64.to_radians(),
+                };
             (Rotation::Euler(self.columns(field, names, factor)?), false)
         } else {
             let expected = r#""body_to_world" (v_world = R v_body) or "world_to_body""#;
             let rotates =
-                map.rotates.ok_or_else(|| unsaid(&format!("{field}.rotates"), expected))?;
+                map.rotates.ok_or_else(|| missing(&format!("{field}.rotates"), expected))?;
             let is_inverse = matches!(rotates, Rotates::WorldToBody);
             let rotation = match (&map.quaternion, &map.matrix) {
                 (Some(names), _) => {
                     let expected = r#""wxyz" or "xyzw", in the order of the columns"#;
                     let order =
-                        map.order.ok_or_else(|| unsaid(&format!("{field}.order"), expected))?;
+                        map.order.ok_or_else(|| missing(&format!("{field}.order"), expected))?;
                     let columns = self.raw(field, names, 1.0)?;
                     contradiction::order(&self.heading, field, columns.at, order)?;
                     Rotation::Quaternion(columns, order)
@@ -163,7 +164,7 @@ impl Binder<'_> {
 
     fn rate(&mut self, field: &str, map: &RateMap) -> Result<VectorReader, String> {
         let expected = r#""rad/s" or "deg/s""#;
-        let factor = match map.unit.ok_or_else(|| unsaid(&format!("{field}.unit"), expected))? {
+        let factor = match map.unit.ok_or_else(|| missing(&format!("{field}.unit"), expected))? {
             RateUnit::Radians => 1.0,
             RateUnit::Degrees => 1f64.to_radians(),
         };
@@ -174,7 +175,7 @@ impl Binder<'_> {
 
     fn motors(&mut self, map: &MotorMap) -> Result<(MotorReader, Outputs, Option<f64>), String> {
         let expected = r#""thrust_fraction", "thrust_N", "pwm" or "rotor_speed""#;
-        let meaning = map.meaning.ok_or_else(|| unsaid("motors.meaning", expected))?;
+        let meaning = map.meaning.ok_or_else(|| missing("motors.meaning", expected))?;
         let is_pwm = matches!(meaning, MotorMeaning::Pwm);
         let is_speed = matches!(meaning, MotorMeaning::RotorSpeed);
         let stray = [
@@ -187,9 +188,9 @@ impl Binder<'_> {
                 "rotor_speed",
             ),
         ];
-        if let Some((_, key, wanted)) = stray.into_iter().find(|(is_stray, ..)| *is_stray) {
+        if let Some((_, key, meaning)) = stray.into_iter().find(|(is_stray, ..)| *is_stray) {
             return Err(format!(
-                "motors.{key} belongs to meaning = {wanted:?}; take one of them out"
+                "motors.{key} belongs to meaning = {meaning:?}; take one of them out"
             ));
         }
         let mut reader = MotorReader {
@@ -225,11 +226,11 @@ impl Binder<'_> {
                 }
             }
             MotorMeaning::RotorSpeed => {
-                let unit = map.unit.ok_or_else(|| unsaid("motors.unit", r#""rad/s" or "rpm""#))?;
+                let unit = map.unit.ok_or_else(|| missing("motors.unit", r#""rad/s" or "rpm""#))?;
                 let coefficient = map.thrust_coefficient_n_s2.filter(|k| k.is_finite() && *k > 0.0);
                 let coefficient = coefficient.ok_or_else(|| {
                     let expected = "a number above 0: thrust in N over the square of rad/s";
-                    unsaid("motors.thrust_coefficient_N_s2", expected)
+                    missing("motors.thrust_coefficient_N_s2", expected)
                 })?;
                 let factor = rad_per_s(unit);
                 reader.polynomial = Some(vec![0.0, 0.0, coefficient * factor * factor]);
@@ -272,7 +273,7 @@ impl RowReader {
                 TimeReader::Column(binder.columns("time.column", columns, factor)?)
             }
             (Some(_), None, None) => {
-                return Err(unsaid("time.unit", r#""s", "ms", "us" or "ns""#));
+                return Err(missing("time.unit", r#""s", "ms", "us" or "ns""#));
             }
             (None, Some(rate), None) if rate.is_finite() && rate > 0.0 => TimeReader::Rate(rate),
             _ => return Err(format!("expected {expected}, and a rate above 0")),
@@ -283,20 +284,20 @@ impl RowReader {
             let unit = match &map.unit {
                 Some(LengthText::Unit(unit)) => *unit,
                 Some(LengthText::Above { above }) => {
-                    let said = binder.heading.after(above);
-                    said.and_then(LengthUnit::named).ok_or_else(|| {
-                        let found = said.map_or("no such cell".to_owned(), |s| format!("{s:?}"));
+                    let unit_text = binder.heading.after(above);
+                    unit_text.and_then(LengthUnit::named).ok_or_else(|| {
+                        let found = unit_text.map_or("no such cell".to_owned(), |s| format!("{s:?}"));
                         format!("position.unit: expected a unit after {above:?}, found {found}: write it")
                     })?
                 }
-                None => return Err(unsaid("position.unit", expected)),
+                None => return Err(missing("position.unit", expected)),
             };
             binder.columns("position.columns", &map.columns, unit.in_m())
         });
         let position = position.transpose()?;
         let velocity = mapping.velocity.as_ref().map(|map| {
             let expected = r#""m/s", "cm/s" or "mm/s""#;
-            let factor = match map.unit.ok_or_else(|| unsaid("velocity.unit", expected))? {
+            let factor = match map.unit.ok_or_else(|| missing("velocity.unit", expected))? {
                 SpeedUnit::Metres => 1.0,
                 SpeedUnit::Centimetres => 0.01,
                 SpeedUnit::Millimetres => 1e-3,
@@ -312,12 +313,12 @@ impl RowReader {
             mapping.body_rate.as_ref().map(|map| binder.rate("body_rate", map)).transpose()?;
         let specific_force = mapping.specific_force.as_ref().map(|map| {
             let expected = r#""m/s2" or "g""#;
-            let factor = match map.unit.ok_or_else(|| unsaid("specific_force.unit", expected))? {
+            let factor = match map.unit.ok_or_else(|| missing("specific_force.unit", expected))? {
                 AccelerationUnit::MetresPerSecondSquared => 1.0,
                 AccelerationUnit::Gravity => STANDARD_GRAVITY,
             };
             let expected = r#""specific_force" (what an accelerometer shows: 1 g upwards at rest) or "acceleration" (nothing at rest)"#;
-            let meaning = map.meaning.ok_or_else(|| unsaid("specific_force.meaning", expected))?;
+            let meaning = map.meaning.ok_or_else(|| missing("specific_force.meaning", expected))?;
             let gravity = map.gravity_mps2.unwrap_or(STANDARD_GRAVITY);
             if !(gravity.is_finite() && gravity > 0.0) {
                 return Err("specific_force.gravity_mps2: expected a number above 0".to_owned());
@@ -344,7 +345,7 @@ impl RowReader {
         let rotor_speed = match (&mapping.rotor_speed, &motors) {
             (Some(map), _) => {
                 let expected = r#""rad/s" or "rpm""#;
-                let unit = map.unit.ok_or_else(|| unsaid("rotor_speed.unit", expected))?;
+                let unit = map.unit.ok_or_else(|| missing("rotor_speed.unit", expected))?;
                 Some(binder.columns("rotor_speed.columns", &map.columns, rad_per_s(unit))?)
             }
             (None, Some((reader, _, Some(factor)))) => {
@@ -353,7 +354,7 @@ impl RowReader {
             (None, _) => None,
         };
         let voltage = mapping.voltage.as_ref().map(|map| {
-            let factor = match map.unit.ok_or_else(|| unsaid("voltage.unit", r#""V" or "mV""#))? {
+            let factor = match map.unit.ok_or_else(|| missing("voltage.unit", r#""V" or "mV""#))? {
                 VoltageUnit::V => 1.0,
                 VoltageUnit::Millivolt => 1e-3,
             };

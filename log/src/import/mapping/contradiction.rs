@@ -18,15 +18,16 @@ pub(super) fn unit(
     factor: f64,
 ) -> Result<(), String> {
     let below = heading.units.and_then(|units| unit_word::of_cell(units.get(column)?));
-    let said = below.or_else(|| unit_word::in_brackets(heading.name(column)));
-    let Some((said, in_si)) = said.and_then(|said| Some((said, unit_word::in_si(said)?))) else {
+    let stated = below.or_else(|| unit_word::in_brackets(heading.name(column)));
+    let Some((stated, in_si)) = stated.and_then(|stated| Some((stated, unit_word::in_si(stated)?)))
+    else {
         return Ok(());
     };
     if (in_si / factor - 1.0).abs() <= ALIKE {
         return Ok(());
     }
     Err(format!(
-        "{field}: the table says that column {} is in {said:?}, the mapping uses another unit; \
+        "{field}: the table says that column {} is in {stated:?}, the mapping uses another unit; \
          correct the one that is wrong",
         heading.pointed_out(column)
     ))

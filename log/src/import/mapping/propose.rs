@@ -112,8 +112,8 @@ impl Proposal<'_> {
 
     /// A line `unit = ...`: the unit in the names if it is one of `units`, else the first, marked
     /// for checking.
-    fn unit(&mut self, said: Option<&'static str>, units: &[&str]) {
-        match said.filter(|said| units.contains(said)) {
+    fn unit(&mut self, stated: Option<&'static str>, units: &[&str]) {
+        match stated.filter(|stated| units.contains(stated)) {
             Some(unit) => self.line(&format!("unit = {unit:?}")),
             None => {
                 let others: Vec<String> = units.iter().map(|unit| format!("{unit:?}")).collect();

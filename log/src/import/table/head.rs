@@ -207,8 +207,9 @@ impl Sheet {
         };
         let twice: Vec<usize> = (0..self.names.len()).filter(is_twice).collect();
         let has = |line: &Vec<String>, at: &usize| line.get(*at).is_some_and(|c| !c.is_empty());
-        let tells = |line: &&Vec<String>| !twice.is_empty() && twice.iter().all(|at| has(line, at));
-        let line = self.above.iter().rev().find(tells);
+        let distinguishes =
+            |line: &&Vec<String>| !twice.is_empty() && twice.iter().all(|at| has(line, at));
+        let line = self.above.iter().rev().find(distinguishes);
         line.and_then(|line| line.get(column)).map_or("", String::as_str)
     }
 }
@@ -281,9 +282,9 @@ fn by_number(
 fn expected(mapping: &Mapping, above: &[Vec<String>]) -> Result<(), String> {
     let heading = Heading { above, names: None, units: None, width: 0 };
     for (name, expected) in &mapping.expect {
-        if let Some(said) = heading.after(name).filter(|said| said != expected) {
+        if let Some(found) = heading.after(name).filter(|found| found != expected) {
             return Err(format!(
-                "expect: the table has {name:?} = {said:?}, the mapping is for {expected:?}; copy \
+                "expect: the table has {name:?} = {found:?}, the mapping is for {expected:?}; copy \
                  the mapping, and change it and this value to fit the table"
             ));
         }

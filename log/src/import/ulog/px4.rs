@@ -12,7 +12,7 @@ use super::Contents;
 use crate::import::facts::VehicleFacts;
 use crate::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
 use crate::import::kind::{self, StatedKind, VehicleKind};
-use crate::import::onboard::{Row, Sample, Topics, Wanted};
+use crate::import::onboard::{Row, Sample, TopicSpec, Topics};
 use crate::import::tally::Tally;
 
 /// The second of two topics of a quantity is used only if its rate is higher by this factor.
@@ -22,15 +22,15 @@ const NOTES_MAX: usize = 60;
 /// Value that marks a missing accelerometer time stamp.
 const NO_STAMP: f64 = i32::MAX as f64;
 
-macro_rules! wanted {
+macro_rules! topic_specs {
     ($($topic:literal: [$($field:literal),* $(,)?]),* $(,)?) => {
         /// Topics and fields that are read.
-        pub(super) const WANTED: &[Wanted] =
-            &[$(Wanted { topic: $topic, fields: &["timestamp", $($field),*] }),*];
+        pub(super) const TOPIC_SPECS: &[TopicSpec] =
+            &[$(TopicSpec { topic: $topic, fields: &["timestamp", $($field),*] }),*];
     };
 }
 
-wanted! {
+topic_specs! {
     "vehicle_attitude": ["timestamp_sample", "q[0]", "q[1]", "q[2]", "q[3]", "roll", "pitch", "yaw",
         "rollspeed", "pitchspeed", "yawspeed"],
     "vehicle_angular_velocity": ["timestamp_sample", "xyz[0]", "xyz[1]", "xyz[2]"],

@@ -167,12 +167,14 @@ impl<R: Read> Reader<R> {
             }
             let room = self.room();
             match self.look(0, room) {
-                Look::Sound(length) if !self.is_lost || self.goes_on(length, room) => break length,
+                Look::Sound(length) if !self.is_lost || self.continues(length, room) => {
+                    break length;
+                }
                 // A damaged length may point to a message far ahead; the data in between is not
                 // lost.
                 Look::Odd(length)
                     if !self.is_lost
-                        && self.goes_on(length, room)
+                        && self.continues(length, room)
                         && self.next_sound(length, room).is_none() =>
                 {
                     self.damage.messages += 1;
@@ -276,14 +278,14 @@ impl<R: Read> Reader<R> {
         usize::try_from(before).unwrap_or(usize::MAX).min(self.rest().len())
     }
 
-    /// Fills the buffer to `wanted` bytes or the end of the file.
-    fn fill(&mut self, wanted: usize) -> io::Result<()> {
-        if self.rest().len() >= wanted || self.ended {
+    /// Fills the buffer to `needed` bytes or the end of the file.
+    fn fill(&mut self, needed: usize) -> io::Result<()> {
+        if self.rest().len() >= needed || self.ended {
             return Ok(());
         }
         self.buffer.drain(..self.start);
         self.start = 0;
-        self.ended = read_ahead(&mut self.source, &mut self.buffer, wanted.max(4 * MESSAGE_MAX))?;
+        self.ended = read_ahead(&mut self.source, &mut self.buffer, needed.max(4 * MESSAGE_MAX))?;
         Ok(())
     }
 
@@ -312,14 +314,14 @@ impl<R: Read> Reader<R> {
     }
 
     /// Whether a valid message or the end is `at` bytes ahead.
-    fn goes_on(&self, at: usize, room: usize) -> bool {
+    fn continues(&self, at: usize, room: usize) -> bool {
         at == room || matches!(self.look(at, room), Look::Sound(_))
     }
 
     /// The next position, less than `within` bytes ahead, with two consecutive valid messages.
     fn next_sound(&self, within: usize, room: usize) -> Option<usize> {
         (1..room.min(within)).find(|at| match self.look(*at, room) {
-            Look::Sound(length) => self.goes_on(at + length, room),
+            Look::Sound(length) => self.continues(at + length, room),
             _ => false,
         })
     }

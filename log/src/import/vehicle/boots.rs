@@ -14,14 +14,14 @@ impl VehicleLog {
         let states = if self.landed.is_empty() { &self.armed } else { &self.landed };
         let mut flown = vec![0.0; self.epochs.len()];
         let mut last: Option<(usize, f64)> = None;
-        for (heard, flying) in states {
-            let Some(epoch) = self.epoch_at(heard.index) else { continue };
+        for (frame_time, flying) in states {
+            let Some(epoch) = self.epoch_at(frame_time.index) else { continue };
             if let Some((before, since)) = last.take()
                 && before == epoch
             {
-                flown[epoch] += (heard.ground - since).clamp(0.0, STATE_LASTS);
+                flown[epoch] += (frame_time.ground - since).clamp(0.0, STATE_LASTS);
             }
-            last = flying.then_some((epoch, heard.ground));
+            last = flying.then_some((epoch, frame_time.ground));
         }
         flown
     }

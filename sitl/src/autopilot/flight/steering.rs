@@ -16,7 +16,7 @@ impl FlightControl {
     pub(super) fn choose_setpoint(&mut self, now_us: u64) -> Option<AttitudeSetpoint> {
         // The delay line runs in every mode, so OFFBOARD starts with the newest setpoint.
         let setpoint = self.stream.at(now_us);
-        self.came_us = None;
+        self.arrived_us = None;
         let mode = self.commander.mode();
         if mode != Mode::Offboard {
             return self.guided(now_us, mode);
@@ -37,7 +37,7 @@ impl FlightControl {
             Pursuit::Setpoint(setpoint) => {
                 self.guidance.leave();
                 self.position_controller.reset();
-                self.came_us = self.stream.came_us();
+                self.arrived_us = self.stream.arrived_us();
                 setpoint
             }
             Pursuit::Climb(setpoint, rate_m_s) => {

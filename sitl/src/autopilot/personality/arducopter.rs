@@ -98,7 +98,7 @@ impl Personality for Arducopter {
     }
 
     fn mode_of_command(&self, main: u8, _sub: u8) -> Option<Mode> {
-        self.mode_of_word(main.into())
+        self.mode_of_custom_mode(main.into())
     }
 
     fn mode_name(&self, mode: Mode) -> &'static str {

@@ -33,7 +33,7 @@ impl OnboardLoop for AttitudeLoop {
 /// needs only the vehicle) and COM_RC_OVERRIDE (sticks also end OFFBOARD: the pilot wins).
 fn table(vehicle: &VehicleParams, pd: &AttitudePd) -> Vec<Spec> {
     let thrust_max: f64 = vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
-    let told = |name, value: f64| fact(name, Value::Float(value as f32));
+    let float_fact = |name, value: f64| fact(name, Value::Float(value as f32));
     vec![
         // Cells in series.
         fact("BAT1_N_CELLS", Value::Int(vehicle.battery.cells.into())),
@@ -58,14 +58,14 @@ fn table(vehicle: &VehicleParams, pd: &AttitudePd) -> Vec<Spec> {
         int(Key::ComRcOverride, "COM_RC_OVERRIDE", 3, 0, 3),
         // Gains of the attitude loop, N m s/rad and N m/rad, its rate in Hz, and the sum of the
         // rotors' maximum thrust in N, from the vehicle file. Not in PX4.
-        told("DW_KD_PITCH", pd.kd[1]),
-        told("DW_KD_ROLL", pd.kd[0]),
-        told("DW_KD_YAW", pd.kd[2]),
-        told("DW_KP_PITCH", pd.kp[1]),
-        told("DW_KP_ROLL", pd.kp[0]),
-        told("DW_KP_YAW", pd.kp[2]),
-        told("DW_PD_RATE", pd.rate_hz),
-        told("DW_THRUST_MAX", thrust_max),
+        float_fact("DW_KD_PITCH", pd.kd[1]),
+        float_fact("DW_KD_ROLL", pd.kd[0]),
+        float_fact("DW_KD_YAW", pd.kd[2]),
+        float_fact("DW_KP_PITCH", pd.kp[1]),
+        float_fact("DW_KP_ROLL", pd.kp[0]),
+        float_fact("DW_KP_YAW", pd.kp[2]),
+        float_fact("DW_PD_RATE", pd.rate_hz),
+        float_fact("DW_THRUST_MAX", thrust_max),
         fact("MAV_COMP_ID", Value::Int(1)),
         // 0: MAVLink 1 until the peer sends MAVLink 2.
         fact("MAV_PROTO_VER", Value::Int(0)),
@@ -134,7 +134,7 @@ impl Personality for Bundled {
         })
     }
 
-    fn heeds_motor_output(&self) -> bool {
+    fn uses_motor_output(&self) -> bool {
         true
     }
 

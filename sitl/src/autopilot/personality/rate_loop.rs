@@ -84,11 +84,11 @@ impl RateLoop {
     fn mix(&mut self, thrust: f64, moment: Frd) -> [f64; ROTORS] {
         let [roll, pitch, yaw] = moment.to_array();
         let collective = thrust * self.allocation.collective_max();
-        let wanted = self.allocation.unclipped_outputs([collective, roll, pitch, yaw]);
-        let most = wanted.into_iter().fold(1.0, f64::max);
-        let given = wanted.map(|share| (share - (most - 1.0)).clamp(0.0, 1.0));
-        self.is_saturated = given != wanted;
-        given
+        let unclipped = self.allocation.unclipped_outputs([collective, roll, pitch, yaw]);
+        let most = unclipped.into_iter().fold(1.0, f64::max);
+        let clipped = unclipped.map(|share| (share - (most - 1.0)).clamp(0.0, 1.0));
+        self.is_saturated = clipped != unclipped;
+        clipped
     }
 }
 

@@ -40,7 +40,7 @@ impl Core {
     /// Takes the first autopilot as the vehicle, preferring known ones, and finds it again at
     /// another peer. Returns whether a different one now answers under the known ids.
     pub(super) fn select(&mut self, now: HostTime, id: VehicleId, is_signed: bool) -> bool {
-        if self.settings.vehicle_system.is_some_and(|wanted| wanted != id.system) {
+        if self.settings.vehicle_system.is_some_and(|requested| requested != id.system) {
             return false;
         }
         let Some(known) = &mut self.vehicle else {
@@ -49,7 +49,7 @@ impl Core {
             return false;
         };
         if (known.id.system, known.id.component) != (id.system, id.component) {
-            self.hear_other(now, id, is_signed);
+            self.note_other(now, id, is_signed);
             return false;
         }
         let is_lost = self.state == LinkState::Lost;
@@ -82,7 +82,7 @@ impl Core {
 
     /// Handles a second autopilot. A known one replaces an unknown one. Between two known or two
     /// unknown ones, only the user can choose.
-    fn hear_other(&mut self, now: HostTime, id: VehicleId, is_signed: bool) {
+    fn note_other(&mut self, now: HostTime, id: VehicleId, is_signed: bool) {
         let Some(vehicle) = self.vehicle.as_ref().map(|vehicle| vehicle.id) else { return };
         if id.is_known() && !vehicle.is_known() {
             self.replaced(now, id, is_signed);
@@ -109,7 +109,7 @@ impl Core {
     fn found(&mut self, now: HostTime, id: VehicleId, is_signed: bool) {
         let version = MavlinkVersion::V2;
         self.vehicle =
-            Some(Vehicle { id, peer: Some(id.peer), last_heard: now, is_signed, version });
+            Some(Vehicle { id, peer: Some(id.peer), last_received: now, is_signed, version });
         self.others.retain(|other| *other != id);
         self.codec = Codec::default();
         self.clock = VehicleClock::default();
@@ -117,7 +117,7 @@ impl Core {
         self.counters.is_vehicle(id.system, id.component);
         self.sequence.restart();
         self.attitude = None;
-        self.outbox.speak(MavlinkVersion::V2);
+        self.outbox.set_version(MavlinkVersion::V2);
         self.timesync_due = now;
         self.version_due = Some((now, 0));
     }

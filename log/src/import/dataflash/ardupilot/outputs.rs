@@ -61,12 +61,12 @@ impl Contents {
         });
         flight.motor_source = MotorSource::Rcou;
         match ranges::ardupilot(&self.parameters) {
-            Some((ranges, said)) => {
+            Some((ranges, basis)) => {
                 flight.outputs = flight
                     .outputs
                     .map(|pulses| std::array::from_fn(|i| ranges[i].fraction(pulses[i])));
                 flight.motor_unit = MotorUnit::ThrustFraction;
-                facts.notes.push(format!("outputs over the range {said}"));
+                facts.notes.push(format!("outputs over the range {basis}"));
             }
             None => flight.motor_unit = MotorUnit::VehicleFile,
         }

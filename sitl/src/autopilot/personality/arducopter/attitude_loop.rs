@@ -139,13 +139,13 @@ impl OnboardLoop for ArducopterLoop {
     }
 
     fn configure(&mut self, parameters: &Parameters) {
-        let said = gains::cascade(GAINS, parameters, &self.nominal, self.moments);
-        self.rate_loop.configure(gains::scaled(said, self.truth));
+        let cascade = gains::cascade(GAINS, parameters, &self.nominal, self.moments);
+        self.rate_loop.configure(gains::scaled(cascade, self.truth));
         self.thrust_curve = parameters.get(Key::ThrustCurve);
     }
 
     /// Reports the shaped target.
-    fn told(&self, setpoint: AttitudeSetpoint) -> AttitudeSetpoint {
+    fn reported(&self, setpoint: AttitudeSetpoint) -> AttitudeSetpoint {
         AttitudeSetpoint {
             attitude: self.target.map(Attitude::euler),
             body_rate: self.target_rate,

@@ -115,13 +115,13 @@ impl OnboardLoop for Px4Loop {
     }
 
     fn configure(&mut self, parameters: &Parameters) {
-        let said = gains::cascade(GAINS, parameters, &self.nominal, self.moments);
-        self.rate_loop.configure(gains::scaled(said, self.truth));
+        let cascade = gains::cascade(GAINS, parameters, &self.nominal, self.moments);
+        self.rate_loop.configure(gains::scaled(cascade, self.truth));
         self.yaw_weight = parameters.get(Key::YawWeight).clamp(0.01, 1.0);
         self.thrust_curve = parameters.get(Key::ThrustCurve);
     }
 
-    fn told(&self, setpoint: AttitudeSetpoint) -> AttitudeSetpoint {
+    fn reported(&self, setpoint: AttitudeSetpoint) -> AttitudeSetpoint {
         let known = |rate: f64| if rate.is_nan() { 0.0 } else { rate };
         AttitudeSetpoint { body_rate: setpoint.body_rate.map(known), ..setpoint }
     }

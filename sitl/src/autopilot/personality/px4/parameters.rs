@@ -76,7 +76,7 @@ pub(super) fn unit_moments(vehicle: &VehicleParams, allocation: &Allocation) -> 
 
 /// All parameters except the gains.
 pub(super) fn table(vehicle: &VehicleParams) -> Vec<Spec> {
-    let told = |name: &str, value: f64| fact(name.to_owned(), Value::Float(value as f32));
+    let float_fact = |name: &str, value: f64| fact(name.to_owned(), Value::Float(value as f32));
     let mut specs = vec![
         fact("BAT1_N_CELLS", Value::Int(vehicle.battery.cells.into())),
         // Charge at which the battery is critical and low.
@@ -128,7 +128,7 @@ pub(super) fn table(vehicle: &VehicleParams) -> Vec<Spec> {
         let [x, y, z] = rotor.position_m;
         let moment = f64::from(rotor.spin) * rotor.drag_torque_per_thrust_m;
         for (axis, value) in [("PX", x), ("PY", y), ("PZ", z), ("KM", moment)] {
-            specs.push(told(&format!("CA_ROTOR{at}_{axis}"), value));
+            specs.push(float_fact(&format!("CA_ROTOR{at}_{axis}"), value));
         }
         specs.push(fact(format!("CA_ROTOR{at}_CT"), Value::Float(THRUST_COEFFICIENT)));
         let output = at + 1;
@@ -143,15 +143,15 @@ pub(super) fn table(vehicle: &VehicleParams) -> Vec<Spec> {
     };
     // The simulation in hardware reports its physical parameters.
     specs.extend([
-        told("SIH_MASS", vehicle.mass),
-        told("SIH_IXX", ixx),
-        told("SIH_IYY", iyy),
-        told("SIH_IZZ", izz),
-        told("SIH_T_MAX", mean(|rotor| rotor.thrust_max_n)),
-        told("SIH_Q_MAX", mean(|rotor| rotor.thrust_max_n * rotor.drag_torque_per_thrust_m)),
-        told("SIH_T_TAU", vehicle.motor_time_constant_s),
-        told("SIH_L_ROLL", mean(|rotor| rotor.position_m[1].abs())),
-        told("SIH_L_PITCH", mean(|rotor| rotor.position_m[0].abs())),
+        float_fact("SIH_MASS", vehicle.mass),
+        float_fact("SIH_IXX", ixx),
+        float_fact("SIH_IYY", iyy),
+        float_fact("SIH_IZZ", izz),
+        float_fact("SIH_T_MAX", mean(|rotor| rotor.thrust_max_n)),
+        float_fact("SIH_Q_MAX", mean(|rotor| rotor.thrust_max_n * rotor.drag_torque_per_thrust_m)),
+        float_fact("SIH_T_TAU", vehicle.motor_time_constant_s),
+        float_fact("SIH_L_ROLL", mean(|rotor| rotor.position_m[1].abs())),
+        float_fact("SIH_L_PITCH", mean(|rotor| rotor.position_m[0].abs())),
     ]);
     specs
 }

@@ -39,7 +39,7 @@ pub fn message(frame: &[u8]) -> Option<MavMessage> {
 }
 
 /// The mode that a frame reports, and whether the motors are armed.
-pub fn told(frame: &[u8]) -> Option<(u32, Option<bool>)> {
+pub fn reported_mode(frame: &[u8]) -> Option<(u32, Option<bool>)> {
     if !is_mode(frame) {
         return None;
     }

@@ -27,11 +27,11 @@ pub(super) enum Newness {
 
 /// A frame that reports the mode.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct ModeWord<'a> {
+pub(super) struct ModeReport<'a> {
     /// Its bytes.
     pub frame: &'a [u8],
     /// The reported mode.
-    pub word: u32,
+    pub mode: u32,
     /// The mode in which setpoints are obeyed, where it is known.
     pub obeys: Option<u32>,
     /// Whether its place in the vehicle's sequence is after that of the newest report.
@@ -45,19 +45,19 @@ pub(super) struct ModeWord<'a> {
 
 /// The vehicle's recent mode reports.
 #[derive(Debug, Default)]
-pub(super) struct ModeWords {
+pub(super) struct ModeReports {
     hashes: VecDeque<u32>,
     newest: Option<u32>,
-    heard: HostTime,
+    last_arrival: HostTime,
     /// Whether no mode was reported since the last silence.
     is_in_doubt: bool,
 }
 
-impl ModeWords {
+impl ModeReports {
     /// Notes that a frame arrived from the vehicle.
-    pub fn heard(&mut self, now: HostTime) {
-        self.is_in_doubt |= now.since(self.heard) > SILENCE;
-        self.heard = now;
+    pub fn frame_arrived(&mut self, now: HostTime) {
+        self.is_in_doubt |= now.since(self.last_arrival) > SILENCE;
+        self.last_arrival = now;
     }
 
     /// Judges a mode report.
@@ -71,15 +71,15 @@ impl ModeWords {
     ///
     /// A copy out of its place does not confirm a known permission either: the vehicle may have
     /// left the mode since.
-    pub fn judge(&mut self, heard: &ModeWord) -> Newness {
-        let ModeWord { frame, word, obeys, is_newer, is_settled, is_next } = *heard;
-        let is_known = !self.is_in_doubt && self.newest == Some(word);
+    pub fn judge(&mut self, report: &ModeReport) -> Newness {
+        let ModeReport { frame, mode, obeys, is_newer, is_settled, is_next } = *report;
+        let is_known = !self.is_in_doubt && self.newest == Some(mode);
         if !is_newer {
-            let takes = obeys.is_some_and(|obeys| obeys != word) && !is_known;
-            return if takes && !is_settled { Newness::Doubtful } else { Newness::Old };
+            let withdraws = obeys.is_some_and(|obeys| obeys != mode) && !is_known;
+            return if withdraws && !is_settled { Newness::Doubtful } else { Newness::Old };
         }
         let hash = crc32fast::hash(frame);
-        if obeys == Some(word) {
+        if obeys == Some(mode) {
             let is_repeated = self.hashes.contains(&hash);
             match is_known {
                 false if is_repeated || !is_settled => return Newness::Doubtful,
@@ -91,7 +91,7 @@ impl ModeWords {
             self.hashes.pop_front();
         }
         self.hashes.push_back(hash);
-        (self.newest, self.is_in_doubt) = (Some(word), false);
+        (self.newest, self.is_in_doubt) = (Some(mode), false);
         Newness::New
     }
 }
@@ -103,10 +103,10 @@ mod tests {
     const OFFBOARD: u32 = 6;
 
     /// A report in sequence, while the order is settled.
-    fn word(frame: &[u8], word: u32) -> ModeWord<'_> {
-        ModeWord {
+    fn report(frame: &[u8], mode: u32) -> ModeReport<'_> {
+        ModeReport {
             frame,
-            word,
+            mode,
             obeys: Some(OFFBOARD),
             is_newer: true,
             is_settled: true,
@@ -121,19 +121,19 @@ mod tests {
 
     #[test]
     fn repeated_report_restores_no_revoked_permission() {
-        let mut words = ModeWords::default();
-        words.heard(at(0));
-        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);
-        words.heard(at(300));
-        assert_eq!(words.judge(&word(b"position 2", 3)), Newness::New);
-        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::Doubtful);
+        let mut reports = ModeReports::default();
+        reports.frame_arrived(at(0));
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New);
+        reports.frame_arrived(at(300));
+        assert_eq!(reports.judge(&report(b"position 2", 3)), Newness::New);
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::Doubtful);
         assert_eq!(
-            words.judge(&word(b"offboard 3", 6)),
+            reports.judge(&report(b"offboard 3", 6)),
             Newness::New,
             "the pilot's switch is not a copy"
         );
         assert_eq!(
-            words.judge(&word(b"position 2", 3)),
+            reports.judge(&report(b"position 2", 3)),
             Newness::New,
             "a takeover is accepted at once"
         );
@@ -141,47 +141,50 @@ mod tests {
 
     #[test]
     fn report_in_unsettled_order_revokes_but_never_grants() {
-        let mut words = ModeWords::default();
-        let unsettled = |frame, mode| ModeWord { is_settled: false, ..word(frame, mode) };
-        words.heard(at(0));
-        assert_eq!(words.judge(&word(b"position 1", 3)), Newness::New);
-        assert_eq!(words.judge(&unsettled(b"offboard 2", 6)), Newness::Doubtful);
-        assert_eq!(words.judge(&unsettled(b"return 3", 5)), Newness::New);
+        let mut reports = ModeReports::default();
+        let unsettled = |frame, mode| ModeReport { is_settled: false, ..report(frame, mode) };
+        reports.frame_arrived(at(0));
+        assert_eq!(reports.judge(&report(b"position 1", 3)), Newness::New);
+        assert_eq!(reports.judge(&unsettled(b"offboard 2", 6)), Newness::Doubtful);
+        assert_eq!(reports.judge(&unsettled(b"return 3", 5)), Newness::New);
     }
 
     #[test]
     fn old_revoking_report_is_dropped_only_in_settled_order() {
-        let mut words = ModeWords::default();
-        let older =
-            |is_settled, mode| ModeWord { is_newer: false, is_settled, ..word(b"overtaken", mode) };
-        words.heard(at(0));
-        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);
-        assert_eq!(words.judge(&older(true, 3)), Newness::Old);
-        assert_eq!(words.judge(&older(false, 3)), Newness::Doubtful);
-        assert_eq!(words.judge(&older(false, 6)), Newness::Old, "it would grant permission");
+        let mut reports = ModeReports::default();
+        let older = |is_settled, mode| ModeReport {
+            is_newer: false,
+            is_settled,
+            ..report(b"overtaken", mode)
+        };
+        reports.frame_arrived(at(0));
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New);
+        assert_eq!(reports.judge(&older(true, 3)), Newness::Old);
+        assert_eq!(reports.judge(&older(false, 3)), Newness::Doubtful);
+        assert_eq!(reports.judge(&older(false, 6)), Newness::Old, "it would grant permission");
     }
 
     #[test]
     fn out_of_sequence_copy_does_not_confirm_the_mode() {
-        let mut words = ModeWords::default();
-        let copy = |frame, mode| ModeWord { is_next: false, ..word(frame, mode) };
-        words.heard(at(0));
-        assert_eq!(words.judge(&copy(b"offboard 1", 6)), Newness::New, "its first arrival");
-        assert_eq!(words.judge(&copy(b"offboard 1", 6)), Newness::Old);
-        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New, "next in the sequence");
+        let mut reports = ModeReports::default();
+        let copy = |frame, mode| ModeReport { is_next: false, ..report(frame, mode) };
+        reports.frame_arrived(at(0));
+        assert_eq!(reports.judge(&copy(b"offboard 1", 6)), Newness::New, "its first arrival");
+        assert_eq!(reports.judge(&copy(b"offboard 1", 6)), Newness::Old);
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New, "next in the sequence");
     }
 
     #[test]
     fn copy_is_doubtful_only_after_a_silence_or_change() {
-        let mut words = ModeWords::default();
-        words.heard(at(0));
-        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);
-        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New, "it changes nothing");
-        words.heard(at(501));
-        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::Doubtful);
-        words.heard(at(600));
-        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::Doubtful);
-        assert_eq!(words.judge(&word(b"offboard 7", 6)), Newness::New);
-        assert_eq!(words.judge(&word(b"offboard 1", 6)), Newness::New);
+        let mut reports = ModeReports::default();
+        reports.frame_arrived(at(0));
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New);
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New, "it changes nothing");
+        reports.frame_arrived(at(501));
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::Doubtful);
+        reports.frame_arrived(at(600));
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::Doubtful);
+        assert_eq!(reports.judge(&report(b"offboard 7", 6)), Newness::New);
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New);
     }
 }
