@@ -30,8 +30,12 @@ const OPEN_MAX: usize = 5;
 const QUICK: Duration = Duration::from_millis(50);
 /// Worst drift between two crystal clocks.
 const DRIFT: f64 = 100e-6;
-/// Error of a reading from a clock that counts whole milliseconds, ns.
-const READING_NS: f64 = 1e6;
+/// Least time between the two exchanges that give a skew, ns: stamps may be in whole milliseconds.
+const SKEW_SPAN_NS: f64 = 0.5e9;
+/// Exchanges that are less than this apart, ns, give a skew only to within [`SKEW_EARLY`].
+const SKEW_SPAN_LONG_NS: f64 = 1.5e9;
+/// Largest error of an early skew.
+const SKEW_EARLY: f64 = 0.01;
 /// Exchanges in a row that contradict the estimate before it is dropped.
 const CONTRADICTIONS: usize = 3;
 /// Time without an answer after which the estimate is dropped.
@@ -184,8 +188,8 @@ impl TimeSync {
         let newer = self.exchanges.iter().skip(half).rev().min_by(least);
         let (Some(older), Some(newer)) = (older, newer) else { return };
         let span_ns = ns_between(older.at, newer.at);
-        let error = (older.half_trip_ns() + newer.half_trip_ns() + 2.0 * READING_NS) / span_ns;
-        if error.is_nan() || error >= SKEW_MAX {
+        let error = (older.half_trip_ns() + newer.half_trip_ns()) / span_ns;
+        if span_ns < SKEW_SPAN_NS || (span_ns < SKEW_SPAN_LONG_NS && error > SKEW_EARLY) {
             return;
         }
         let slope = newer.offset_ns.saturating_sub(older.offset_ns) as f64 / span_ns;
@@ -199,14 +203,9 @@ impl TimeSync {
         }
     }
 
-    /// Likely error of the skew over time. A skew too large for a crystal varies.
+    /// Possible error of the skew over time. A skew too large for a crystal varies.
     fn drift(&self) -> f64 {
         self.skew.map_or(SKEW_MAX, |skew| DRIFT + skew.value.abs())
-    }
-
-    /// Largest possible error of the skew over time.
-    fn drift_max(&self) -> f64 {
-        self.drift() + self.skew.map_or(0.0, |skew| skew.error)
     }
 
     fn choose(&mut self, now: HostTime) {
@@ -222,7 +221,7 @@ impl TimeSync {
             offset_ns: best.offset_ns,
             at: best.at,
             skew: self.skew.map_or(0.0, |skew| skew.value),
-            error_ns: Some(best.error_ns(now, self.drift_max()) as u64),
+            error_ns: Some(best.error_ns(now, self.drift()) as u64),
             source: ClockSource::Timesync,
         })
     }
