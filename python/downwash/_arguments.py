@@ -17,15 +17,24 @@ _MOST = 1_000_000
 
 Array: TypeAlias = NDArray[np.float64]
 Path: TypeAlias = "str | PathLike[str]"
-Effects: TypeAlias = "Mapping[str, Mapping[str, float | Sequence[float]]]"
+# A number, three numbers, or a law's formulas.
+_Value: TypeAlias = "float | Sequence[float] | NDArray[Any] | Mapping[str, str]"
+Effects: TypeAlias = "Mapping[str, Mapping[str, _Value]]"
+
+
+def array_of(what: str, value: ArrayLike) -> NDArray[Any]:
+    """Converts ``value`` to an array, and refuses masked entries, which have no value."""
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        raise ValueError(f"{what}: expected an array without masked entries")
+    return np.asarray(value)
 
 
 def numbers(what: str, value: ArrayLike, *shape: int | str) -> Array:
-    """Converts ``value`` to a contiguous float64 array, without a copy where possible.
+    """Converts ``value`` to a contiguous, aligned float64 array, without a copy where possible.
 
     ``shape`` gives the axes: a required length, or a name for an axis of any length.
     """
-    array = np.asarray(value)
+    array = array_of(what, value)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"{what}: expected real numbers, found {array.dtype}")
     axes = "(" + ", ".join(str(axis) for axis in shape) + ")"
@@ -34,7 +43,7 @@ def numbers(what: str, value: ArrayLike, *shape: int | str) -> Array:
     )
     if not fits:
         raise ValueError(f"{what}: expected an array of shape {axes}, found {array.shape}")
-    return np.ascontiguousarray(array, dtype=np.float64)
+    return np.require(array, np.float64, ["C", "A"])
 
 
 def flat(array: Array) -> Array:
@@ -55,7 +64,11 @@ def listed(what: str, given: Iterable[_T]) -> list[_T]:
     """The items of a list, limited in number: a broadcast array may be huge."""
     if isinstance(given, (str, bytes)):
         raise TypeError(f"{what}: expected a list, found one word")
-    found = list(islice(iter(given), _MOST + 1))
+    try:
+        items = iter(given)
+    except TypeError:
+        raise TypeError(f"{what}: expected a list, found {given!r}") from None
+    found = list(islice(items, _MOST + 1))
     if len(found) > _MOST:
         raise ValueError(f"{what}: expected at most {_MOST} items")
     return found
@@ -73,7 +86,9 @@ def to_json(what: str, value: Any) -> str:
         if isinstance(other, (np.ndarray, np.generic)):
             if other.size > _MOST:
                 raise ValueError(f"{what}: expected at most {_MOST} numbers, found {other.size}")
-            return other.tolist()
+            found = other.tolist()
+            # A long double remains one.
+            return float(found) if isinstance(found, np.floating) else found
         if isinstance(other, Mapping):
             return dict(other)
         raise TypeError(f"{what}: expected numbers, words, lists and tables, found {other!r}")
@@ -95,7 +110,7 @@ def effects_json(effects: Effects | None) -> str:
     return to_json("effects", effects)
 
 
-def paths(what: str, given: Path | Sequence[Path]) -> list[Path]:
+def paths(what: str, given: Path | Iterable[Path]) -> list[Path]:
     """A list of one or more paths."""
     import os
 

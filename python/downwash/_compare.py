@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path as _FilePath
 from typing import Any, Literal
 
@@ -13,14 +13,14 @@ from ._arguments import Path, paths
 from ._page import framed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """The differences between two groups of flights. `answer` has every field of the JSON of ``downwash
     compare``. In a notebook it shows its page."""
 
     answer: dict[str, Any]
     """The comparison's JSON."""
-    html: str = field(repr=False)
+    html: str
     """The page, a self-contained HTML document."""
 
     @property
@@ -39,6 +39,9 @@ class Comparison:
         """Writes the page."""
         _FilePath(file).write_text(self.html, encoding="utf-8")
 
+    def __repr__(self) -> str:
+        return f"<downwash.Comparison: {self.sentence}>"
+
     def __str__(self) -> str:
         return self.sentence
 
@@ -47,8 +50,8 @@ class Comparison:
 
 
 def compare(
-    a: Path | Sequence[Path],
-    b: Path | Sequence[Path],
+    a: Path | Iterable[Path],
+    b: Path | Iterable[Path],
     *,
     align: Literal["time", "position", "phase"] = "time",
     pair: Literal["auto", "order", "none"] = "auto",

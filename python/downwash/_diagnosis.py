@@ -4,8 +4,8 @@ closes."""
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path as _FilePath
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,20 +17,20 @@ from ._progress import Progress, teller
 from ._vehicle import Vehicle
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
     """The result of a diagnosis. `answer` has every field of the JSON of ``downwash diagnose``; the most
     common ones are properties. In a notebook it shows its report."""
 
     answer: dict[str, Any]
     """The answer's JSON."""
-    html: str = field(repr=False)
+    html: str
     """The report, a self-contained HTML page."""
-    text: str = field(repr=False)
+    text: str
     """The answer in words."""
-    vehicle: Vehicle = field(repr=False)
+    vehicle: Vehicle
     """The vehicle with the effects found."""
-    law_file: str | None = field(default=None, repr=False)
+    law_file: str | None = None
     """With ``discover``, if a law is named: the text of an effects file with the law."""
 
     @property
@@ -85,6 +85,9 @@ class Diagnosis:
         if self.law_file is not None:
             (out / "law.toml").write_text(self.law_file, encoding="utf-8")
 
+    def __repr__(self) -> str:
+        return f"<downwash.Diagnosis: {self.sentence}>"
+
     def __str__(self) -> str:
         return self.text
 
@@ -94,14 +97,14 @@ class Diagnosis:
 
 def diagnose(
     vehicle: Vehicle | Path,
-    logs: Path | Sequence[Path],
+    logs: Path | Iterable[Path],
     *,
-    holdout: Sequence[Path] = (),
-    new: Sequence[Path] = (),
+    holdout: Iterable[Path] = (),
+    new: Iterable[Path] = (),
     mapping: Path | None = None,
     twins: int | None = None,
     seed: int = 1,
-    without: Sequence[str] = (),
+    without: Iterable[str] = (),
     discover: bool = False,
     next_flight: Path | None = None,
     progress: Progress = None,

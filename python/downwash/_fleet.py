@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from . import _downwash as _native
-from ._arguments import Effects, Path, count, effects_json, numbers, seed_of
+from ._arguments import Effects, Path, array_of, count, effects_json, numbers, seed_of
 from ._plant import _MOST_STEPS, REST, STATE
 from ._vehicle import Vehicle, vehicle_of
 
 Floats: TypeAlias = "NDArray[np.floating[Any]]"
 
 _MOST_VEHICLES = 1_000_000
+# Steps over all vehicles, a fraction of a second of work; Ctrl-C is checked between two calls.
+_STEPS_A_CALL = 500_000
 
 
 class Fleet:
@@ -22,7 +24,7 @@ class Fleet:
 
     Each matches a `Plant`: to rounding error in float64, and to about 1e-5 m per second in float32, which
     is faster. ``seed + i`` seeds the gusts of vehicle i. Without ``airborne`` there is a floor at down 0.
-    The cores share the work of many steps.
+    The cores share the work of many steps. One thread at a time may use a fleet.
     """
 
     def __init__(
@@ -80,19 +82,36 @@ class Fleet:
         return np.array(self._native.rotor_states, self._dtype).reshape(self._count, 4)
 
     def step(self, outputs: ArrayLike, steps: int = 1) -> Floats:
-        """Holds outputs, four numbers for all or shape (vehicles, 4), for ``steps`` steps. Returns the
-        states after them."""
-        steps = count("steps", steps, 1, _MOST_STEPS)
+        """Holds outputs, four numbers for all or shape (vehicles, 4), for ``steps`` steps. Outputs are
+        limited to 0..1. Returns the states after them. Ctrl-C leaves every vehicle at the same time."""
+        left = count("steps", steps, 1, _MOST_STEPS)
         rows = self._rows("outputs", outputs, 4)
         states = np.empty((self._count, len(STATE)), self._dtype)
-        self._native.step(rows, steps, states.reshape(-1))
+        block = -(-_STEPS_A_CALL // max(1, self._count))
+        while left > 0:
+            self._native.step(rows, min(left, block), states.reshape(-1))
+            left -= block
         return states
+
+    def copy(self) -> Fleet:
+        """An independent copy of the vehicles in their present states."""
+        copy = object.__new__(Fleet)
+        copy._count, copy._dtype, copy._native = self._count, self._dtype, self._native.copy()
+        return copy
+
+    __copy__ = copy
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Fleet:
+        return self.copy()
+
+    def __repr__(self) -> str:
+        return f"<downwash.Fleet of {self._count} vehicles in {self._dtype}>"
 
     def _rows(self, what: str, value: ArrayLike, length: int) -> Floats:
         """One row for each vehicle, flattened, in the fleet's dtype."""
-        array = np.asarray(value)
+        array = array_of(what, value)
         if array.ndim == 1:
             array = np.broadcast_to(numbers(what, array, length), (self._count, length))
         if array.dtype == self._dtype and array.shape == (self._count, length):
-            return np.ascontiguousarray(array).reshape(-1)
+            return np.require(array, self._dtype, ["C", "A"]).reshape(-1)
         return numbers(what, array, self._count, length).reshape(-1).astype(self._dtype)

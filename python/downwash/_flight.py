@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ def settings_of(
     return to_json("settings", found)
 
 
-def _onsets_json(onsets: Sequence[tuple[float, Effects]]) -> str:
+def _onsets_json(onsets: Iterable[tuple[float, Effects]]) -> str:
     try:
         pairs = [(float(at_s), effects) for at_s, effects in listed("onsets", onsets)]
     except (TypeError, ValueError):
@@ -44,9 +44,9 @@ def fly(
     trajectory: Trajectory | Plan | Mapping[str, Any] | Path = "sinusoid-yaw",
     effects: Effects | None = None,
     controller: str | Mapping[str, Any] | None = None,
-    seeds: int | Sequence[int] = 1,
+    seeds: int | Iterable[int] = 1,
     *,
-    onsets: Sequence[tuple[float, Effects]] = (),
+    onsets: Iterable[tuple[float, Effects]] = (),
     settings: Mapping[str, Any] | None = None,
     config: Path | None = None,
     simulation: Mapping[str, Any] | None = None,

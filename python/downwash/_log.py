@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from . import _downwash as _native
 from ._arguments import Array, Path, count, paths
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stream:
-    """Samples of one quantity at its native rate, on the flight's common clock."""
+    """Samples of one quantity at its native rate, on the flight's common clock. Streams are equal if all their
+    samples are, NaN included."""
 
     name: str
     time_s: Array
@@ -22,6 +25,17 @@ class Stream:
     """Values, shape (n, columns)."""
     columns: tuple[str, ...]
     """Names of the columns, with units."""
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Stream):
+            return NotImplemented
+        return (
+            (self.name, self.columns) == (other.name, other.columns)
+            and np.array_equal(self.time_s, other.time_s)
+            and np.array_equal(self.values, other.values, equal_nan=True)
+        )
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -45,10 +59,11 @@ class Stream:
 class Log(Mapping[str, Stream]):
     """A flight: streams by name (``log["position"]``), and facts about the log."""
 
-    def __init__(self, native: _native.Log) -> None:
+    def __init__(self, native: _native.Log, mapping: Path | None = None) -> None:
         if not isinstance(native, _native.Log):
             raise TypeError("a Log is made by read()")
         self._native = native
+        self._mapping = mapping
         self._columns = {name: tuple(columns) for name, columns in native.streams}
 
     @property
@@ -77,7 +92,7 @@ class Log(Mapping[str, Stream]):
 
     def audit(self) -> dict[str, Any]:
         """The problems of this log; see `audit`."""
-        found: dict[str, Any] = audit(self.facts["path"])["logs"][0]
+        found: dict[str, Any] = audit(self.facts["path"], mapping=self._mapping)["logs"][0]
         return found
 
     def __repr__(self) -> str:
@@ -89,10 +104,10 @@ def read(path: Path, *, mapping: Path | None = None, boot: int | None = None) ->
     that defines its columns. ``boot`` selects a boot of the vehicle, counted from 1."""
     if boot is not None:
         boot = count("boot", boot, 1, 2**32)
-    return Log(_native.Log.read(path, mapping, boot))
+    return Log(_native.Log.read(path, mapping, boot), mapping)
 
 
-def audit(logs: Path | Sequence[Path], *, mapping: Path | None = None) -> dict[str, Any]:
+def audit(logs: Path | Iterable[Path], *, mapping: Path | None = None) -> dict[str, Any]:
     """The problems of logs, before any physics: the JSON of ``downwash log audit``, with unreadable logs
     under ``refused``."""
     text, refused = _native.audit(paths("logs", logs), mapping)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path as _FilePath
 from tempfile import TemporaryDirectory
 from typing import Any, Final, Literal, overload
@@ -105,7 +105,7 @@ class Model:
             return found[0] if single else found
         return (found[0], slopes[0]) if single else (found, slopes)
 
-    def evaluate(self, logs: Path | Sequence[Path], *, mapping: Path | None = None) -> dict[str, Any]:
+    def evaluate(self, logs: Path | Iterable[Path], *, mapping: Path | None = None) -> dict[str, Any]:
         """Errors on logs, one-step and open-loop: the JSON of ``downwash model eval``."""
         with TemporaryDirectory() as folder:
             path = _FilePath(folder, "model.safetensors")
@@ -128,6 +128,7 @@ def _restored(file: bytes) -> Model:
         return Model(path)
 
 
+_KINDS = ("net", "physics", "hybrid")
 _PARAMETERS = (
     "vehicle",
     "features",
@@ -145,7 +146,8 @@ class Learner:
     """Learns a vehicle's dynamics from flight logs, with scikit-learn's interface.
 
     A parameter that is None takes the default of ``downwash train``. After `fit`, ``model_`` is the
-    `Model`, and ``summary_`` describes the data and the result.
+    `Model`, and ``summary_`` describes the data and the result. `GridSearchCV` and its like take a list of
+    logs as X.
     """
 
     def __init__(
@@ -171,6 +173,7 @@ class Learner:
         self.seed = seed
         self.kind = kind
         self.model_: Model
+        self.n_features_in_: int
         self.summary_: dict[str, Any]
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
@@ -185,11 +188,13 @@ class Learner:
             setattr(self, name, value)
         return self
 
-    def fit(self, logs: Path | Sequence[Path], y: None = None, *, mapping: Path | None = None) -> Learner:
+    def fit(self, logs: Path | Iterable[Path], y: None = None, *, mapping: Path | None = None) -> Learner:
         """Learns from flight logs, split by whole flights into training, validation and test sets."""
         params = self.get_params()
         settings = {key: value for key, value in params.items() if value is not None}
         settings = {key: value for key, value in settings.items() if key not in ("vehicle", "kind")}
+        if self.kind not in (None, *_KINDS):
+            raise ValueError(f"kind: expected {', '.join(_KINDS)} or None, found {self.kind!r}")
         with TemporaryDirectory() as folder:
             vehicle, out = _FilePath(folder, "vehicle.toml"), _FilePath(folder, "model.safetensors")
             vehicle_of(self.vehicle).save(vehicle)
@@ -197,8 +202,26 @@ class Learner:
                 paths("logs", logs), vehicle, out, mapping, to_json("parameters", settings)
             )
             self.model_ = Model(out)
+        self.n_features_in_ = len(MOTION) + len(INPUT)
         self.summary_ = json.loads(text)
         return self
+
+    def __sklearn_is_fitted__(self) -> bool:
+        return hasattr(self, "model_")
+
+    def __sklearn_tags__(self) -> Any:
+        from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
+
+        return Tags(
+            estimator_type="regressor",
+            target_tags=TargetTags(required=False),
+            regressor_tags=RegressorTags(),
+            input_tags=InputTags(two_d_array=False),
+        )
+
+    def __repr__(self) -> str:
+        given = ((name, value) for name, value in self.get_params().items() if value is not None)
+        return f"Learner({', '.join(f'{name}={value!r}' for name, value in given)})"
 
     def _fitted(self) -> Model:
         if not hasattr(self, "model_"):
@@ -211,7 +234,7 @@ class Learner:
         motions, inputs = points[:, : len(MOTION)], points[:, len(MOTION) :]
         return self._fitted().accelerations(motions, inputs, kind=self.kind)
 
-    def score(self, logs: Path | Sequence[Path], y: None = None) -> float:
+    def score(self, logs: Path | Iterable[Path], y: None = None) -> float:
         """Share of the accelerations' variance that the model explains on these logs, averaged over the six
         components: 1 is perfect, 0 is no better than the means."""
         model = self._fitted()

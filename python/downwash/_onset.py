@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path as _FilePath
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,16 +16,16 @@ from ._rows import Rows
 from ._vehicle import Vehicle
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Changes:
     """The changes found. `answer` has every field of the JSON of ``downwash onset``. In a notebook it shows
     its report."""
 
     answer: dict[str, Any]
     """The answer's JSON."""
-    html: str = field(repr=False)
+    html: str
     """The report, a self-contained HTML page."""
-    text: str = field(repr=False)
+    text: str
     """The answer in words."""
 
     @property
@@ -44,6 +44,9 @@ class Changes:
         """Writes report.html and report.json into a folder."""
         save_report(_FilePath(folder), self.html, self.answer)
 
+    def __repr__(self) -> str:
+        return f"<downwash.Changes: {len(self.rows)} within flights, {len(self.steps)} between>"
+
     def __str__(self) -> str:
         return self.text
 
@@ -53,7 +56,7 @@ class Changes:
 
 def onset(
     vehicle: Vehicle | Path,
-    logs: Path | Sequence[Path],
+    logs: Path | Iterable[Path],
     *,
     mapping: Path | None = None,
     false_alarm_h: float | None = None,

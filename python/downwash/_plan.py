@@ -61,6 +61,9 @@ class Plan:
         """Reads a plan file."""
         return cls(_native.Plan.load(path))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self._native.to_json(), self.passed_s)
+
     def save(self, path: Path) -> None:
         """Writes the plan file, which ``downwash fly`` accepts."""
         _FilePath(path).write_text(self._native.to_json(), encoding="utf-8")
@@ -117,6 +120,10 @@ class Plan:
 
     def __repr__(self) -> str:
         return f"<downwash.Plan along {self._native.trajectory!r}: {self.status}>"
+
+
+def _restored(text: str, passed_s: list[float] | None) -> Plan:
+    return Plan(_native.Plan.parse(text, passed_s))
 
 
 def _wish(given: Trajectory | Mapping[str, Any] | Path) -> _native.Trajectory | _native.Wish:

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _downwash as _native
-from ._arguments import Array, Effects, Path, count, effects_json, flat, listed, numbers, seed_of
+from ._arguments import (
+    Array,
+    Effects,
+    Path,
+    array_of,
+    count,
+    effects_json,
+    flat,
+    listed,
+    numbers,
+    seed_of,
+)
 from ._vehicle import Vehicle, vehicle_of
 
 STATE: Final = (
@@ -40,10 +51,11 @@ _LONGEST = 10_000_000
 
 
 class Plant:
-    """A vehicle driven by motor outputs in 0..1, each rotor's thrust over its full thrust.
+    """A vehicle driven by motor outputs in 0..1, each rotor's thrust over its full thrust. Outputs and rotor
+    states outside are limited to 0..1.
 
     ``effects`` are what the vehicle has beyond its file. A step takes `Plant.step_s`. The floor is at down
-    0.
+    0. One thread at a time may use a plant.
     """
 
     step_s: Final = _native.Plant.STEP_S
@@ -64,7 +76,7 @@ class Plant:
 
     @property
     def state(self) -> Array:
-        """The state, 13 numbers in the order of `STATE`."""
+        """A copy of the state, 13 numbers in the order of `STATE`. Assign a whole state to change it."""
         state = np.empty(len(STATE))
         self._native.state(state)
         return state
@@ -136,6 +148,12 @@ class Plant:
 
     __copy__ = copy
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> Plant:
+        return self.copy()
+
+    def __repr__(self) -> str:
+        return f"<downwash.Plant at {self.time_s:g} s>"
+
 
 def rollouts(
     outputs: ArrayLike,
@@ -149,7 +167,7 @@ def rollouts(
 ) -> Array:
     """Simulates many vehicles at once, on every core.
 
-    ``outputs`` has shape (vehicles, n, 4). ``start`` is one state, or one for each vehicle, shape
+    ``outputs`` has shape (vehicles, n, 4), in 0..1, and is limited to that. ``start`` is one state, or one for each vehicle, shape
     (vehicles, 13). ``effects`` is one set, or one for each vehicle. The rotors start at the first outputs.
     ``seed + i`` seeds the gusts of vehicle i. Without ``airborne`` there is a floor at down 0.
 
@@ -157,7 +175,7 @@ def rollouts(
     """
     rows = numbers("outputs", outputs, "vehicles", "n", 4)
     vehicles, length, _ = rows.shape
-    starts = np.asarray(start)
+    starts = array_of("start", start)
     if starts.ndim == 1:
         one = numbers("start", starts, len(STATE))
         starts = np.broadcast_to(one, (vehicles, len(STATE)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path as _FilePath
 from typing import Any, Final
 
 import numpy as np
@@ -32,14 +33,12 @@ class Trajectory:
     """A desired trajectory: a trajectory file, a shipped one by name, or a file's keys as a table, such as
     ``Trajectory({"family": "hover", "altitude_m": 1.0, "duration_s": 10.0})``."""
 
-    __slots__ = ("_native", "_source")
+    __slots__ = ("_native",)
 
     def __init__(self, source: Path | Mapping[str, Any]) -> None:
         if isinstance(source, Mapping):
-            self._source: Any = dict(source)
             self._native = _native.Trajectory.parse(to_json("trajectory", source), "trajectory")
         elif isinstance(source, (str, os.PathLike)):
-            self._source = source
             self._native = _native.Trajectory.load(source)
         else:
             raise TypeError(
@@ -68,7 +67,13 @@ class Trajectory:
         return f"<downwash.Trajectory {self.name!r}, {self.duration_s:g} s>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Trajectory, (self._source,)
+        return _restored, self._native.source
+
+
+def _restored(text: str, origin: _FilePath) -> Trajectory:
+    trajectory = object.__new__(Trajectory)
+    trajectory._native = _native.Trajectory.restored(text, origin)
+    return trajectory
 
 
 def trajectory_of(given: Trajectory | Mapping[str, Any] | Path) -> Trajectory:

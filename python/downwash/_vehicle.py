@@ -16,7 +16,8 @@ from ._rows import Rows
 class Vehicle:
     """A simulator's nominal model of a quadrotor: a vehicle file.
 
-    ``Vehicle("crazyflie")`` accepts the path of a file, or the name of a shipped vehicle.
+    ``Vehicle("crazyflie")`` accepts the path of a file, or the name of a shipped vehicle. Vehicles are equal if
+    their keys and values are.
     """
 
     __slots__ = ("_native",)
@@ -115,6 +116,14 @@ class Vehicle:
         if not isinstance(to, str):
             raise TypeError(f"to: expected a name, found {type(to).__name__}")
         return self._native.export(to)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Vehicle):
+            return NotImplemented
+        return self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        return hash(self.name)
 
     def __repr__(self) -> str:
         return f"<downwash.Vehicle {self.name!r} from {self._native.source!r}>"

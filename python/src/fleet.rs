@@ -1,5 +1,7 @@
 //! Fleets: many vehicles stepped together.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use numpy::{PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::prelude::*;
 use rayon::prelude::*;
@@ -18,12 +20,16 @@ const JOB: usize = 256;
 /// Number of steps, over all vehicles, above which the cores share the work.
 const MANY: usize = 500_000;
 
+/// Steps, over the vehicles of a job, between looks at the stop flag.
+const LOOK_EVERY: usize = 100_000;
+
 /// Identical vehicles, stepped together.
 #[pyclass(module = "downwash._downwash")]
 pub struct Fleet {
     jobs: Jobs,
 }
 
+#[derive(Clone)]
 enum Jobs {
     Single(Vec<Batch<f32>>),
     Double(Vec<Batch<f64>>),
@@ -99,7 +105,7 @@ pub fn roll(
         let first = (vehicle * rows + at) * ROTORS;
         row(outputs.get(first..first + ROTORS).unwrap_or_default())
     };
-    on_every_core(py, || {
+    on_every_core(py, |stop| {
         let jobs = jobs.into_par_iter().zip(states.par_chunks_mut(JOB * rows * STATE)).enumerate();
         jobs.for_each(|(job, (mut batch, states))| {
             let first = job * JOB;
@@ -110,7 +116,9 @@ pub fn roll(
             for at in 0..rows {
                 let held: Vec<_> =
                     (0..batch.len()).map(|index| outputs_of(first + index, at)).collect();
-                batch.step(&held, every);
+                if step_until(stop, &mut batch, &held, every).is_none() {
+                    return;
+                }
                 for (index, states) in states.chunks_exact_mut(rows * STATE).enumerate() {
                     let state = to_array(&batch.state(index).unwrap_or_default());
                     states[at * STATE..(at + 1) * STATE].copy_from_slice(&state);
@@ -118,6 +126,26 @@ pub fn roll(
             }
         });
     })
+}
+
+/// Steps a batch, unless it is stopped before the end.
+fn step_until<F: Precision>(
+    stop: &AtomicBool,
+    batch: &mut Batch<F>,
+    outputs: &[[F; ROTORS]],
+    steps: usize,
+) -> Option<()> {
+    let most = (LOOK_EVERY / batch.len().max(1)).max(1);
+    let mut left = steps;
+    while left > 0 {
+        if stop.load(Ordering::Relaxed) {
+            return None;
+        }
+        let steps = left.min(most);
+        batch.step(outputs, steps);
+        left -= steps;
+    }
+    Some(())
 }
 
 fn step<F: Precision>(
@@ -144,7 +172,7 @@ fn step<F: Precision>(
         jobs.iter_mut().zip(outputs).zip(states.chunks_mut(JOB * STATE)).for_each(one);
         return Ok(());
     }
-    on_every_core(py, || {
+    on_every_core(py, |_| {
         let outputs = outputs.par_chunks(JOB * ROTORS);
         jobs.par_iter_mut().zip(outputs).zip(states.par_chunks_mut(JOB * STATE)).for_each(one);
     })
@@ -203,6 +231,10 @@ impl Fleet {
             }
             _ => Err(wrong("outputs: expected the fleet's dtype")),
         }
+    }
+
+    fn copy(&self) -> Self {
+        Self { jobs: self.jobs.clone() }
     }
 
     fn state(&self, mut states: Room<'_>) -> PyResult<()> {

@@ -1,7 +1,7 @@
 //! Flights of the simulated vehicle in lockstep.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -25,6 +25,18 @@ const POINT: usize = 11;
 #[pyclass(frozen, module = "downwash._downwash")]
 pub struct Trajectory {
     pub trajectory: downwash::plan::Trajectory,
+    /// Content of its file, with the file's path.
+    text: String,
+    origin: PathBuf,
+}
+
+impl Trajectory {
+    fn of(py: Python<'_>, text: String, path: PathBuf) -> PyResult<Self> {
+        let trajectory = read(py, downwash::plan::Trajectory::parse(&text, &path))?;
+        // Wherever it is unpickled, a path in the text means the same file.
+        let origin = std::path::absolute(&path).unwrap_or(path);
+        Ok(Self { trajectory, text, origin })
+    }
 }
 
 /// The input of the planner: a trajectory, or a course to fly as fast as possible.
@@ -57,15 +69,26 @@ fn keys_of(text: &str) -> PyResult<toml::Table> {
 impl Trajectory {
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        let trajectory = read(py, downwash::plan::Trajectory::load(&path))?;
-        Ok(Self { trajectory })
+        let text = read(py, TrajectoryFile::text(&path))?;
+        Self::of(py, text, path)
+    }
+
+    /// A trajectory from its [`Trajectory::source`].
+    #[staticmethod]
+    fn restored(py: Python<'_>, text: String, origin: PathBuf) -> PyResult<Self> {
+        Self::of(py, text, origin)
     }
 
     /// Parses the keys of a trajectory file, given as JSON.
     #[staticmethod]
     fn parse(py: Python<'_>, keys: &str, name: PathBuf) -> PyResult<Self> {
-        let trajectory = downwash::plan::Trajectory::parse(&keys_of(keys)?.to_string(), &name);
-        Ok(Self { trajectory: read(py, trajectory)? })
+        Self::of(py, keys_of(keys)?.to_string(), name)
+    }
+
+    /// Content of its file, with the file's path.
+    #[getter]
+    fn source(&self) -> (&str, &Path) {
+        (&self.text, &self.origin)
     }
 
     #[getter]

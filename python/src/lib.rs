@@ -15,6 +15,7 @@ mod model;
 mod onset;
 mod plan;
 mod plant;
+mod pool;
 mod sweep;
 mod vehicle;
 mod watch;

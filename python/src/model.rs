@@ -31,17 +31,18 @@ pub struct Model {
 
 impl Model {
     /// One of the file's models, for the planner.
-    pub fn plan_model(&self, kind: Option<&str>) -> anyhow::Result<PlanModel> {
-        PlanModel::learned(&self.file, self.kind(kind)?, &self.sha256)
+    pub fn plan_model(&self, py: Python<'_>, kind: Option<&str>) -> PyResult<PlanModel> {
+        let learned = PlanModel::learned(&self.file, self.kind(kind)?, &self.sha256);
+        learned.map_err(|error| exception(py, &error))
     }
 
-    fn kind(&self, name: Option<&str>) -> anyhow::Result<ModelKind> {
+    fn kind(&self, name: Option<&str>) -> PyResult<ModelKind> {
         let Some(name) = name else { return Ok(self.file.preferred) };
         let known = ModelKind::ALL.map(ModelKind::name);
         ModelKind::ALL
             .into_iter()
             .find(|kind| kind.name() == name)
-            .ok_or_else(|| anyhow::anyhow!("kind: expected {}, found {name:?}", known.join(", ")))
+            .ok_or_else(|| wrong(format!("kind: expected {}, found {name:?}", known.join(", "))))
     }
 }
 
@@ -95,7 +96,10 @@ impl Model {
         {
             return Err(wrong("x and u: expected 9 and 4 numbers for each point"));
         }
-        let kind = self.kind(kind).map_err(|error| exception(py, &error))?;
+        if !motions.iter().chain(inputs).all(|number| number.is_finite()) {
+            return Err(wrong("x and u: expected finite numbers"));
+        }
+        let kind = self.kind(kind)?;
         let model = read(py, self.file.model(kind))?;
         py.detach(|| {
             let point = |index: usize| {

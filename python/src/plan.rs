@@ -1,6 +1,6 @@
 //! Plans: feasible references near a desired trajectory.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -33,6 +33,13 @@ impl Plan {
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let plan = read(py, py.detach(|| planned::Plan::load(&path)))?;
         Ok(Self { plan: Arc::new(plan), passed_s: None })
+    }
+
+    /// A plan from the content of its file, and what the file does not hold.
+    #[staticmethod]
+    fn parse(py: Python<'_>, text: &str, passed_s: Option<Vec<f64>>) -> PyResult<Self> {
+        let plan = read(py, planned::Plan::parse(text, Path::new("plan")))?;
+        Ok(Self { plan: Arc::new(plan), passed_s })
     }
 
     fn to_json(&self) -> PyResult<String> {
@@ -110,10 +117,10 @@ pub fn plan(
                 "model: expected None, because the fastest plan uses the vehicle's own physics",
             ));
         }
-        Some(model) => model.plan_model(kind),
-        None => PlanModel::nominal(&vehicle),
+        Some(model) => model.plan_model(py, kind)?,
+        None if kind.is_some() => return Err(wrong("kind: expected None without a model")),
+        None => PlanModel::nominal(&vehicle).map_err(|error| exception(py, &error))?,
     };
-    let plan_model = plan_model.map_err(|error| exception(py, &error))?;
     let (plan, fastest) = watched(py, None, progress.as_ref(), move |watch| {
         let began = Instant::now();
         let limit = TimeLimit::new(config.settings.plan.time_limit_s);

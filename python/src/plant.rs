@@ -1,5 +1,7 @@
 //! The simulated vehicle without its autopilot, which turns motor outputs into motion.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use numpy::{PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::prelude::*;
 use rayon::prelude::*;
@@ -58,10 +60,23 @@ fn row(outputs: &[f64]) -> [f64; ROTORS] {
     std::array::from_fn(|rotor| outputs.get(rotor).copied().unwrap_or(0.0))
 }
 
-/// Steps through rows of outputs, each held for `every` steps, and writes the state after each row.
-fn roll(plant: &mut vehicle::plant::Plant, outputs: &[f64], every: usize, states: &mut [f64]) {
+/// Steps between looks at the stop flag.
+const LOOK_EVERY: usize = 50_000;
+
+/// Steps through rows of outputs, each held for `every` steps, and writes the state after each row,
+/// until it is stopped.
+fn roll(
+    plant: &mut vehicle::plant::Plant,
+    outputs: &[f64],
+    every: usize,
+    states: &mut [f64],
+    stop: &AtomicBool,
+) {
     for (outputs, state) in outputs.chunks_exact(ROTORS).zip(states.chunks_exact_mut(STATE)) {
-        for _ in 0..every {
+        for step in 0..every {
+            if step.is_multiple_of(LOOK_EVERY) && stop.load(Ordering::Relaxed) {
+                return;
+            }
             plant.step(row(outputs));
         }
         state.copy_from_slice(&to_array(plant.state()));
@@ -103,11 +118,12 @@ impl Plant {
         let (outputs, states) = (outputs.as_slice()?, states.as_slice_mut()?);
         fits(outputs, states, every)?;
         let plant = &mut self.plant;
+        let never = AtomicBool::new(false);
         // A few steps take less time than releasing and reacquiring the lock.
         if outputs.len() * every < 400 {
-            roll(plant, outputs, every, states);
+            roll(plant, outputs, every, states, &never);
         } else {
-            py.detach(|| roll(plant, outputs, every, states));
+            py.detach(|| roll(plant, outputs, every, states, &never));
         }
         Ok(())
     }
@@ -214,23 +230,26 @@ pub fn rollouts(
     let sets = effects.iter().map(|effects| effects_of(effects)).collect::<PyResult<Vec<_>>>()?;
     let setup = Setup::default();
     let params = &vehicle.file.params;
-    let one = |index: usize, start: State, outputs: &[f64], states: &mut [f64]| {
-        let effects = sets.get(index).unwrap_or(&sets[0]);
-        let seed = seed.wrapping_add(index as u64);
-        let mut plant = vehicle::plant::Plant::new(params, effects, &setup, seed)?;
-        if airborne {
-            plant = plant.airborne();
-        }
-        plant.set_state(start);
-        // The rotors start as if the first outputs had been held before.
-        plant.set_rotor_states(row(outputs));
-        roll(&mut plant, outputs, every, states);
-        Ok::<(), VehicleError>(())
-    };
-    let done = on_every_core(py, || {
+    let one =
+        |index: usize, start: State, outputs: &[f64], states: &mut [f64], stop: &AtomicBool| {
+            let effects = sets.get(index).unwrap_or(&sets[0]);
+            let seed = seed.wrapping_add(index as u64);
+            let mut plant = vehicle::plant::Plant::new(params, effects, &setup, seed)?;
+            if airborne {
+                plant = plant.airborne();
+            }
+            plant.set_state(start);
+            // The rotors start as if the first outputs had been held before.
+            plant.set_rotor_states(row(outputs));
+            roll(&mut plant, outputs, every, states, stop);
+            Ok::<(), VehicleError>(())
+        };
+    let done = on_every_core(py, |stop| {
         let jobs = starts.into_par_iter().zip(outputs.par_chunks_exact(rows));
         let jobs = jobs.zip(states.par_chunks_exact_mut(rows / ROTORS * STATE)).enumerate();
-        jobs.try_for_each(|(index, ((start, outputs), states))| one(index, start, outputs, states))
+        jobs.try_for_each(|(index, ((start, outputs), states))| {
+            one(index, start, outputs, states, stop)
+        })
     })?;
     done.map_err(|error| wrong(error.to_string()))
 }

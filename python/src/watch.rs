@@ -4,18 +4,16 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
 use std::time::Duration;
 
-use anyhow::Context;
 use pyo3::prelude::*;
-use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::errors::{exception, fault};
+use crate::pool::Lease;
 
 /// How often the waiting thread checks Python's signals.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// Stack size of a worker, bytes: that of a main thread.
-const STACK: usize = 8 << 20;
 
 /// The worker's side of a watch: it checks whether to stop and reports progress.
 #[derive(Clone)]
@@ -48,23 +46,6 @@ impl Watch {
     }
 }
 
-/// The thread pool of this process: a forked child does not inherit its parent's threads.
-pub fn pool(threads: Option<usize>) -> anyhow::Result<Arc<ThreadPool>> {
-    type Pools = Vec<(u32, Option<usize>, Arc<ThreadPool>)>;
-    // Never dropped: in a child, a drop would wait for the parent's threads.
-    static POOLS: Mutex<Pools> = Mutex::new(Vec::new());
-    let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
-    let process = std::process::id();
-    let known = pools.iter().find(|(of, count, _)| *of == process && *count == threads);
-    if let Some((.., pool)) = known {
-        return Ok(Arc::clone(pool));
-    }
-    let builder = ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).stack_size(STACK);
-    let pool = Arc::new(builder.build().context("cannot start threads")?);
-    pools.push((process, threads, Arc::clone(&pool)));
-    Ok(pool)
-}
-
 /// Runs `work` in `threads` threads, by default one for each core, and calls `progress` with
 /// `(stage, done, of)`. Ctrl-C returns at once; the work ends at its next check.
 pub fn watched<T: Send + 'static>(
@@ -73,7 +54,7 @@ pub fn watched<T: Send + 'static>(
     progress: Option<&Py<PyAny>>,
     work: impl FnOnce(&Watch) -> anyhow::Result<T> + Send + 'static,
 ) -> PyResult<T> {
-    let pool = py.detach(|| pool(threads)).map_err(|error| exception(py, &error))?;
+    let lease = py.detach(|| Lease::take(threads)).map_err(|error| exception(py, &error))?;
     let stop = Arc::new(AtomicBool::new(false));
     let (news, receiver) = sync_channel(64);
     // Nobody else locks it: a value used without the interpreter's lock must be `Sync`.
@@ -82,8 +63,11 @@ pub fn watched<T: Send + 'static>(
         || receiver.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(LOOK_EVERY);
     let (finished, result) = sync_channel(1);
     let watch = Watch { stop: Arc::clone(&stop), news };
+    let pool = lease.pool();
     pool.spawn(move || {
         let done = catch_unwind(AssertUnwindSafe(|| work(&watch)));
+        // After Ctrl-C the caller is gone, and its pool is busy up to here.
+        drop(lease);
         // Dropping the sender ends the progress reports after the result is sent.
         let _ = finished.send(done);
         drop(watch);
@@ -115,15 +99,38 @@ pub fn watched<T: Send + 'static>(
     }
 }
 
-/// Runs short work on every core without the interpreter's lock; a panic becomes an exception.
-pub fn on_every_core<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
+/// Runs work that borrows, on every core without the interpreter's lock; a panic becomes an exception.
+/// Ctrl-C sets the flag that the work is given, and this returns when the work has ended.
+pub fn on_every_core<T: Send>(
+    py: Python<'_>,
+    work: impl FnOnce(&AtomicBool) -> T + Send,
+) -> PyResult<T> {
+    let stop = AtomicBool::new(false);
     let done = py.detach(|| {
-        let pool = pool(None)?;
-        Ok(catch_unwind(AssertUnwindSafe(|| pool.install(work))))
-    });
-    match done {
-        Ok(Ok(done)) => Ok(done),
-        Ok(Err(panic)) => Err(fault(panic.as_ref())),
-        Err(error) => Err(exception(py, &error)),
-    }
+        let lease =
+            Lease::take(None).map_err(|error| Python::attach(|py| exception(py, &error)))?;
+        thread::scope(|scope| {
+            let (finished, result) = sync_channel(1);
+            let (stop, pool) = (&stop, lease.pool());
+            scope.spawn(move || {
+                let work = AssertUnwindSafe(|| pool.install(|| work(stop)));
+                let _ = finished.send(catch_unwind(work));
+            });
+            loop {
+                match result.recv_timeout(LOOK_EVERY) {
+                    Ok(done) => break Ok(done),
+                    Err(RecvTimeoutError::Disconnected) => {
+                        break Ok(Err(Box::new("a thread ended early") as _));
+                    }
+                    Err(RecvTimeoutError::Timeout) => {
+                        if let Err(error) = Python::attach(|py| py.check_signals()) {
+                            stop.store(true, Ordering::Relaxed);
+                            break Err(error);
+                        }
+                    }
+                }
+            }
+        })
+    })?;
+    done.map_err(|panic| fault(panic.as_ref()))
 }

@@ -8,8 +8,10 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import downwash as dw
+import numpy as np
 import pytest
 
 from conftest import SHORT
@@ -82,6 +84,22 @@ def test_vehicles_and_trajectories_can_be_pickled() -> None:
     assert dw.fly(again, trajectory) == dw.fly(vehicle, SHORT)
 
 
+def test_a_trajectory_is_sent_with_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("line.csv").write_text("t_s,n_m,e_m,d_m\n0,0,0,-1\n4,1,0,-1\n")
+    Path("short.toml").write_text("family = 'hover'\naltitude_m = 1.0\nduration_s = 1.0\n")
+    trajectories = [dw.Trajectory(given) for given in ("line.csv", "short.toml", "figure-8", SHORT)]
+    sent = [pickle.dumps(trajectory) for trajectory in trajectories]
+    Path("line.csv").unlink()
+    Path("short.toml").write_text("family = 'hover'\naltitude_m = 1.0\nduration_s = 9.0\n")
+    monkeypatch.chdir("/")
+    for trajectory, text in zip(trajectories, sent):
+        again = pickle.loads(text)
+        assert (again.name, again.duration_s) == (trajectory.name, trajectory.duration_s)
+        times = [0.0, 0.5, again.duration_s]
+        assert (again.sample(times) == trajectory.sample(times)).all()
+
+
 def test_flights_work_in_a_forked_process() -> None:
     code = f"""
 import os, downwash as dw
@@ -106,6 +124,62 @@ def test_an_exception_in_the_progress_callback_propagates() -> None:
 
     with pytest.raises(LookupError, match="flights"):
         dw.fly(trajectory=SHORT, seeds=range(100), progress=fail)
+
+
+def test_a_short_call_does_not_wait_for_a_long_one() -> None:
+    began, over = threading.Event(), threading.Event()
+    ended: list[BaseException] = []
+
+    def told(stage: str, done: int, of: int) -> None:
+        began.set()
+        if over.is_set():
+            raise LookupError(stage)
+
+    def fly() -> None:
+        try:
+            dw.fly(trajectory=SHORT, seeds=range(100_000), progress=told)
+        except LookupError as error:
+            ended.append(error)
+
+    long = threading.Thread(target=fly)
+    long.start()
+    assert began.wait(60)
+    assert dw.rollouts([[[0.5] * 4]]).shape == (1, 1, 13)
+    assert dw.fly(trajectory=SHORT)[0]["end"] == "done"
+    assert long.is_alive()
+    over.set()
+    long.join()
+    assert ended
+
+
+def test_what_is_told_may_fly_too() -> None:
+    ends: list[str] = []
+    dw.fly(
+        trajectory=SHORT,
+        seeds=range(3),
+        progress=lambda *_: ends.append(dw.fly(trajectory=SHORT)[0]["end"]),
+    )
+    assert ends == ["done"] * 3
+
+
+def test_threads_end_with_their_calls() -> None:
+    def threads() -> int:
+        return len(list(Path("/proc/self/task").iterdir()))
+
+    before = threads()
+    for jobs in range(20, 40):
+        dw.fly(trajectory=SHORT, jobs=jobs)
+    # Four pools stay; the threads of the others, 458 in all, take a moment to end.
+    deadline = time.monotonic() + 30
+    while threads() > before + 4 * 40 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert threads() <= before + 4 * 40
+
+
+@pytest.mark.parametrize("seeds", [1.5, None, np.array(1)])
+def test_what_is_no_list_of_seeds_is_refused(seeds: Any) -> None:
+    with pytest.raises(TypeError, match="seeds: expected a list"):
+        dw.fly(trajectory=SHORT, seeds=seeds)
 
 
 def test_ctrl_c_ends_flights() -> None:

@@ -9,6 +9,8 @@ import downwash as dw
 import numpy as np
 import pytest
 
+from conftest import ROOT
+
 
 def test_a_log_reads_as_arrays(logs: list[Path]) -> None:
     log = dw.read(logs[0])
@@ -24,6 +26,22 @@ def test_a_log_reads_as_arrays(logs: list[Path]) -> None:
     assert not [f for f in log.audit()["findings"] if f["severity"] == "fault"]
     with pytest.raises(KeyError):
         log["altitude"]
+
+
+def test_logs_are_compared_by_their_samples(logs: list[Path]) -> None:
+    log, same = dw.read(logs[0]), dw.read(logs[0])
+    assert log == same and log["position"] == same["position"]
+    assert log != dw.read(logs[1]) and log["position"] != log["velocity"]
+    assert log["position"] != "position"
+
+
+def test_a_table_is_audited_with_its_mapping(tmp_path: Path) -> None:
+    table = tmp_path / "flight.csv"
+    lines = ["t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat"]
+    lines += [f"{k / 100},0,0,{k / 1000},0,0,0.1,0,0,0,1,0,0,0,0.5,0.5,0.5,0.5,3.9" for k in range(500)]
+    table.write_text("\n".join(lines) + "\n")
+    log = dw.read(table, mapping=ROOT / "config/mappings/motion-capture.toml")
+    assert log.audit()["file"] == str(table)
 
 
 def test_a_log_converts_to_a_table(logs: list[Path]) -> None:
@@ -56,12 +74,43 @@ def test_a_learner_learns_and_predicts(logs: list[Path], tmp_path: Path) -> None
         behind = model.accelerations(x - step[:9], u - step[9:], kind="physics")
         by_differences = (ahead - behind) / 2e-6
         np.testing.assert_allclose(by_differences, slopes[:, :, column], atol=1e-2, rtol=1e-4)
+    for x_wrong in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="finite"):
+            model.accelerations(np.full(9, x_wrong), np.zeros(4))
+    with pytest.raises(ValueError, match="kind: expected net, physics, hybrid"):
+        model.accelerations(x, u, kind="nets")
+    with pytest.raises(ValueError, match="kind: expected net, physics, hybrid"):
+        dw.Learner(kind="nets").fit(logs)
     again = pickle.loads(pickle.dumps(model))
     np.testing.assert_array_equal(again.accelerations(x, u), model.accelerations(x, u))
     learner.save(tmp_path / "m.safetensors")
     assert dw.Model(tmp_path / "m.safetensors").preferred == model.preferred
     plan = dw.plan({"family": "hover", "altitude_m": 1.0, "duration_s": 2.0}, model=model)
     assert plan.states.shape == (len(plan.inputs) + 1, 12)
+
+
+def test_a_learner_is_one_of_scikit_learn(logs: list[Path]) -> None:
+    pytest.importorskip("sklearn")
+    from sklearn.base import clone
+    from sklearn.exceptions import NotFittedError
+    from sklearn.model_selection import GridSearchCV
+    from sklearn.pipeline import Pipeline
+    from sklearn.utils.validation import check_is_fitted
+
+    learner = dw.Learner(dw.Vehicle(), hidden=4, passes=1)
+    assert clone(learner).get_params() == learner.get_params()
+    assert "passes=1" in repr(learner)
+    with pytest.raises(NotFittedError):
+        check_is_fitted(learner)
+    steps = Pipeline([("learn", learner)])
+    assert "Learner" in steps._repr_html_()
+    # The folds are whole flights.
+    search = GridSearchCV(steps, {"learn__kind": ["physics", "net"]}, cv=[([0, 1], [2])], error_score="raise")
+    search.fit(logs)
+    best = search.best_estimator_
+    assert best.predict(np.zeros((2, 13))).shape == (2, 6)
+    assert best.named_steps["learn"].n_features_in_ == 13
+    assert np.isfinite(best.score(logs[2:]))
 
 
 def test_a_planned_flight_tracks_closer_than_feedback_alone(tmp_path: Path) -> None:
@@ -71,6 +120,11 @@ def test_a_planned_flight_tracks_closer_than_feedback_alone(tmp_path: Path) -> N
     plan.save(tmp_path / "plan.json")
     again = dw.Plan.load(tmp_path / "plan.json")
     np.testing.assert_array_equal(again.states, plan.states)
+    sent = pickle.loads(pickle.dumps(plan))
+    np.testing.assert_array_equal(sent.inputs, plan.inputs)
+    assert repr(sent) == repr(plan)
+    with pytest.raises(ValueError, match="kind: expected None"):
+        dw.plan(trajectory, kind="net")
     (feedback,), (planned,) = dw.fly(trajectory=trajectory), dw.fly(trajectory=again)
     assert planned["position_rmse_m"] < 0.2 * feedback["position_rmse_m"]
 
@@ -103,7 +157,8 @@ def test_a_diagnosis_finds_the_drag_and_saves_its_vehicle(logs: list[Path], tmp_
     assert found.vehicle.to_dict()["modelled_effects"].keys() == {"rotor_drag"}
     found.save(tmp_path)
     assert dw.Vehicle(tmp_path / "improved.toml").to_dict() == found.vehicle.to_dict()
-    assert pickle.loads(pickle.dumps(found)).answer == found.answer
+    assert pickle.loads(pickle.dumps(found)) == found
+    assert found.sentence in repr(found)
 
 
 def test_ctrl_c_ends_a_diagnosis_at_once(logs: list[Path]) -> None:

@@ -1,8 +1,14 @@
 """The plant against closed forms, and batches against single vehicles."""
 
+import copy
+import signal
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import downwash as dw
 import numpy as np
 import pytest
-import downwash as dw
 
 
 def test_a_vehicle_without_thrust_falls() -> None:
@@ -56,10 +62,10 @@ def test_each_vehicle_of_a_batch_has_its_gust_seed() -> None:
 
 def test_a_copy_is_independent() -> None:
     plant = dw.Plant(state=[0, 0, -10, *[0] * 3, 1, *[0] * 6])
-    copy = plant.copy()
-    copy.step([1, 1, 1, 1], 100)
-    assert plant.time_s == 0 and copy.time_s > 0
-    assert plant.state[2] == -10 != copy.state[2]
+    other = plant.copy()
+    other.step([1, 1, 1, 1], 100)
+    assert plant.time_s == 0 and other.time_s > 0
+    assert plant.state[2] == -10 != other.state[2]
 
 
 @pytest.mark.parametrize("dtype, apart", [(np.float64, 1e-9), (np.float32, 1e-4)])
@@ -81,3 +87,81 @@ def test_a_fleet_matches_single_plants(dtype: type, apart: float) -> None:
         alone = np.array([plant.step(row, 10) for plant, row in zip(plants, outputs)])
         np.testing.assert_allclose(states, alone, atol=apart, rtol=apart)
     np.testing.assert_allclose(fleet.rotor_states, [p.rotor_states for p in plants], atol=apart)
+
+
+def unaligned(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """The same numbers at an odd address, as in a file mapped into memory."""
+    return np.frombuffer(b"\0" + array.tobytes(), array.dtype, offset=1).reshape(array.shape)
+
+
+def test_the_layout_of_an_array_changes_nothing() -> None:
+    outputs = np.random.default_rng(5).uniform(0, 1, (6, 4)).astype(np.float32).astype(float)
+    wide = np.repeat(outputs, 2, axis=1)
+    layouts = [
+        outputs.tolist(),
+        outputs.astype(np.float32),
+        np.asfortranarray(outputs),
+        wide[:, ::2],
+        unaligned(outputs),
+        outputs.astype(">f8"),
+        outputs.astype(np.longdouble),
+        np.ma.array(outputs),
+    ]
+    expected = dw.Plant().rollout(outputs)
+    together = dw.Fleet(6).step(outputs)
+    for layout in layouts:
+        np.testing.assert_array_equal(dw.Plant().rollout(layout), expected)
+        np.testing.assert_array_equal(dw.Fleet(6).step(layout), together)
+    assert not unaligned(outputs).flags.aligned
+
+
+def test_a_masked_entry_is_no_number() -> None:
+    outputs = np.ma.array([0.5] * 4, mask=[False, False, False, True])
+    calls: list[Callable[[], object]] = [
+        lambda: dw.Plant().step(outputs),
+        lambda: dw.Fleet(2).step(outputs),
+        lambda: dw.rollouts(np.ma.array(np.full((2, 3, 4), 0.5), mask=True)),
+        lambda: dw.rollouts(np.full((2, 3, 4), 0.5), np.ma.array(dw.REST, mask=True)),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match="without masked entries"):
+            call()
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda of: of.copy()])
+@pytest.mark.parametrize("of", [dw.Plant, lambda: dw.Fleet(2)])
+def test_every_copy_goes_its_own_way(of: Callable[[], Any], copied: Callable[[Any], Any]) -> None:
+    vehicle = of()
+    vehicle.step([0.6] * 4, 100)
+    before, other = vehicle.state, copied(vehicle)
+    np.testing.assert_array_equal(other.state, before)
+    moved = other.step([0.9] * 4, 100)
+    np.testing.assert_array_equal(vehicle.state, before)
+    np.testing.assert_array_equal(vehicle.step([0.9] * 4, 100), moved)
+
+
+def test_many_steps_are_steps_one_after_another() -> None:
+    effects = {"gusts": {"sigma_m_s": 1.0}, "rotor_drag": {"d_xy": 0.02}}
+    at_once, in_parts = dw.Fleet(600, effects=effects), dw.Fleet(600, effects=effects)
+    # More than one call of the native part takes.
+    states = at_once.step([0.5] * 4, 1700)
+    for steps in (1, 999, 700):
+        parts = in_parts.step([0.5] * 4, steps)
+    np.testing.assert_array_equal(states, parts)
+
+
+LONG: list[Callable[[], object]] = [
+    lambda: dw.Fleet(2000).step([0.5] * 4, 1_000_000),
+    lambda: dw.rollouts(np.full((2000, 10, 4), 0.5), steps=1_000_000),
+    lambda: dw.rollouts(np.full((20, 10, 4), 0.5), steps=1_000_000, effects=[{}] * 20),
+    lambda: dw.Plant().rollout(np.full((1000, 4), 0.5), 1_000_000),
+]
+
+
+@pytest.mark.parametrize("call", LONG)
+def test_ctrl_c_ends_many_steps(call: Callable[[], object]) -> None:
+    press = threading.Timer(0.3, lambda: signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT))
+    press.start()
+    with pytest.raises(KeyboardInterrupt):
+        call()
+    press.join()

@@ -117,6 +117,11 @@ def test_an_invalid_manifest_is_refused_by_name(tmp_path: Path) -> None:
     wrong.write_text("schema_version = 1\n[grid]\nspeed = [1, 2]\n")
     result = subprocess.run([COMMAND, "sweep", wrong], capture_output=True, text=True, cwd=tmp_path)
     assert result.returncode == 2 and '"speed": expected vehicle' in result.stderr
+    wrong.write_text("schema_version = 1\n[grid]\n'effects.wnd.north_m_s' = [1, 2]\n")
+    with pytest.raises(dw.DownwashError, match='unknown effect "wnd"'):
+        dw.sweep(wrong, tmp_path / "out")
+    with pytest.raises(TypeError, match=r"shard: expected \(i, n\)"):
+        dw.sweep(wrong, tmp_path / "out", shard=3)  # type: ignore[arg-type]
 
 
 def test_the_table_converts_to_parquet(manifest: Path, tmp_path: Path) -> None:
@@ -128,6 +133,35 @@ def test_the_table_converts_to_parquet(manifest: Path, tmp_path: Path) -> None:
     assert read.num_rows == POINTS
     assert read.column("failure").null_count == POINTS // 2
     assert len(read.schema.metadata[b"manifest_sha256"]) == 64
+
+
+def test_a_column_of_the_table_has_one_type(tmp_path: Path) -> None:
+    names = ["2024_11_05", "007", "1e5", "nan", "crazyflie"]
+    for name in names[:-1]:
+        dw.Vehicle().save(tmp_path / name)
+    (tmp_path / "short.toml").write_text("family = 'hover'\naltitude_m = 1.0\nduration_s = 1.0\n")
+    manifest = tmp_path / "sweep.toml"
+    manifest.write_text(
+        f"schema_version = 1\ntrajectory = 'short.toml'\nseeds = [7]\n[list]\nvehicle = {names}\n"
+        "'effects.wind.north_m_s' = [0, 0.5, 1, 1.5, 2]\n"
+        "'set.control.rate_hz' = [100.0, 100.0, 100.0, -1.0, 100.0]\n"
+        "'set.control.adaptive' = [false, true, false, false, false]\n"
+    )
+    dw.sweep(manifest, tmp_path / "out")
+    rows = dw.table(tmp_path / "out")
+    assert [row["input.vehicle"] for row in rows] == names
+    assert [row["input.effects.wind.north_m_s"] for row in rows] == [0.0, 0.5, 1.0, 1.5, 2.0]
+    assert {type(row["input.effects.wind.north_m_s"]) for row in rows} == {float}
+    assert [row["input.set.control.adaptive"] for row in rows] == [False, True, False, False, False]
+    # What could not be flown has its seed too.
+    assert [row["seed"] for row in rows] == [7] * 5 and {type(row["seed"]) for row in rows} == {int}
+    assert [row["failure"] is None for row in rows] == [True, True, True, False, True]
+    pandas = pytest.importorskip("pandas")
+    read = pandas.read_csv(tmp_path / "out/table.csv", dtype={"input.vehicle": str}, keep_default_na=False)
+    assert list(read["input.vehicle"]) == names
+    pytest.importorskip("pyarrow")
+    rows.to_parquet(tmp_path / "table.parquet")
+    assert list(pandas.read_parquet(tmp_path / "table.parquet")["input.vehicle"]) == names
 
 
 @pytest.mark.parametrize(

@@ -22,3 +22,11 @@ def test_the_stub_matches_the_native_module() -> None:
     pytest.importorskip("mypy")
     done = subprocess.run(stubtest, capture_output=True, text=True, cwd=ROOT / "docs")
     assert done.returncode == 0, done.stdout
+
+
+def test_a_users_program_is_typed() -> None:
+    pytest.importorskip("mypy")
+    tests = ROOT / "python/tests"
+    run = [sys.executable, "-m", "mypy", "--strict", tests / "typed_program.py"]
+    done = subprocess.run(run, capture_output=True, text=True, cwd=ROOT / "docs")
+    assert done.returncode == 0, done.stdout

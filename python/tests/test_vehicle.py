@@ -1,8 +1,10 @@
 """Vehicle files and the catalogue of effects."""
 
 from pathlib import Path
+from typing import Any
 
 import downwash as dw
+import numpy as np
 import pytest
 
 from conftest import ROOT
@@ -30,6 +32,23 @@ def test_added_effects_keep_the_files_comments(tmp_path: Path) -> None:
     assert again.to_dict()["modelled_effects"]["rotor_drag"]["d_xy"] == 0.02
     vehicle.save(tmp_path / "v.json")
     assert dw.Vehicle(tmp_path / "v.json").to_dict() == vehicle.to_dict()
+
+
+def test_vehicles_are_equal_by_their_numbers(tmp_path: Path) -> None:
+    vehicle = dw.Vehicle()
+    vehicle.save(tmp_path / "v.json")
+    same = dw.Vehicle(tmp_path / "v.json")
+    assert vehicle == same and hash(vehicle) == hash(same)
+    assert vehicle != vehicle.with_effects({"wind": {"north_m_s": 1.0}}) and vehicle != vehicle.name
+
+
+def test_an_effect_of_another_type_is_refused_in_words() -> None:
+    values: list[Any] = [True, "1", None, {}]
+    for value in values:
+        with pytest.raises(ValueError, match="expected a number, or a list of three numbers"):
+            dw.Plant(effects={"wind": {"north_m_s": value}})
+    still = dw.Plant(effects={"wind": {"north_m_s": np.longdouble(1)}})  # type: ignore[dict-item]
+    assert still.air_velocity_m_s[0] == 1.0
 
 
 def test_init_builds_a_vehicle_or_names_missing_values() -> None:

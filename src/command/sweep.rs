@@ -209,7 +209,8 @@ fn conclude(
     };
     let mut table = None;
     if rows.len() == manifest.points {
-        Folder::<Line>::replace(csv, &table::csv(&rows)?)?;
+        let seed_of = |index| manifest.point(index).seed;
+        Folder::<Line>::replace(csv, &table::csv(&rows, seed_of)?)?;
         table = Some(csv.to_owned());
         if manifest.subject() == Subject::Exam {
             let scored = rows.values().filter_map(|line| line.row.as_ref());

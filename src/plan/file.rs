@@ -84,7 +84,20 @@ impl TrajectoryFile {
         load(path)
     }
 
-    /// Parses the text of a TOML trajectory file; `origin` names it in errors.
+    /// Reads the text of a trajectory file, or of the shipped trajectory of that name.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn text(path: &Path) -> Result<String, TrajectoryError> {
+        if let Some(shipped) = shipped(path) {
+            return Ok(shipped.text.to_owned());
+        }
+        bounded::read_to_string(path, SIZE_MAX)
+            .map_err(|source| TrajectoryError::Read { path: path.into(), source })
+    }
+
+    /// Parses the text of a trajectory file: CSV if `origin`, which names it in errors, ends in .csv,
+    /// else TOML.
     ///
     /// # Errors
     /// As [`TrajectoryFile::load`].
@@ -124,7 +137,8 @@ impl Trajectory {
         load(path)?.desired(path)
     }
 
-    /// Parses the text of a TOML trajectory file; `origin` names it in errors.
+    /// Parses the text of a trajectory file: CSV if `origin`, which names it in errors, ends in .csv,
+    /// else TOML.
     ///
     /// # Errors
     /// As [`Trajectory::load`]. A relative path to another file is resolved against the folder of
@@ -135,13 +149,12 @@ impl Trajectory {
 }
 
 fn load(path: &Path) -> Result<TrajectoryFile, TrajectoryError> {
-    if let Some(shipped) = shipped(path) {
-        return parse(shipped.text, path);
-    }
-    let text = bounded::read_to_string(path, SIZE_MAX)
-        .map_err(|source| TrajectoryError::Read { path: path.into(), source })?;
+    parse(&TrajectoryFile::text(path)?, path)
+}
+
+fn parse(text: &str, path: &Path) -> Result<TrajectoryFile, TrajectoryError> {
     if path.extension().is_some_and(|extension| extension == "csv") {
-        let table = Table::parse(&text)
+        let table = Table::parse(text)
             .map_err(|message| TrajectoryError::Syntax { path: path.into(), message })?;
         let found = table.duration();
         if found > DURATION_MAX_S {
@@ -155,15 +168,11 @@ fn load(path: &Path) -> Result<TrajectoryFile, TrajectoryError> {
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         return Ok(TrajectoryFile::Desired(Trajectory::new(name, Shape::Table(table))));
     }
-    parse(&text, path)
-}
-
-fn parse(text: &str, origin: &Path) -> Result<TrajectoryFile, TrajectoryError> {
     let family: Family = toml::from_str(text).map_err(|error| TrajectoryError::Syntax {
-        path: origin.into(),
+        path: path.into(),
         message: error.to_string(),
     })?;
-    Builder { origin }.build(family)
+    Builder { origin: path }.build(family)
 }
 
 #[cfg(test)]

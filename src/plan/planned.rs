@@ -188,8 +188,16 @@ impl Plan {
     pub fn load(path: &Path) -> Result<Self, PlanError> {
         let text = bounded::read_to_string(path, SIZE_MAX)
             .map_err(|source| PlanError::Io { path: path.to_owned(), source })?;
-        let damaged = |reason: String| PlanError::Damaged { path: path.to_owned(), reason };
-        let plan: Self = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
+        Self::parse(&text, path)
+    }
+
+    /// Parses the content of a plan file; `origin` names it in errors.
+    ///
+    /// # Errors
+    /// As [`Plan::load`], except that nothing is read.
+    pub fn parse(text: &str, origin: &Path) -> Result<Self, PlanError> {
+        let damaged = |reason: String| PlanError::Damaged { path: origin.to_owned(), reason };
+        let plan: Self = serde_json::from_str(text).map_err(|error| damaged(error.to_string()))?;
         plan.check().map_err(damaged)?;
         Ok(plan)
     }

@@ -15,7 +15,10 @@ pub(super) const POINTS_MAX: usize = 10_000_000;
 
 /// Values on a grid.
 #[derive(Debug, Deserialize)]
-#[serde(untagged)]
+#[serde(
+    untagged,
+    expecting = "expected a list of values, a pattern of files, or { from = 0.0, to = 1.0, count = 5 }"
+)]
 pub(super) enum Axis {
     Values(Vec<Value>),
     /// A pattern of files or folders, for an input that is a path.
@@ -51,7 +54,7 @@ pub(super) enum Drawn {
 
 /// Seeds of each point.
 #[derive(Debug, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected a number of seeds, or a list of seeds of at least 0")]
 pub(super) enum Seeds {
     Count(u64),
     These(Vec<u64>),
@@ -83,7 +86,8 @@ impl Axis {
                 Ok(found.into_iter().map(Value::String).collect())
             }
             Self::Range(Range { from, to, count, log }) => {
-                let is_possible = from.is_finite() && to.is_finite() && *count > 0;
+                let is_possible =
+                    from.is_finite() && to.is_finite() && (to - from).is_finite() && *count > 0;
                 if !is_possible || *log && !(*from > 0.0 && *to > 0.0) || *count > POINTS_MAX {
                     bail!(
                         "expected finite numbers, above 0 with log, and a count, found {from}, {to} \
@@ -107,9 +111,7 @@ impl Drawn {
     /// Rejects an invalid distribution.
     pub fn check(&self) -> anyhow::Result<()> {
         match self {
-            Self::Uniform([low, high]) if low.is_finite() && high.is_finite() && low <= high => {
-                Ok(())
-            }
+            Self::Uniform([low, high]) if (high - low).is_finite() && low <= high => Ok(()),
             Self::LogUniform([low, high]) if *low > 0.0 && high.is_finite() && low <= high => {
                 Ok(())
             }

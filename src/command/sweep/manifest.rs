@@ -11,6 +11,7 @@ use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 use vehicle::bounded;
+use vehicle::effects::{EffectError, EffectId, EffectSet};
 
 use super::axis::{Axis, Drawn, POINTS_MAX, Seeds};
 use super::exam_inputs;
@@ -256,8 +257,32 @@ impl Written {
             if paths().filter(|other| *other == path).count() > 1 {
                 bail!("{path:?} varies in two ways");
             }
+            if let Some(effect) = path.strip_prefix("effects.") {
+                check_effect(effect)?;
+            }
+        }
+        let fixed = self.fixed.get("effects").and_then(Value::as_table).into_iter().flatten();
+        for (id, parameters) in fixed {
+            check_effect(id)?;
+            let names = parameters.as_table().into_iter().flat_map(Table::keys);
+            names.map(|name| format!("{id}.{name}")).try_for_each(|path| check_effect(&path))?;
         }
         Ok(())
+    }
+}
+
+/// Refuses an unknown effect or parameter, which would fail at every point.
+fn check_effect(path: &str) -> anyhow::Result<()> {
+    let (id, parameter) = path.split_once('.').map_or((path, None), |(id, rest)| (id, Some(rest)));
+    if id == EffectSet::LAW {
+        return Ok(());
+    }
+    let id: EffectId = id.parse()?;
+    match parameter {
+        Some(name) if id.spec().find(name).is_none() => {
+            Err(EffectError::UnknownParameter { effect: id, parameter: name.to_owned() }.into())
+        }
+        _ => Ok(()),
     }
 }
 
@@ -347,6 +372,20 @@ mod tests {
         );
         assert!(refused("samples = 3").contains("nothing is drawn"));
         assert!(refused("seeds = 0").contains("found 0"));
+        assert!(refused("seeds = -1").contains("a list of seeds"));
+        assert!(refused("[grid]\n'set.a' = 3").contains("a list of values"));
+        assert!(
+            refused("[grid]\n'effects.wnd.north_m_s' = [1]").contains("unknown effect \"wnd\"")
+        );
+        assert!(
+            refused("[draw]\n'effects.wind.north' = { normal = [0, 1] }").contains("\"north\"")
+        );
+        assert!(refused("effects = { wind = { north = 1 } }").contains("\"north\""));
+        assert!(refused("[draw]\n'set.a' = { uniform = [-1e308, 1e308] }").contains("finite"));
+        assert!(
+            refused("[grid]\n'set.a' = { from = -1e308, to = 1e308, count = 3 }")
+                .contains("finite")
+        );
         assert!(refused("seeds = 100000000").contains("10000000 points"));
         assert!(refused("[draw]\n'set.a' = { uniform = [2, 1] }").contains("in their order"));
         assert!(

@@ -10,10 +10,14 @@ use super::Line;
 /// Of a row, what is the same in each, names files, or is another at each try.
 const LEFT_OUT: [&str; 5] = ["schema", "schema_version", "log", "report", "seconds"];
 
-/// The table as CSV. Its columns are the point's number, the failure, what varies (`input.`), and what
-/// the flights gave, tables inside with a dot.
-pub fn csv(rows: &BTreeMap<usize, Line>) -> anyhow::Result<Vec<u8>> {
-    let lines: Vec<Vec<(String, String)>> = rows.values().map(cells).collect();
+/// The table as CSV. Its columns are the point's number, the failure, the seed, what varies (`input.`),
+/// and what the flights gave, tables inside with a dot.
+pub fn csv(
+    rows: &BTreeMap<usize, Line>,
+    seed_of: impl Fn(usize) -> u64,
+) -> anyhow::Result<Vec<u8>> {
+    let lines = rows.values().map(|line| cells(line, seed_of(line.index)));
+    let lines: Vec<Vec<(String, String)>> = lines.collect();
     let mut columns: Vec<&str> = Vec::new();
     let mut places: BTreeMap<&str, usize> = BTreeMap::new();
     // Whole rows first, so that a failure moves no column.
@@ -40,11 +44,15 @@ pub fn csv(rows: &BTreeMap<usize, Line>) -> anyhow::Result<Vec<u8>> {
     out.into_inner().context("the table")
 }
 
-fn cells(line: &Line) -> Vec<(String, String)> {
+fn cells(line: &Line, seed: u64) -> Vec<(String, String)> {
     let mut cells = vec![
         ("point".to_owned(), line.index.to_string()),
         ("failure".to_owned(), line.failure.clone().unwrap_or_default()),
     ];
+    // A flight's row has its own.
+    if line.row.as_ref().is_none_or(|row| row.get("seed").is_none()) {
+        cells.push(("seed".to_owned(), seed.to_string()));
+    }
     for (path, value) in &line.inputs {
         flatten(&format!("input.{path}"), value, &mut cells);
     }
@@ -84,12 +92,12 @@ mod tests {
             failure: failure.map(str::to_owned),
             row,
         };
-        let row = json!({ "schema": "x", "end": "done", "effects": { "wind": { "n": [1.5, 2] } }, "log": null });
+        let row = json!({ "schema": "x", "seed": 9, "end": "done", "effects": { "wind": { "n": [1.5, 2] } }, "log": null });
         let rows = [line(0, Some("no file"), None), line(1, None, Some(row))];
         let rows = rows.into_iter().map(|line| (line.index, line)).collect();
-        let expected = "point,failure,input.vehicle,end,effects.wind.n.0,effects.wind.n.1\n\
-                        0,no file,\"a,b\",,,\n1,,\"a,b\",done,1.5,2\n";
-        let table = String::from_utf8(csv(&rows)?)?;
+        let expected = "point,failure,input.vehicle,end,effects.wind.n.0,effects.wind.n.1,seed\n\
+                        0,no file,\"a,b\",,,,8\n1,,\"a,b\",done,1.5,2,9\n";
+        let table = String::from_utf8(csv(&rows, |index| 8 + index as u64)?)?;
         let sorted = |text: &str| {
             let mut names: Vec<String> =
                 text.lines().next().unwrap_or("").split(',').map(str::to_owned).collect();
@@ -98,7 +106,8 @@ mod tests {
         };
         // serde_json sorts the keys of a value.
         assert_eq!(sorted(&table), sorted(expected));
-        assert!(table.contains("0,no file,\"a,b\",,,"), "{table}");
+        let failed = table.lines().nth(1).unwrap_or_default();
+        assert!(failed.starts_with("0,no file,\"a,b\",") && failed.contains('8'), "{table}");
         Ok(())
     }
 }

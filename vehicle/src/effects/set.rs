@@ -22,11 +22,11 @@ pub struct EffectSet {
 }
 
 /// The key of the laws in files.
-const LAW: &str = "law";
+const LAW: &str = EffectSet::LAW;
 
 /// A parameter's value in a file or on the command line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected a number, or a list of three numbers")]
 pub enum ParameterValue {
     /// A scalar or an index.
     Number(f64),
@@ -107,6 +107,9 @@ fn parameters(effect: EffectId) -> String {
 }
 
 impl EffectSet {
+    /// The key of the laws in files, beside the effects' ids.
+    pub const LAW: &str = "law";
+
     /// Creates an empty set.
     pub fn new() -> Self {
         Self::default()
