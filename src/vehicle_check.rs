@@ -10,7 +10,7 @@ use std::ops::Range;
 
 use schemars::JsonSchema;
 use serde::Serialize;
-use vehicle::VehicleParams;
+use vehicle::{ROTORS, VehicleParams};
 
 use crate::learn::segments::in_air;
 use crate::log::import::Flight;
@@ -60,6 +60,9 @@ pub enum NotHeld {
         /// Required time in the air, s.
         needed_s: f64,
     },
+    /// The log is of something else than a quadrotor.
+    #[error("the log is of {0}: only quadrotors are supported, and nothing of the file is shown")]
+    OtherVehicle(String),
     /// The outputs have no known unit.
     #[error(transparent)]
     Unit(#[from] crate::log::import::UnitUnknown),
@@ -75,6 +78,12 @@ const BLOCK_S: f64 = 4.0;
 /// # Errors
 /// [`NotHeld`] where the log shows no flight, or its outputs have no unit.
 pub fn held(flight: &Flight, vehicle: &VehicleParams) -> Result<Vec<Held>, NotHeld> {
+    if let Some(stated) = flight.facts.stated_otherwise() {
+        return Err(NotHeld::OtherVehicle(format!("{} ({})", stated.kind, stated.by)));
+    }
+    if let Some(motors) = flight.facts.motors.filter(|motors| *motors as usize != ROTORS) {
+        return Err(NotHeld::OtherVehicle(format!("a vehicle with {motors} motors")));
+    }
     let mut shares = flight.clone();
     shares.normalise_outputs(vehicle)?;
     let spans = in_air(&shares, LIFTS * vehicle.hover_share());
@@ -260,6 +269,15 @@ mod tests {
         let all = verdicts(&flown(&vehicle, 0.005), &vehicle);
         assert_eq!(all[0], ("hover", Verdict::Fits));
         assert_eq!(all[2..], ["roll", "pitch", "yaw"].map(|of| (of, Verdict::NotShown)));
+    }
+
+    #[test]
+    fn another_vehicle_shows_nothing_of_the_file() {
+        let vehicle = file();
+        let mut flight = flown(&vehicle, 0.15);
+        flight.facts.motors = Some(6);
+        let refused = held(&flight, &vehicle).expect_err("six motors").to_string();
+        assert!(refused.contains("6 motors"), "{refused}");
     }
 
     #[test]

@@ -255,6 +255,14 @@ fn wrong_units_are_found() {
     let mut flight = FLIGHT.clone();
     flight.voltage = flight.voltage.map(|v| v * 1e3);
     assert_fault(&flight, "unit", "millivolts");
+    // Milliseconds taken for microseconds.
+    let mut flight = FLIGHT.clone();
+    let mut hurried = Stream::default();
+    for (time, attitude) in FLIGHT.attitude.iter() {
+        hurried.push(1e-3 * time, *attitude);
+    }
+    flight.attitude = hurried;
+    assert_fault(&flight, "unit", "times in another unit");
 }
 
 #[test]

@@ -254,6 +254,15 @@ fn corruptions() -> Vec<Corruption> {
             }
             f.velocity = turned;
         }),
+        new("velocity turned to world axes twice", Expectation::Fault, AXES, |f| {
+            let (attitude, mut turned) = (f.attitude.clone(), Stream::default());
+            for (time, velocity) in f.velocity.iter() {
+                if let Some(q) = attitude.held_at(time) {
+                    turned.push(time, q.to_world(Frd::from(velocity.to_array())));
+                }
+            }
+            f.velocity = turned;
+        }),
         new("body rate in degrees", Expectation::Fault, SCALE, |f| {
             f.body_rate = frd(&f.body_rate, |w| w.map(f64::to_degrees));
         }),

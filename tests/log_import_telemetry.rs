@@ -1,5 +1,7 @@
 //! What the import reads from the messages of a telemetry log: boots, sensors, vehicle type, motors.
 
+use std::fs;
+
 use crate::import_support::{import, left_out, place, write_tlog};
 use crate::lockstep;
 use downwash::log::import::{Choice, Flight, VehicleKind, open, open_chosen, write};
@@ -304,4 +306,40 @@ fn output_range_follows_the_autopilots_parameters() {
     let mut flight = recorded(ardupilot, &motors[..4], servos);
     let error = flight.normalise_outputs(&vehicle).expect_err("no unit").to_string();
     assert!(error.contains("MOT_PWM_*") && error.contains("motor_output"), "{error}");
+}
+
+/// What a boot reports before its first stamp is not the time of the boot before it.
+#[test]
+fn no_boot_flies_longer_than_it_lasts() {
+    let mut log = Telemetry::new();
+    for seconds in [10, 20] {
+        log.vehicle_ms = 3000;
+        log.heartbeat(MavType::MAV_TYPE_QUADROTOR, MavAutopilot::MAV_AUTOPILOT_PX4, true);
+        log.fly(seconds, |log, step| {
+            if step % 100 == 99 {
+                log.heartbeat(MavType::MAV_TYPE_QUADROTOR, MavAutopilot::MAV_AUTOPILOT_PX4, true);
+            }
+        });
+        log.ground_us += 60_000_000;
+    }
+    let flight = import(&write_tlog("lasts", "flight.tlog", &log.entries));
+    let notes = flight.facts.notes.join("; ");
+    assert_eq!(flight.attitude.len(), 2000 - 7, "{notes}");
+    assert!(
+        notes.contains("boot 1 of 2 (--boot 1): 3.00 to 12.99 s, 10.0 s of it flown;"),
+        "{notes}"
+    );
+}
+
+#[test]
+fn a_damaged_telemetry_log_says_where() {
+    let mut log = Telemetry::new();
+    log.fly(5, |_, _| {});
+    let mut bytes = fs::read(write_tlog("says", "flight.tlog", &log.entries)).expect("a log");
+    let end = bytes.len();
+    bytes.extend([0; 3000]);
+    let path = write_tlog("says", "damaged.tlog", &[]);
+    fs::write(&path, bytes).expect("a file");
+    let losses = import(&path).losses.join(" ");
+    assert!(losses.contains(&format!("3000 bytes from byte {end}")), "{losses}");
 }

@@ -37,8 +37,10 @@ pub enum ReadError {
     },
     /// The file is too short for a record.
     #[error(
-        "the log {} is empty: {bytes} bytes; it was cut short before its first record",
-        path.display()
+        "the log {} has no record: expected at least {} bytes, found {bytes}; it was cut short \
+         before its first record",
+        path.display(),
+        mcap::MAGIC.len() + RECORD_HEAD
     )]
     Empty {
         /// The file.
@@ -164,10 +166,12 @@ impl LogReader<BufReader<File>> {
         let file =
             File::open(path).map_err(|source| ReadError::Open { path: path.to_owned(), source })?;
         let there = file.metadata()?;
+        // A short file of another kind is no log that was cut short.
+        let reader = Self::new(BufReader::with_capacity(1 << 16, file))?;
         if there.is_file() && there.len() < (mcap::MAGIC.len() + RECORD_HEAD) as u64 {
             return Err(ReadError::Empty { path: path.to_owned(), bytes: there.len() });
         }
-        Self::new(BufReader::with_capacity(1 << 16, file))
+        Ok(reader)
     }
 }
 

@@ -7,7 +7,8 @@ use std::sync::LazyLock;
 
 use crate::onboard_log::{DataFlash, Ulog, dataflash, floats, old_dataflash, px4_outputs, ulog};
 use downwash_log::import::{
-    Flight, MotorSource, MotorUnit, SetpointSource, Stream, VehicleKind, open, read_bytes, write,
+    Choice, Flight, MotorSource, MotorUnit, SetpointSource, Stream, VehicleKind, open, open_chosen,
+    read_bytes, write,
 };
 use proptest::prelude::*;
 use vehicle::VehicleParams;
@@ -420,6 +421,106 @@ fn oldest_ulog_layouts_are_read() {
     // The interval is in s, and the sample lies in its middle.
     assert!((flight.body_rate.times()[0] - 0.998).abs() < 1e-6);
     assert_eq!(flight.position.len(), 50);
+}
+
+/// PX4 of 2016: the topic has a quaternion that is not filled in, and the first of two batteries is
+/// not connected.
+#[test]
+fn a_quaternion_that_is_not_filled_in_gives_way_to_the_angles() {
+    let mut log = Ulog::new();
+    log.format("vehicle_attitude:uint64_t timestamp;float roll;float pitch;float yaw;float[4] q;");
+    log.format("battery_status:uint64_t timestamp;float voltage_v;bool connected;");
+    let attitude = log.subscribe("vehicle_attitude", 0);
+    let first = log.subscribe("battery_status", 0);
+    let second = log.subscribe("battery_status", 1);
+    for step in 0..50_u64 {
+        let us = 1_000_000 + 4000 * step;
+        log.row(attitude, us, &floats(&[0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 0.0]));
+        log.row(first, us, &[&floats(&[0.0])[..], &[0]].concat());
+        log.row(second, us, &[&floats(&[15.0])[..], &[1]].concat());
+    }
+    let flight = import("unfilled", "flight.ulg", &log.bytes);
+    assert_eq!(flight.attitude.len(), 50);
+    let angles = flight.attitude.values()[3].euler();
+    assert!((angles.pitch - 0.2).abs() < 1e-6 && (angles.yaw - 0.3).abs() < 1e-6);
+    assert_eq!((flight.voltage.len(), flight.voltage.values()[0]), (50, 15.0));
+}
+
+/// Each sample has the signal of the parameter's value at its time.
+#[test]
+fn a_parameter_that_is_tuned_in_flight_acts_from_then_on() {
+    let mut log = Ulog::new();
+    log.format("vehicle_attitude:uint64_t timestamp;float[4] q;");
+    log.format("actuator_motors:uint64_t timestamp;float[12] control;");
+    log.parameter("THR_MDL_FAC", 0.0);
+    let attitude = log.subscribe("vehicle_attitude", 0);
+    let motors = log.subscribe("actuator_motors", 0);
+    for step in 0..90_u64 {
+        let us = 1_000_000 + 4000 * step;
+        if step == 30 {
+            log.parameter("THR_MDL_FAC", 1.0);
+        } else if step == 60 {
+            log.parameter("THR_MDL_FAC", 0.0);
+        }
+        log.row(attitude, us, &floats(&[1.0, 0.0, 0.0, 0.0]));
+        log.row(motors, us, &floats(&[0.25; 12]));
+    }
+    let flight = import("tuned", "flight.ulg", &log.bytes);
+    let outputs: Vec<f64> = flight.outputs.values().iter().map(|u| u[0]).collect();
+    assert_eq!([outputs[29], outputs[30], outputs[59], outputs[60]], [0.25, 0.5, 0.5, 0.25]);
+}
+
+/// The controllers of the motors need not be the first four.
+#[test]
+fn rotor_speeds_are_of_the_controllers_that_drive_the_motors() {
+    let mut log = Ulog::new();
+    log.format("vehicle_attitude:uint64_t timestamp;float[4] q;");
+    log.format("esc_report:uint64_t timestamp;int32_t esc_rpm;uint8_t actuator_function;");
+    log.format("esc_status:uint64_t timestamp;uint8_t esc_count;esc_report[8] esc;");
+    let attitude = log.subscribe("vehicle_attitude", 0);
+    let esc = log.subscribe("esc_status", 0);
+    for step in 0..50_u64 {
+        let us = 1_000_000 + 4000 * step;
+        log.row(attitude, us, &floats(&[1.0, 0.0, 0.0, 0.0]));
+        let report = |at: u8| {
+            let (rpm, function) = if at < 4 { (0, 0) } else { (1000 * i32::from(at), 108 - at) };
+            [&us.to_le_bytes()[..], &i32::to_le_bytes(rpm), &[function]].concat()
+        };
+        let reports: Vec<u8> = (0..8).flat_map(report).collect();
+        log.row(esc, us, &[&[4][..], &reports].concat());
+    }
+    let flight = import("controllers", "flight.ulg", &log.bytes);
+    let rpm = flight.rotor_speed.values()[3].map(|w| (w * 60.0 / std::f64::consts::TAU).round());
+    assert_eq!(rpm, [7000.0, 6000.0, 5000.0, 4000.0]);
+}
+
+/// Samples of two boots on overlapping clocks are never spliced into one flight.
+#[test]
+fn of_two_boots_in_one_log_one_is_read() {
+    let path = place("boots", "flight.log");
+    for (format, log) in [
+        ("dataflash", [dataflash(8.0).bytes, dataflash(12.0).bytes].concat()),
+        ("ulog", [ulog(8.0).bytes, ulog(12.0).bytes].concat()),
+    ] {
+        fs::write(&path, log).expect("a file");
+        let chosen = |boot| open_chosen(&path, Choice { mapping: None, boot });
+        let length = |flight: &Flight| {
+            let times = flight.attitude.times();
+            (times[times.len() - 1] - times[0]).round()
+        };
+        let flight = chosen(None).expect("a flight");
+        assert_eq!((flight.origin.format, length(&flight)), (format, 12.0));
+        assert_eq!(left_out(&flight, "out of order"), 0, "{:?}", flight.left_out);
+        assert!(left_out(&flight, "another boot") > 1000, "{:?}", flight.left_out);
+        let notes = flight.facts.notes.join("; ");
+        assert!(
+            notes.contains("boot 1 of 2 (--boot 1)") && notes.contains("flown, used"),
+            "{notes}"
+        );
+        assert_eq!(length(&chosen(Some(1)).expect("a boot")), 8.0);
+        let error = chosen(Some(3)).expect_err("no such boot").to_string();
+        assert!(error.contains("from 1 to 2 (--boot), found 3"), "{error}");
+    }
 }
 
 /// A damaged type byte turns a data row into a flag message, whose bits would forbid reading the

@@ -296,6 +296,15 @@ fn table_that_contradicts_its_mapping_is_refused() {
     let (named, map) = (table.replacen("px", "px [cm]", 1), POSE.replace("px", "px [cm]"));
     let message = refusal("contrary", &named, &map);
     assert!(message.contains("is in \"cm\""), "{message}");
+    // Units that a mapping cannot state are contradictions too, and no reason to guess.
+    for unit in ["ft", "km", "inches"] {
+        let name = format!("px [{unit}]");
+        let (named, map) = (table.replacen("px", &name, 1), POSE.replace("px", &name));
+        assert!(refusal("contrary", &named, &map).contains("column 2 (px"), "{unit}");
+    }
+    let named = table.replacen("t,", "t [\u{b5}s],", 1);
+    let map = POSE.replace("\"t\"", "\"t [\u{b5}s]\"");
+    assert!(refusal("contrary", &named, &map).contains("is in \"us\""));
     // The names of the quaternion columns contradict the configured order.
     let message = refusal("contrary", &table, &POSE.replace("xyzw", "wxyz"));
     assert!(message.contains("the order is \"wxyz\", but the columns are 5 (qx)"), "{message}");
@@ -512,6 +521,96 @@ fn proposed_mapping_imports_the_table() {
         message.contains("text.csv") && message.contains("without a line of numbers"),
         "{message}"
     );
+}
+
+/// Columns as data sets, simulators and firmwares name them.
+#[test]
+fn mappings_are_proposed_for_the_names_that_others_use() {
+    let propose = |header: &str, cells: &str| {
+        let file = place("others", "flight.csv");
+        let row = |row: i64| format!("{}{cells}\n", 1_403_636_580_000_000_000 + 5_000_000 * row);
+        let table = format!("{header}\n{}", (0..30).map(row).collect::<String>());
+        fs::write(&file, &table).unwrap();
+        let mapping = downwash_log::import::propose(&file).unwrap();
+        let flight = import("others", &table, &mapping);
+        (mapping.clone(), flight.unwrap_or_else(|e| panic!("{e}\n{mapping}")))
+    };
+    // EuRoC: its truth holds the biases of the sensors, which are no measurements.
+    let (mapping, flight) = propose(
+        "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],\
+         v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],b_w_RS_S_x [rad s^-1],\
+         b_w_RS_S_y [rad s^-1],b_w_RS_S_z [rad s^-1]",
+        ",1,2,3,1,0,0,0,0.1,0.2,0.3,5,6,7",
+    );
+    assert_eq!((flight.position.len(), flight.attitude.len()), (30, 30), "{mapping}");
+    assert_eq!((flight.velocity.len(), flight.body_rate.len()), (30, 0), "{mapping}");
+    assert!(mapping.contains("unit = \"ns\"") && mapping.contains("unit = \"m/s\"\n"), "{mapping}");
+    let (mapping, flight) = propose(
+        "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],\
+         a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]",
+        ",0.1,0.2,0.3,0.1,0.2,9.8",
+    );
+    assert_eq!((flight.body_rate.len(), flight.specific_force.len()), (30, 30), "{mapping}");
+    assert_eq!(flight.body_rate.values()[3].to_array(), [0.1, -0.2, -0.3]);
+    // A Crazyflie logs in degrees, in g and in 16 bits.
+    let (mapping, flight) = propose(
+        "timestamp,stateEstimate.x,stateEstimate.y,stateEstimate.z,gyro.x,gyro.y,gyro.z,\
+         acc.x,acc.y,acc.z,motor.m1,motor.m2,motor.m3,motor.m4",
+        ",1,2,3,40,5,6,0.01,0.02,0.99,32767.5,30000,30000,30000",
+    );
+    assert_eq!(flight.position.values()[3].to_array(), [1.0, -2.0, -3.0], "{mapping}");
+    assert!((flight.body_rate.values()[3].to_array()[0] - 40f64.to_radians()).abs() < 1e-9);
+    assert!((flight.specific_force.values()[3].to_array()[2] + 0.99 * 9.80665).abs() < 1e-9);
+    assert!((flight.outputs.values()[3][0] - 0.5).abs() < 1e-4, "{mapping}");
+    // Simulators: RotorPy, then gym-pybullet-drones.
+    let (mapping, flight) = propose(
+        "time,x,y,z,xdot,ydot,zdot,qx,qy,qz,qw,wx,wy,wz,r1,r2,r3,r4",
+        ",1,2,3,0.1,0.2,0.3,0,0,0,1,0,0,0,1500,1500,1500,1500",
+    );
+    assert_eq!((flight.velocity.len(), flight.rotor_speed.len()), (30, 30), "{mapping}");
+    let (mapping, flight) = propose(
+        "timestamp,x,y,z,p,r,ya,rr,pr,yar,vx,vy,vz,wx,wy,wz",
+        ",1,2,3,0.2,0.1,0.3,0,0,0,0,0,0,0,0,0",
+    );
+    let angles = flight.attitude.values()[3].euler();
+    assert!((angles.roll - 0.1).abs() < 1e-9 && (angles.pitch + 0.2).abs() < 1e-9, "{mapping}");
+    // Qualisys: the body's name stands before the first column, and its matrix is column by column.
+    let (s, c) = 0.3_f64.sin_cos();
+    let (mapping, flight) = propose(
+        "Time [ns],quad X,Y,Z,Roll,Pitch,Yaw,Residual,Rot[0],Rot[1],Rot[2],Rot[3],Rot[4],Rot[5],\
+         Rot[6],Rot[7],Rot[8]",
+        &format!(",1000,2000,3000,0,0,{},0.3,{c},{s},0,{},{c},0,0,0,1", 0.3_f64.to_degrees(), -s),
+    );
+    assert_eq!(flight.position.values()[3].to_array(), [1.0, -2.0, -3.0], "{mapping}");
+    // To the left, seen from above, is a falling heading.
+    let yaw = flight.attitude.values()[3].euler().yaw;
+    assert!((yaw + 0.3).abs() < 1e-9, "{yaw}: {mapping}");
+}
+
+#[test]
+fn times_may_be_dates() {
+    let mapping = "world_frame = \"ned\"\n[time]\ncolumn = \"time\"\nunit = \"iso8601\"\n\
+                   [position]\ncolumns = [\"x\", \"y\", \"z\"]\nunit = \"m\"\n";
+    for (from, start) in [("2024-03-01T23:59:5", 1_709_337_590.0), ("23:59:5", 86_390.0)] {
+        let row = |k: i32| format!("{from}{}.{:02}0,1,2,3\n", k / 100, k % 100);
+        let table = format!("time,x,y,z\n{}", (0..900).map(row).collect::<String>());
+        let flight = import("dates", &table, mapping).expect("a flight");
+        assert_eq!((flight.position.len(), flight.left_out.len()), (900, 0));
+        let times = flight.position.times();
+        assert!((times[0] - start).abs() < 1e-5 && (times[899] - start - 8.99).abs() < 1e-5);
+        let file = place("dates", "flight.csv");
+        fs::write(&file, &table).unwrap();
+        let proposed = downwash_log::import::propose(&file).unwrap();
+        assert!(proposed.contains("unit = \"iso8601\"\n"), "{proposed}");
+    }
+}
+
+#[test]
+fn a_mapping_with_a_column_too_many_is_refused() {
+    let mapping = POSE.replacen("\"pz\"]", "\"pz\", \"t\"]", 1);
+    assert_ne!(mapping, POSE);
+    let message = refusal("too-many", &pose(",", ".", ""), &mapping);
+    assert!(message.contains("map.toml") && message.contains("length 4"), "{message}");
 }
 
 #[test]

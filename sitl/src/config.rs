@@ -276,7 +276,7 @@ impl SitlConfig {
     /// # Errors
     /// The text violates the schema or holds an impossible value. The error names no file.
     pub fn from_toml_str(text: &str) -> Result<Self, ConfigError> {
-        let config: Self = toml::from_str(text).map_err(|error| ConfigError::Syntax {
+        let config: Self = vehicle::from_toml(text).map_err(|error| ConfigError::Syntax {
             path: PathBuf::from("(text)"),
             message: error.to_string(),
         })?;

@@ -444,33 +444,52 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
         change(&mut other);
         other
     };
+    // As stated, then as the reader of the log turned it from other axes than stated.
     if is_open(attitude) {
-        let other = with(&|other| {
-            let body = |q: Attitude, w: &Frd| q.to_body(Ned::from(w.to_array()));
-            other.body_rate = by_attitude(flight, &flight.body_rate, body);
-        });
-        if let Some(found) = follows_better(turning_follows(flight), turning_follows(&other)) {
-            report("body_rate", found, "matches the attitude in world axes, not in body axes");
+        let body = |q: Attitude, w: &Frd| q.to_body(Ned::from(w.to_array()));
+        let back = |q: Attitude, w: &Frd| Frd::from(q.to_world(*w).to_array());
+        let readings: [(fn(Attitude, &Frd) -> Frd, &str); 2] = [
+            (body, "matches the attitude in world axes, not in body axes"),
+            (back, "matches the attitude in body axes, not in world axes as stated"),
+        ];
+        for (turned, what) in readings {
+            let other =
+                with(&|other| other.body_rate = by_attitude(flight, &flight.body_rate, turned));
+            if let Some(found) = follows_better(turning_follows(flight), turning_follows(&other)) {
+                report("body_rate", found, what);
+            }
         }
     }
     if is_open(position) {
-        let other = with(&|other| {
-            let world = |q: Attitude, v: &Ned| q.to_world(Frd::from(v.to_array()));
-            other.velocity = by_attitude(flight, &flight.velocity, world);
-        });
+        let world = |q: Attitude, v: &Ned| q.to_world(Frd::from(v.to_array()));
+        let back = |q: Attitude, v: &Ned| Ned::from(q.to_body(*v).to_array());
+        let readings: [(fn(Attitude, &Ned) -> Ned, &str); 2] = [
+            (world, "matches the position in body axes, not in world axes"),
+            (back, "matches the position in world axes, not in body axes as stated"),
+        ];
         let follows = |flight: &Flight| Some(moving_follows(flight)?.0);
-        if let Some(found) = follows_better(follows(flight), follows(&other)) {
-            report("velocity", found, "matches the position in body axes, not in world axes");
+        for (turned, what) in readings {
+            let other =
+                with(&|other| other.velocity = by_attitude(flight, &flight.velocity, turned));
+            if let Some(found) = follows_better(follows(flight), follows(&other)) {
+                report("velocity", found, what);
+            }
         }
     }
     if is_open(velocity) {
-        let other = with(&|other| {
-            let body = |q: Attitude, f: &Frd| q.to_body(Ned::from(f.to_array()));
-            other.specific_force = by_attitude(flight, &flight.specific_force, body);
-        });
-        if let Some(found) = follows_better(gaining_follows(flight), gaining_follows(&other)) {
-            let what = "matches the velocity in world axes, not in body axes";
-            report("specific_force", found, what);
+        let body = |q: Attitude, f: &Frd| q.to_body(Ned::from(f.to_array()));
+        let back = |q: Attitude, f: &Frd| Frd::from(q.to_world(*f).to_array());
+        let readings: [(fn(Attitude, &Frd) -> Frd, &str); 2] = [
+            (body, "matches the velocity in world axes, not in body axes"),
+            (back, "matches the velocity in body axes, not in world axes as stated"),
+        ];
+        for (turned, what) in readings {
+            let other = with(&|other| {
+                other.specific_force = by_attitude(flight, &flight.specific_force, turned);
+            });
+            if let Some(found) = follows_better(gaining_follows(flight), gaining_follows(&other)) {
+                report("specific_force", found, what);
+            }
         }
     }
 }

@@ -96,10 +96,14 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
         };
         check_gaps(name, times, &timing, audit);
         check_jitter(&timing, audit);
+        check_unit(&timing, audit);
     }
     check_clocks(flight, audit);
     check_left_out(flight, audit);
 }
+
+/// Least period of a stream, s: inertial units sample at up to 32 kHz.
+const PERIOD_MIN_S: f64 = 25e-6;
 
 /// Name of the check of what the importer left out.
 pub const LEFT_OUT: &str = "left_out";
@@ -159,6 +163,27 @@ fn check_jitter(timing: &StreamTiming, audit: &mut Audit) {
     });
 }
 
+/// No logger of a vehicle is this fast: the times are in another unit.
+fn check_unit(timing: &StreamTiming, audit: &mut Audit) {
+    let Some(period) = timing.period_s else { return };
+    if period >= PERIOD_MIN_S || timing.samples < 50 {
+        return;
+    }
+    audit.findings.push(Finding {
+        severity: Severity::Fault,
+        check: "unit",
+        stream: Some(timing.stream),
+        found: period,
+        expected: PERIOD_MIN_S,
+        unit: "s",
+        what: format!(
+            "its samples are {:.3} us apart: are its times in another unit?",
+            1e6 * period
+        ),
+        advice: "check the unit of time stated for the log",
+    });
+}
+
 fn check_clocks(flight: &Flight, audit: &mut Audit) {
     let Some(skew) = flight.ground_skew.filter(|skew| skew.abs() > SKEW_MAX) else { return };
     audit.findings.push(Finding {
@@ -187,9 +212,11 @@ fn check_left_out(flight: &Flight, audit: &mut Audit) {
             "of instance",
             "another vehicle",
             "another run of the vehicle's clock",
+            "another boot of the vehicle",
             "in units that only",
             "setpoint from",
             "by its own flags",
+            "duplicated frame",
         ]
         .iter()
         .any(|words| reason.contains(words))
@@ -210,8 +237,11 @@ fn check_left_out(flight: &Flight, audit: &mut Audit) {
             expected: 0.0,
             unit: "",
             what: format!("{count} x {reason}"),
-            advice: "the importer left them out; copy the log again if the file was damaged in \
-                     transit",
+            advice: if is_foreign(reason) {
+                "the importer left them out: they are not part of this flight"
+            } else {
+                "the importer left them out; copy the log again if the file was damaged in transit"
+            },
         });
     }
 }

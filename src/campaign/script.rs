@@ -317,7 +317,7 @@ impl Script {
         let script: Self = if text.trim_start().starts_with('{') {
             serde_json::from_str(text).map_err(|error| ScriptError::Syntax(error.to_string()))?
         } else {
-            toml::from_str(text).map_err(|error| ScriptError::Syntax(error.to_string()))?
+            vehicle::from_toml(text).map_err(|error| ScriptError::Syntax(error.to_string()))?
         };
         script.check()?;
         Ok(script)

@@ -43,7 +43,7 @@ pub enum LogCommand {
         /// motive).
         #[arg(long, value_name = "MAP")]
         mapping: Option<PathBuf>,
-        /// Which start of the vehicle to read, from 1, if a telemetry log holds several [default:
+        /// Which start of the vehicle to read, from 1, if a log holds several [default:
         /// the one that flew longest].
         #[arg(long, value_name = "N")]
         boot: Option<usize>,
@@ -86,7 +86,7 @@ pub enum LogCommand {
         /// motive).
         #[arg(long, value_name = "MAP")]
         mapping: Option<PathBuf>,
-        /// Which start of the vehicle to read, from 1, if a telemetry log holds several [default:
+        /// Which start of the vehicle to read, from 1, if a log holds several [default:
         /// the one that flew longest].
         #[arg(long, value_name = "N")]
         boot: Option<usize>,

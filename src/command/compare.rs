@@ -56,6 +56,14 @@ pub fn compared(args: &CompareArgs) -> anyhow::Result<Compared> {
     let read = |logs: &[PathBuf]| -> anyhow::Result<Vec<Entry>> {
         logs.par_iter().map(|log| entry(log, mapping).or_exit(Exit::Usage)).collect()
     };
+    let is_option = |log: &&PathBuf| log.to_string_lossy().starts_with('-') && !log.exists();
+    if let Some(option) = args.b.iter().find(is_option) {
+        let option = option.display();
+        let error = anyhow!(
+            "{option}: no such log; all that follows `--` is a log of B: give {option} before `--`"
+        );
+        return Err(error).or_exit(Exit::Usage);
+    }
     let (a, b) = (read(&args.a)?, read(&args.b)?);
     let (a, b): (Vec<&Entry>, Vec<&Entry>) = (a.iter().collect(), b.iter().collect());
     let alignment = match args.align {

@@ -27,8 +27,9 @@ pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
 /// # Errors
 /// As [`read`]; also if the bytes are not UTF-8.
 pub fn read_to_string(path: &Path, most: u64) -> io::Result<String> {
-    String::from_utf8(read(path, most)?)
-        .map_err(|_| io::Error::new(ErrorKind::InvalidData, "stream did not contain valid UTF-8"))
+    String::from_utf8(read(path, most)?).map_err(|_| {
+        io::Error::new(ErrorKind::InvalidData, "expected text (UTF-8), found other bytes")
+    })
 }
 
 #[cfg(test)]

@@ -40,8 +40,10 @@ pub mod plant;
 pub mod rigid_body;
 pub mod rotor;
 pub mod scalar;
+mod written;
 
 pub use params::{
     AttitudeCascade, AttitudePd, BatteryParams, Difference, Doubt, MotorOutput, ROTORS, Remark,
     RotorParams, SHIPPED, Shipped, VehicleError, VehicleParams, read, shipped,
 };
+pub use written::from_toml;

@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{Effect, EffectSet, RotorGyroscopic};
+use crate::from_toml;
 use crate::rotor::Allocation;
 
 mod cascade;
@@ -173,7 +174,7 @@ impl VehicleParams {
     /// # Errors
     /// The text violates the schema or holds an impossible value. The error names no file.
     pub fn from_toml_str(text: &str) -> Result<Self, VehicleError> {
-        toml::from_str::<Self>(text)
+        from_toml::<Self>(text)
             .map_err(|e| VehicleError::schema(e.to_string(), || toml::from_str(text).ok()))?
             .checked()
     }
@@ -471,6 +472,26 @@ pub(crate) mod tests {
         let mut vehicle = quad();
         change(&mut vehicle);
         vehicle.checked().unwrap_err().to_string()
+    }
+
+    #[test]
+    fn six_rotors_and_moments_too_many_are_refused() {
+        let mut text = quad().to_toml().unwrap();
+        let rotors: String = text
+            .match_indices("[[rotors]]")
+            .take(1)
+            .map(|(at, _)| {
+                let end = text[at + 2..].find("\n[").map_or(text.len(), |end| at + 2 + end + 1);
+                text[at..end].to_owned()
+            })
+            .collect();
+        let at = text.find("[[rotors]]").unwrap();
+        text.insert_str(at, &rotors.repeat(2));
+        let error = VehicleParams::from_toml_str(&text).unwrap_err().to_string();
+        assert!(error.contains("length 6") && error.contains("only quadrotors"), "{error}");
+        let text = quad().to_toml().unwrap().replacen("inertia = [", "inertia = [0.01, ", 1);
+        let error = VehicleParams::from_toml_str(&text).unwrap_err().to_string();
+        assert!(error.contains("length 4") && error.contains("inertia"), "{error}");
     }
 
     #[test]

@@ -165,12 +165,29 @@ pub struct Reader<R> {
     position: usize,
     at_end: bool,
     skipped: u64,
+    /// Bytes of the source before `buffer`.
+    before: u64,
+    first_skipped: Option<u64>,
 }
 
 impl<R: Read> Reader<R> {
     /// Creates a reader of `source`, which need not be buffered.
     pub fn new(source: R) -> Self {
-        Self { source, buffer: Vec::new(), last_end: 0, position: 0, at_end: false, skipped: 0 }
+        Self {
+            source,
+            buffer: Vec::new(),
+            last_end: 0,
+            position: 0,
+            at_end: false,
+            skipped: 0,
+            before: 0,
+            first_skipped: None,
+        }
+    }
+
+    /// Offset in the source of the first skipped byte.
+    pub fn first_skipped(&self) -> Option<u64> {
+        self.first_skipped
     }
 
     /// Number of skipped bytes that were neither frame nor time stamp.
@@ -255,7 +272,11 @@ impl<R: Read> Reader<R> {
     }
 
     fn skip_to(&mut self, end: usize) {
-        self.skipped += end.saturating_sub(self.last_end) as u64;
+        let count = end.saturating_sub(self.last_end) as u64;
+        if count > 0 {
+            self.first_skipped.get_or_insert(self.before + self.last_end as u64);
+        }
+        self.skipped += count;
         self.last_end = end;
     }
 
@@ -265,6 +286,7 @@ impl<R: Read> Reader<R> {
         let keep = self.position.saturating_sub(STAMP_LEN).max(self.last_end);
         self.skip_to(keep);
         self.buffer.drain(..keep);
+        self.before += keep as u64;
         self.position -= keep;
         self.last_end = 0;
         let filled = self.buffer.len();

@@ -73,6 +73,8 @@ struct Contents {
     /// Last value of each parameter.
     parameters: BTreeMap<String, f64>,
     texts: Vec<String>,
+    /// Notes on the boots.
+    notes: Vec<String>,
     /// Number of the build, by the message VER.
     build: Option<f64>,
     units: Units,
@@ -88,9 +90,13 @@ pub(super) fn begins(head: &[u8]) -> bool {
 /// Reads a whole log into `flight`. Returns what it holds.
 ///
 /// # Errors
-/// Those of `source`, and a log of another program. Damage within the file is counted, and is no
-/// error.
-pub(super) fn read(source: impl Read, flight: &mut Flight) -> Result<super::Contents, LogFault> {
+/// Those of `source`, a log of another program, and a boot that the log does not have. Damage
+/// within the file is counted, and is no error.
+pub(super) fn read(
+    source: impl Read,
+    boot: Option<usize>,
+    flight: &mut Flight,
+) -> Result<super::Contents, LogFault> {
     let mut reader = Reader::new(source);
     let mut contents = Contents::default();
     let mut kept: BTreeMap<u8, Option<Kept>> = BTreeMap::new();
@@ -141,6 +147,9 @@ pub(super) fn read(source: impl Read, flight: &mut Flight) -> Result<super::Cont
             ),
         });
     }
+    let topics = std::mem::take(&mut contents.topics);
+    let (notes, tally) = (&mut contents.notes, &mut contents.tally);
+    contents.topics = topics.choose_boot(boot, ardupilot::flown, notes, tally)?;
     contents.fill(flight);
     let names = names.into_iter().collect();
     Ok(super::Contents { part: "message", names, reason: None })

@@ -9,6 +9,11 @@ use vehicle::frame::{Attitude, Frd, Ned};
 use super::facts::VehicleFacts;
 use super::ranges::OutputRange;
 
+/// A longer time without a sample is a pause of the logger, as on the ground between two flights,
+/// s; also more than [`PAUSE_PERIODS`] periods.
+const PAUSE_S: f64 = 5.0;
+const PAUSE_PERIODS: f64 = 20.0;
+
 /// Samples of one quantity in order of time.
 ///
 /// Times are in seconds on the vehicle's clock, finite and strictly increasing. The importer drops
@@ -83,12 +88,20 @@ impl<T> Stream<T> {
         self.values.get(self.index_at(time)?)
     }
 
-    /// Mean samples per second over the stream's span; 0 with fewer than two samples.
+    /// Mean samples per second over the stream's span, without pauses of the logger; 0 with fewer
+    /// than two samples.
     pub fn rate(&self) -> f64 {
-        match self.times.as_slice() {
-            [first, .., last] => (self.times.len() - 1) as f64 / (last - first),
-            _ => 0.0,
+        let [first, .., last] = self.times.as_slice() else { return 0.0 };
+        let gaps = || self.times.windows(2).map(|pair| pair[1] - pair[0]);
+        let (mut count, mut span) = (self.times.len() - 1, last - first);
+        if gaps().any(|gap| gap > PAUSE_S) {
+            let pause = PAUSE_S.max(PAUSE_PERIODS * self.period().unwrap_or_default());
+            for gap in gaps().filter(|gap| *gap > pause) {
+                count -= 1;
+                span -= gap;
+            }
         }
+        count as f64 / span
     }
 
     /// Applies `value` to each value and keeps the times.
@@ -451,5 +464,21 @@ mod tests {
         assert_eq!(stream.held_at(-1.0), None);
         assert_eq!(stream.held_at(0.05), Some(&0.0));
         assert_eq!(stream.held_at(9.0), Some(&0.1));
+    }
+
+    #[test]
+    fn a_pause_between_flights_does_not_lower_the_rate() {
+        let mut stream = Stream::default();
+        let flight = |from: f64| (0..1000).map(move |k| from + 0.01 * f64::from(k));
+        for time in flight(5.0).chain(flight(400.0)) {
+            stream.push(time, ());
+        }
+        assert!((stream.rate() - 100.0).abs() < 1e-6, "{}", stream.rate());
+        // Rare samples are no pauses.
+        let mut rare = Stream::default();
+        for time in [0.0, 15.0, 120.0, 135.0] {
+            rare.push(time, ());
+        }
+        assert!((rare.rate() - 3.0 / 135.0).abs() < 1e-9, "{}", rare.rate());
     }
 }

@@ -1,7 +1,7 @@
 //! Identifies files that are often mistaken for flight logs.
 
 /// First bytes of a file, what it is, and what to do.
-const MAGICS: [(&[u8], &str); 16] = [
+const MAGICS: [(&[u8], &str); 23] = [
     (
         b"ULogEnc",
         "an encrypted log of PX4 (.ulge): decrypt it with PX4's tools and the private key of the vehicle \
@@ -13,6 +13,19 @@ const MAGICS: [(&[u8], &str); 16] = [
     (b"BZh", "a compressed file (bzip2): unpack it first"),
     (b"7z\xBC\xAF\x27\x1C", "a compressed file (7z): unpack it first"),
     (b"\x28\xB5\x2F\xFD", "a compressed file (zstd): unpack it first"),
+    (b"\x04\x22\x4D\x18", "a compressed file (lz4): unpack it first"),
+    (b"Rar!\x1A\x07", "a compressed file (rar): unpack it first"),
+    (b"\x1F\x9D", "a compressed file (compress, .Z): unpack it first"),
+    (b"\x93NUMPY", "a NumPy array: export it as a table (.csv)"),
+    (
+        b"\xD0\xCF\x11\xE0\xA1\xB1\x1A\xE1",
+        "a document of Microsoft Office: save the sheet as a table (.csv)",
+    ),
+    (
+        b"\xD4\xC3\xB2\xA1",
+        "a capture of network packets: extract the MAVLink frames as a .tlog first",
+    ),
+    (b"\x7FELF", "a program"),
     (b"#ROSBAG", "a bag of ROS 1: export its topics as a table (.csv)"),
     (
         b"SQLite format 3\0",
@@ -62,6 +75,9 @@ pub(super) fn known(head: &[u8], extension: Option<&str>) -> Option<&'static str
     if let Some((_, found)) = MAGICS.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Some(found);
     }
+    if head.get(257..262) == Some(b"ustar") {
+        return Some("an archive (tar): unpack it first");
+    }
     match extension {
         // Before PX4 1.16 the key was in a separate file and the log had no magic bytes.
         Some("ulge") if !head.starts_with(&super::ulog::MAGIC) => Some(MAGICS[0].1),
@@ -76,7 +92,20 @@ pub(super) fn known_text(text: &str) -> Option<&'static str> {
     let begins = |start: &str| {
         text.get(..start.len()).is_some_and(|begin| begin.eq_ignore_ascii_case(start))
     };
+    if is_dataflash_text(text) {
+        return Some(TEXTS[0].1);
+    }
     TEXTS.iter().find(|(start, _)| begins(start)).map(|(_, found)| *found)
+}
+
+/// Whether lines begin with the names of ArduPilot's messages: old ground stations wrote other
+/// lines before the first.
+fn is_dataflash_text(text: &str) -> bool {
+    const MESSAGES: [&str; 9] = ["FMT", "PARM", "MSG", "ATT", "IMU", "GPS", "CTUN", "NTUN", "RCOU"];
+    const LINES: usize = 100;
+    let is_message =
+        |line: &&str| line.split_once(',').is_some_and(|(name, _)| MESSAGES.contains(&name.trim()));
+    text.lines().take(LINES).filter(is_message).count() > 1
 }
 
 /// Description of a DataFlash file that is not ArduPilot's.

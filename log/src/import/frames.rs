@@ -136,6 +136,11 @@ impl Frames {
         self.tally.add(reason, count);
     }
 
+    /// Records a description of lost data.
+    pub fn lose(&mut self, what: String) {
+        self.tally.lose(what);
+    }
+
     fn add_setpoint(&mut self, frame_time: FrameTime, sender: Sender, frame: &Frame) {
         match attitude_target::decode(frame) {
             Ok(Some(target)) => {

@@ -119,6 +119,8 @@ enum TimeUnit {
     Ms,
     Us,
     Ns,
+    /// Dates with a time of day, or times of day.
+    Iso8601,
 }
 
 /// `[position]`.
@@ -349,6 +351,6 @@ impl Mapping {
 
     /// Parses a mapping in TOML; the error says what is wrong.
     pub fn parse(text: &str) -> Result<Self, String> {
-        toml::from_str(text).map_err(|error| error.to_string())
+        vehicle::from_toml(text).map_err(|error| error.to_string())
     }
 }

@@ -224,14 +224,10 @@ fn read(
     boot: Option<usize>,
     flight: &mut Flight,
 ) -> Result<Contents, LogFault> {
-    let boots = |boot: Option<usize>| match boot.filter(|boot| *boot != 1) {
-        Some(boot) => Err(LogFault::NoBoot { boot, boots: 1 }),
-        None => Ok(()),
-    };
     match format {
         Format::Mcap => mcap::read(&mut LogReader::new(source)?, boot, flight),
-        Format::Ulog => boots(boot).and_then(|()| Ok(ulog::read(source, flight)?)),
-        Format::DataFlash => boots(boot).and_then(|()| dataflash::read(source, flight)),
+        Format::Ulog => ulog::read(source, boot, flight),
+        Format::DataFlash => dataflash::read(source, boot, flight),
         Format::Tlog | Format::Csv => tlog::read(source, boot, flight),
     }
 }

@@ -1,5 +1,6 @@
 //! Tables (CSV) into flights, by a mapping file.
 
+pub(super) mod dates;
 mod head;
 mod numbers;
 mod text;
@@ -89,6 +90,7 @@ pub(super) fn read(
         }
         for (at, cell) in cells.iter_mut().enumerate() {
             *cell = match record.get(at) {
+                Some(text) if reader.is_date(at) => dates::read(text),
                 Some(text) if reader.uses(at) => numbers.read(text),
                 _ => Cell::Empty,
             };

@@ -25,7 +25,11 @@ pub(super) fn read(
         let Some(frame) = Frame::parse(&entry.frame) else { continue };
         frames.add(entry.time_us.map(|us| us.saturating_mul(1000)), &frame);
     }
-    frames.left_out("byte that belongs to no whole frame", reader.skipped_bytes());
+    let skipped = reader.skipped_bytes();
+    frames.left_out("byte that belongs to no whole frame", skipped);
+    if let Some(first) = reader.first_skipped() {
+        frames.lose(format!("{skipped} bytes from byte {first} on belong to no whole frame"));
+    }
     let names = frames.finish(boot, flight)?;
     Ok(Contents { part: "message", names, reason: None })
 }

@@ -10,6 +10,7 @@ mod reader;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
+use super::LogFault;
 use super::flight::Flight;
 use super::onboard::{TopicSpec, Topics};
 use super::tally::Tally;
@@ -19,6 +20,8 @@ use reader::{Reader, Record, Subscription};
 
 /// Largest number of text messages kept; half of it is reserved for warnings.
 const TEXTS_MAX: usize = 40;
+/// Largest number of changes of parameters that are kept; a damaged log may have any number.
+const CHANGES_MAX: usize = 1000;
 /// Texts at this syslog level and worse are warnings.
 const WARNING: u8 = b'4';
 
@@ -30,12 +33,26 @@ struct Contents {
     parameters: BTreeMap<String, f64>,
     /// Parameters that changed during the log.
     changed: BTreeMap<String, f64>,
+    /// The same changes in the order of the log.
+    changes: Vec<Change>,
     /// `sys_name` and others.
     info: BTreeMap<String, String>,
     texts: Vec<String>,
+    /// Notes on the boots.
+    notes: Vec<String>,
     /// Topics with rows.
     names: BTreeSet<String>,
     tally: Tally,
+}
+
+/// A change of a parameter during the log.
+#[derive(Debug)]
+struct Change {
+    name: String,
+    /// Time of the last row before it, s.
+    time: f64,
+    /// The value until then.
+    before: f64,
 }
 
 /// A topic whose rows are kept.
@@ -57,10 +74,18 @@ impl Kept {
 /// Reads a whole log into `flight`. Returns its topics.
 ///
 /// # Errors
-/// [`UlogError`]. Damage within the file is counted and is not an error.
-pub(super) fn read(source: impl Read, flight: &mut Flight) -> Result<super::Contents, UlogError> {
+/// Those of [`UlogError`], or the log does not have the chosen boot. Damage within the file is
+/// counted and is not an error.
+pub(super) fn read(
+    source: impl Read,
+    boot: Option<usize>,
+    flight: &mut Flight,
+) -> Result<super::Contents, LogFault> {
     let mut contents = Contents::read(source)?;
     let names = std::mem::take(&mut contents.names).into_iter().collect();
+    let topics = std::mem::take(&mut contents.topics);
+    let (notes, tally) = (&mut contents.notes, &mut contents.tally);
+    contents.topics = topics.choose_boot(boot, px4::flown, notes, tally)?;
     contents.fill(flight);
     Ok(super::Contents { part: "topic", names, reason: None })
 }
@@ -95,8 +120,12 @@ impl Contents {
                 }
                 Record::Parameter { name, value } => {
                     let before = contents.parameters.insert(name.to_owned(), value);
-                    if rows > 0 && before.is_some_and(|before| before != value) {
+                    if let Some(before) = before.filter(|before| rows > 0 && *before != value) {
                         contents.changed.insert(name.to_owned(), value);
+                        if contents.changes.len() < CHANGES_MAX {
+                            let (name, time) = (name.to_owned(), contents.topics.latest());
+                            contents.changes.push(Change { name, time, before });
+                        }
                     }
                 }
                 Record::Info { key, value } => contents.add_info(key, value),
@@ -130,6 +159,12 @@ impl Contents {
             tally.add(&reason, dropouts);
         }
         Ok(contents)
+    }
+
+    /// The value of a parameter at a time.
+    fn parameter_at(&self, name: &str, time: f64) -> Option<f64> {
+        let mut later = self.changes.iter().filter(|c| c.name == name && c.time >= time);
+        later.next().map(|change| change.before).or(self.parameters.get(name).copied())
     }
 
     fn add_info(&mut self, key: &str, value: &[u8]) {

@@ -57,8 +57,9 @@ pub(super) struct VehicleLog {
     current: usize,
     /// Frame number from which on an epoch is current, with the epoch's index.
     switches: Vec<(u32, usize)>,
-    /// Consecutive messages that do not follow the clock.
+    /// Consecutive messages that do not follow the clock, and the frame number of the first.
     jumped: u32,
+    jumped_from: u32,
     battery: Vec<(FrameTime, f64)>,
     /// Voltage from SYS_STATUS.
     system_voltage: Vec<(FrameTime, f64)>,
@@ -272,6 +273,9 @@ impl VehicleLog {
         let epoch = &self.epochs[self.current];
         let is_new = epoch.tracks[source as usize].is_none();
         if is_new && self.jumped > 0 || !is_new && !epoch.follows(source, &arrival) {
+            if self.jumped == 0 {
+                self.jumped_from = frame_time.index;
+            }
             self.jumped += 1;
             if self.jumped < JUMP_MESSAGES {
                 self.tally.add("message at a jump of the vehicle's clock", 1);
@@ -281,9 +285,9 @@ impl VehicleLog {
             match self.epochs.iter().position(|epoch| epoch.follows(source, &arrival)) {
                 Some(epoch) => {
                     self.current = epoch;
-                    self.switches.push((frame_time.index, epoch));
+                    self.switches.push((self.jumped_from, epoch));
                 }
-                None => self.begin_epoch(frame_time.index),
+                None => self.begin_epoch(self.jumped_from),
             }
         }
         self.jumped = 0;

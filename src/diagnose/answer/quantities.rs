@@ -68,13 +68,20 @@ pub fn quantity(effect: &str, name: &str, value: impl Display) -> String {
     )
 }
 
-/// The unit of an effect's parameter or component; `None` for a dimensionless one and for those of
-/// a law from a file.
+/// The unit of an effect's parameter or component; `None` for a dimensionless one, for one whose
+/// name ends with it, such as `mass_kg`, and for those of a law from a file.
 pub fn unit(effect: &str, name: &str) -> Option<&'static str> {
     let parameter = name.split('[').next()?;
     let id: EffectId = effect.parse().ok()?;
     let known = id.spec().parameters.iter().find(|known| known.name == parameter)?;
-    (known.unit != "-").then_some(known.unit)
+    let in_a_name = match known.unit {
+        "m/s" => "m_s",
+        "N m per m/s" => "Nms_m",
+        "rad per m/s" => "rad_s_m",
+        unit => unit,
+    };
+    let is_said = parameter.strip_suffix(in_a_name).is_some_and(|name| name.ends_with('_'));
+    (known.unit != "-" && !is_said).then_some(known.unit)
 }
 
 #[cfg(test)]
@@ -85,6 +92,9 @@ mod tests {
     fn quantities_are_printed_with_their_units() {
         let drag = bounded("rotor_drag", "d_xy", [0.019, 0.021]);
         assert_eq!(drag, "d_xy 0.01900 .. 0.02100 kg/s");
+        // Once: not beside a name that ends with the unit.
+        assert_eq!(quantity("mass", "mass_kg", "0.033"), "mass_kg 0.033");
+        assert_eq!(quantity("wind", "north_m_s", "1.5"), "north_m_s 1.5");
         assert_eq!(bounded("inertia", "scale[2]", [1.0, 2.0]), "scale[2] 1.000 .. 2.000");
     }
 }

@@ -462,6 +462,6 @@ mod tests {
         assert!(equivalent(&answer).is_none());
         answer.explanations.push(explained("mass", "mass_kg", 0.034, 0.3));
         let text = report(&answer);
-        assert!(text.contains("or         mass (mass_kg 0.03400 kg), 30 %"), "{text}");
+        assert!(text.contains("or         mass (mass_kg 0.03400), 30 %"), "{text}");
     }
 }

@@ -7,6 +7,8 @@ use serde::Serialize;
 
 use super::VehicleParams;
 
+mod rotors;
+
 /// Range of full thrust over weight of vehicles that fly well.
 const THRUST_TO_WEIGHT: [f64; 2] = [1.3, 12.0];
 /// Full thrust over weight below which a vehicle cannot leave the ground.
@@ -74,6 +76,7 @@ impl VehicleParams {
         let inertia = self.inertia_remarks();
         // Moments of inertia are held against the arm.
         remarks.extend(inertia.into_iter().filter(|_| arm.is_none()));
+        remarks.extend(self.rotor_remarks().into_iter().filter(|_| arm.is_none()));
         remarks.extend(arm);
         remarks.extend(self.loop_remarks());
         remarks.sort_by_key(|remark| std::cmp::Reverse(remark.doubt));

@@ -76,6 +76,9 @@ impl VehicleError {
             Some(MissingKey { table, key, expected }) => {
                 Self::Missing { path: PathBuf::from("(text)"), table, key, expected }
             }
+            None if message.contains("invalid length") && message.contains("rotors") => {
+                Self::syntax(format!("{}; only quadrotors are supported", message.trim_end()))
+            }
             None => Self::syntax(message),
         }
     }

@@ -10,7 +10,7 @@ use super::{Contents, Source};
 use crate::import::facts::VehicleFacts;
 use crate::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
 use crate::import::kind::{self, StatedKind};
-use crate::import::onboard::{Row, Sample, Topic, TopicSpec};
+use crate::import::onboard::{Row, Sample, Topic, TopicSpec, Topics};
 use crate::import::tally::Tally;
 
 /// Of two messages of one quantity the second is taken only where it is this much more frequent.
@@ -107,6 +107,7 @@ impl Contents {
     pub(super) fn fill(mut self, flight: &mut Flight) {
         let mut tally = std::mem::take(&mut self.tally);
         let mut facts = self.facts();
+        facts.notes.append(&mut self.notes);
         flight.clock = Clock::Single;
         let core = self.core();
         self.fill_attitude(core, flight, &mut facts, &mut tally);
@@ -311,15 +312,9 @@ impl Contents {
             break;
         }
         if let Some(topic) = self.topics.instance("EV", 0) {
-            flight.in_air = self.topics.stream(topic, tally, |row| {
-                let in_air = match row.get("Id") {
-                    // Not landed.
-                    28.0 => true,
-                    // Disarmed, perhaps landed, landed.
-                    11.0 | 17.0 | 18.0 => false,
-                    _ => return Sample::Skip,
-                };
-                Sample::Keep(stamp(&row), in_air)
+            flight.in_air = self.topics.stream(topic, tally, |row| match in_air(&row) {
+                Some(in_air) => Sample::Keep(stamp(&row), in_air),
+                None => Sample::Skip,
             });
         }
         if let Some(topic) = self.topics.instance("MODE", 0) {
@@ -334,6 +329,22 @@ impl Contents {
             }
         }
     }
+}
+
+/// Whether the vehicle is in the air after an event; `None` for others.
+fn in_air(row: &Row<'_>) -> Option<bool> {
+    match row.get("Id") {
+        // Not landed.
+        28.0 => Some(true),
+        // Disarmed, perhaps landed, landed.
+        11.0 | 17.0 | 18.0 => Some(false),
+        _ => None,
+    }
+}
+
+/// Time in the air of a boot, s.
+pub(super) fn flown(topics: &Topics) -> f64 {
+    topics.time_in_air("EV", |row| Some((stamp(&row), in_air(&row)?)))
 }
 
 /// A damaged log may state any number of modes.

@@ -6,14 +6,12 @@ use super::heading::Heading;
 use super::row::{
     AttitudeReader, Columns, MotorReader, Outputs, Rotation, RowReader, TimeReader, VectorReader,
 };
+use super::unit_word::STANDARD_GRAVITY;
 use super::{
     AccelerationUnit, AngleUnit, AttitudeMap, Axes, Column, ForceMeaning, LengthText, LengthUnit,
     Mapping, MotorMap, MotorMeaning, RateMap, RateUnit, Rotates, RotorUnit, SpeedUnit, TimeUnit,
     VoltageUnit,
 };
-
-/// Standard gravity, m/s^2: the value of the unit `g`.
-const STANDARD_GRAVITY: f64 = 9.806_65;
 
 /// Error message for a missing key.
 fn missing(field: &str, expected: &str) -> String {
@@ -262,9 +260,13 @@ impl RowReader {
         let expected = "[time] with column and unit, or with rate_hz";
         let time = mapping.time.as_ref().ok_or_else(|| format!("expected {expected}"))?;
         let time = match (&time.column, time.rate_hz, time.unit) {
+            (Some(column), None, Some(TimeUnit::Iso8601)) => {
+                let columns = std::array::from_ref(column);
+                TimeReader::Date(binder.raw("time.column", columns, 1.0)?)
+            }
             (Some(column), None, Some(unit)) => {
                 let factor = match unit {
-                    TimeUnit::S => 1.0,
+                    TimeUnit::S | TimeUnit::Iso8601 => 1.0,
                     TimeUnit::Ms => 1e-3,
                     TimeUnit::Us => 1e-6,
                     TimeUnit::Ns => 1e-9,
@@ -273,7 +275,7 @@ impl RowReader {
                 TimeReader::Column(binder.columns("time.column", columns, factor)?)
             }
             (Some(_), None, None) => {
-                return Err(missing("time.unit", r#""s", "ms", "us" or "ns""#));
+                return Err(missing("time.unit", r#""s", "ms", "us", "ns" or "iso8601""#));
             }
             (None, Some(rate), None) if rate.is_finite() && rate > 0.0 => TimeReader::Rate(rate),
             _ => return Err(format!("expected {expected}, and a rate above 0")),

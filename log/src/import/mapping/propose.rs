@@ -1,11 +1,16 @@
 //! Proposes a mapping file from the names of a table's columns and its first rows.
 
-use super::super::table::{Numbers, Sheet};
-use super::Cell;
+use super::super::table::Sheet;
 use super::unit_word::{self, UNDERSCORE};
+
+mod values;
 
 /// Lengths beyond this are none in m: rooms and fields are smaller.
 const ROOM_M: f64 = 100.0;
+/// Body rates beyond this are none in rad/s.
+const FAST_RAD_S: f64 = 35.0;
+/// Larger motor outputs are no pulses in us but numbers of 16 bits, as Crazyflies log them.
+const PULSE_MAX_US: f64 = 3000.0;
 const XYZ: [&[&str]; 3] = [&["x", "y", "z"], &["0", "1", "2"], &["1", "2", "3"]];
 const NED: &[&str] = &["n", "e", "d"];
 
@@ -73,7 +78,12 @@ impl Proposal<'_> {
                         "" => vec![axis.to_owned()],
                         stem => vec![format!("{stem}{axis}"), format!("{stem}_{axis}")],
                     };
-                    let is_free = |at: &usize| !self.used[*at];
+                    // The bias of a sensor is not what the sensor measures.
+                    let is_bias = |name: &Named| {
+                        ["b_w_", "b_a_"].iter().any(|start| name.words.starts_with(start))
+                            || name.words.split(UNDERSCORE).any(|word| word == "bias")
+                    };
+                    let is_free = |at: &usize| !self.used[*at] && !is_bias(&self.names[*at]);
                     let exact = |at: &usize| forms.contains(&self.names[*at].words);
                     let ends = |at: &usize| forms.iter().any(|form| self.names[*at].is(form));
                     let all = 0..self.names.len();
@@ -86,6 +96,18 @@ impl Proposal<'_> {
             }
         }
         None
+    }
+
+    /// Columns x, y, z of which only the first has the name of the body before it, as in Qualisys'
+    /// exports.
+    fn find_body(&mut self) -> Option<Group> {
+        let words = |at: usize| self.names.get(at).map_or("", |name| name.words.as_str());
+        let is_first =
+            |at: &usize| words(*at).ends_with("_x") && words(at + 1) == "y" && words(at + 2) == "z";
+        let is_free = |at: &usize| (*at..at + 3).all(|at| !self.used[at]);
+        let first =
+            (0..self.names.len().saturating_sub(2)).find(|at| is_first(at) && is_free(at))?;
+        Some(self.take(vec![first, first + 1, first + 2]))
     }
 
     fn take(&mut self, at: Vec<usize>) -> Group {
@@ -143,14 +165,15 @@ impl Proposal<'_> {
         let quaternion = self.find(&["r"], &[&["w", "x", "y", "z"]]);
         let quaternion = quaternion.or_else(|| {
             self.find(
-                &["q", "quat", "quaternion", "orientation", "rotation", "attitude", "rot"],
+                &["q", "q_rs", "quat", "quaternion", "orientation", "rotation", "attitude", "rot"],
                 &[&["w", "x", "y", "z"], &["0", "1", "2", "3"], &["1", "2", "3", "4"]],
             )
         });
         let velocity = self.find(
-            &["v", "vel", "velocity", "linear_velocity", "twist_linear", "linear"],
+            &["v", "vel", "velocity", "linear_velocity", "twist_linear", "linear", "v_rs_r"],
             &[NED, XYZ[0], XYZ[1]],
         );
+        let velocity = velocity.or_else(|| self.find(&[""], &[&["xdot", "ydot", "zdot"]]));
         let rate = self.find(
             &[
                 "w",
@@ -163,6 +186,7 @@ impl Proposal<'_> {
                 "angular",
                 "gyro_rad",
                 "ang_vel",
+                "w_rs_s",
             ],
             &XYZ,
         );
@@ -178,23 +202,37 @@ impl Proposal<'_> {
                 "f",
                 "specific_force",
                 "imu_acc",
+                "a_rs_s",
             ],
             &XYZ,
         );
         let position = north.or_else(|| {
-            let stems = ["p", "pos", "position", "translation", "pose_position", "t", "trans", ""];
+            let stems = [
+                "p",
+                "pos",
+                "position",
+                "translation",
+                "pose_position",
+                "t",
+                "trans",
+                "p_rs_r",
+                "stateestimate",
+                "",
+            ];
             self.find(&stems, &XYZ[..1])
         });
+        let position = position.or_else(|| self.find_body());
         let euler = match quaternion.is_some() || matrix.is_some() {
             true => None,
             false => self.find(
                 &["", "att", "attitude", "euler", "rpy"],
-                &[&["roll", "pitch", "yaw"], &["phi", "theta", "psi"]],
+                &[&["roll", "pitch", "yaw"], &["phi", "theta", "psi"], &["r", "p", "ya"]],
             ),
         };
         let four: [&[&str]; 2] = [&["1", "2", "3", "4"], &["0", "1", "2", "3"]];
         let speed =
             self.find(&["rpm", "erpm", "rotor_speed", "motor_speed", "rotor", "motor_rpm"], &four);
+        let speed = speed.or_else(|| self.find(&["r"], &four[..1]));
         let motors = self.find(
             &[
                 "m", "motor", "motors", "u", "pwm", "output", "outputs", "cmd", "throttle",
@@ -246,7 +284,7 @@ impl Proposal<'_> {
                 let column = self.column(at);
                 self.line(&format!("column = {column}"));
                 let unit = group.unit.filter(|unit| ["s", "ms", "us", "ns"].contains(unit));
-                match unit {
+                match unit.or_else(|| self.is_date(at).then_some("iso8601")) {
                     Some(unit) => self.line(&format!("unit = {unit:?}")),
                     None => {
                         let (unit, step) = self.time_unit(at);
@@ -276,7 +314,12 @@ impl Proposal<'_> {
         if let Some(group) = &matrix {
             let columns = self.columns(group);
             self.line(&format!("\n[attitude]\nmatrix = {columns}  # CHECK: row by row"));
-            self.line("rotates = \"body_to_world\"  # CHECK: or \"world_to_body\"");
+            // Qualisys writes its matrices column by column: read row by row, they are inverse.
+            let first = group.at.first().map_or("", |at| self.sheet.names[*at].as_str());
+            self.line(match first {
+                "Rot[0]" => "rotates = \"world_to_body\"  # CHECK: or \"body_to_world\"; Qualisys writes column by column",
+                _ => "rotates = \"body_to_world\"  # CHECK: or \"world_to_body\"",
+            });
         } else if let Some(group) = &quaternion {
             let columns = self.columns(group);
             let is_named = group.at.first().is_some_and(|at| self.names[*at].words.ends_with('w'));
@@ -297,13 +340,15 @@ impl Proposal<'_> {
         if let Some(group) = &rate {
             let columns = self.columns(group);
             self.line(&format!("\n[body_rate]\ncolumns = {columns}"));
-            self.unit(group.unit, &["rad/s", "deg/s"]);
+            let unit = group.unit.or((self.largest(group) > FAST_RAD_S).then_some("deg/s"));
+            self.unit(unit, &["rad/s", "deg/s"]);
             self.line("axes = \"body\"  # CHECK: \"body\" or \"world\"");
         }
         if let Some(group) = &force {
             let columns = self.columns(group);
             self.line(&format!("\n[specific_force]\ncolumns = {columns}"));
-            self.unit(group.unit, &["m/s2", "g"]);
+            let is_in_g = (self.mean_size(group) - 1.0).abs() < 0.2;
+            self.unit(group.unit.or(is_in_g.then_some("g")), &["m/s2", "g"]);
             // An acceleration is turned by an attitude.
             let meaning = if has_attitude { self.force_meaning(group) } else { "specific_force" };
             self.line(&format!("meaning = {meaning:?}  # CHECK: \"specific_force\" (1 g upwards at rest) or \"acceleration\" (nothing at rest)"));
@@ -314,7 +359,7 @@ impl Proposal<'_> {
             self.line(&format!("\n[motors]\ncolumns = {columns}  # CHECK: in the order of the vehicle file's rotors"));
             let most = self.largest(group);
             match most > 2.0 {
-                true => self.line(&format!("meaning = \"pwm\"  # CHECK: or \"thrust_N\", \"rotor_speed\"\nrange = [1000.0, 2000.0]  # CHECK: at no and at full thrust; the largest here is {most}")),
+                true => self.line(&format!("meaning = \"pwm\"  # CHECK: or \"thrust_N\", \"rotor_speed\"\nrange = [{}]  # CHECK: at no and at full thrust; the largest here is {most}", if most > PULSE_MAX_US { "0.0, 65535.0" } else { "1000.0, 2000.0" })),
                 false => self.line("meaning = \"thrust_fraction\"  # CHECK: or \"thrust_N\", \"pwm\", \"rotor_speed\""),
             }
         }
@@ -344,51 +389,5 @@ impl Proposal<'_> {
             let free = free.join(", ").replace(char::is_control, " ");
             self.line(&format!("\n# Not used: {free}"));
         }
-    }
-
-    /// The numbers of a column in the first rows.
-    fn numbers(&self, at: usize) -> Vec<f64> {
-        let mut numbers = Numbers::new(None);
-        let read = |row: &Vec<String>| match numbers.read(row.get(at)?.as_bytes()) {
-            Cell::Number(number) => Some(number),
-            _ => None,
-        };
-        self.sheet.rows.iter().filter_map(read).collect()
-    }
-
-    /// The unit for which the rate of the rows is 1 Hz to a few kHz, and the step.
-    fn time_unit(&self, at: usize) -> (&'static str, f64) {
-        let times = self.numbers(at);
-        let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        steps.sort_by(f64::total_cmp);
-        let step = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
-        let unit = match step {
-            step if step < 1.0 => "s",
-            step if step < 250.0 => "ms",
-            step if step < 250_000.0 => "us",
-            _ => "ns",
-        };
-        (unit, (step * 1e9).round() * 1e-9)
-    }
-
-    fn largest(&self, group: &Group) -> f64 {
-        let sizes = group.at.iter().flat_map(|at| self.numbers(*at)).map(f64::abs);
-        sizes.fold(0.0, f64::max)
-    }
-
-    /// Angles beyond a full turn are not radians.
-    fn angle_unit(&self, group: &Group) -> Option<&'static str> {
-        (self.largest(group) > std::f64::consts::TAU).then_some("deg")
-    }
-
-    /// At rest an accelerometer measures gravity, while an acceleration is zero.
-    fn force_meaning(&self, group: &Group) -> &'static str {
-        let columns: Vec<Vec<f64>> = group.at.iter().map(|at| self.numbers(*at)).collect();
-        let count = columns.iter().map(Vec::len).min().unwrap_or(0);
-        let sizes = (0..count)
-            .map(|row| columns.iter().map(|column| column[row].powi(2)).sum::<f64>().sqrt());
-        let mean = sizes.sum::<f64>() / count.max(1) as f64;
-        let is_gravity = (mean - 9.8).abs() < 2.0 || (mean - 1.0).abs() < 0.2;
-        if is_gravity { "specific_force" } else { "acceleration" }
     }
 }

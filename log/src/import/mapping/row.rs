@@ -130,6 +130,8 @@ pub struct RowReader {
 #[derive(Clone, Copy, Debug)]
 pub(super) enum TimeReader {
     Column(Columns<1>),
+    /// A column of dates, which count in s.
+    Date(Columns<1>),
     Rate(f64),
 }
 
@@ -149,10 +151,17 @@ impl RowReader {
         self.used.get(column).copied().unwrap_or(false)
     }
 
+    /// Whether a column holds times written as dates.
+    pub fn is_date(&self, column: usize) -> bool {
+        matches!(self.time, TimeReader::Date(Columns { at: [at], .. }) if at == column)
+    }
+
     /// Converts row number `index` from its cells. The error says why the row is dropped.
     pub fn read(&self, index: u64, cells: &[Cell]) -> Result<Row, &'static str> {
         let time = match self.time {
-            TimeReader::Column(column) => column.read(cells)?.ok_or(NO_NUMBER)?[0],
+            TimeReader::Column(column) | TimeReader::Date(column) => {
+                column.read(cells)?.ok_or(NO_NUMBER)?[0]
+            }
             TimeReader::Rate(rate) => index as f64 / rate,
         };
         let attitude = self.attitude.as_ref().map(|reader| reader.read(cells));

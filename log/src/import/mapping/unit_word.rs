@@ -3,8 +3,36 @@
 /// Replaces every sequence of separators between the words of a name.
 pub(super) const UNDERSCORE: char = '_';
 
-/// Spellings of units in tables, and the spelling in a mapping file.
-const UNITS: [(&str, &str); 35] = [
+/// Standard gravity, m/s^2: the value of the unit `g`.
+pub(super) const STANDARD_GRAVITY: f64 = 9.806_65;
+
+/// Spellings of units in tables, and the spelling in a mapping file. Those that a mapping file
+/// cannot state are known so that they are not taken for another.
+const UNITS: [(&str, &str); 62] = [
+    ("mrad_s", "mrad/s"),
+    ("mrad", "mrad"),
+    ("cdeg_s", "cdeg/s"),
+    ("cdeg", "cdeg"),
+    ("rev_s", "rev/s"),
+    ("hz", "rev/s"),
+    ("km_h", "km/h"),
+    ("kmh", "km/h"),
+    ("kph", "km/h"),
+    ("ft_s", "ft/s"),
+    ("kt", "kt"),
+    ("knots", "kt"),
+    ("km", "km"),
+    ("ft", "ft"),
+    ("feet", "ft"),
+    ("inch", "in"),
+    ("inches", "in"),
+    ("mg", "mg"),
+    ("g", "g"),
+    ("\u{b5}s", "us"),
+    ("\u{3bc}s", "us"),
+    ("min", "min"),
+    ("minutes", "min"),
+    ("hours", "h"),
     ("m_s2", "m/s2"),
     ("m_s_2", "m/s2"),
     ("m_s_s", "m/s2"),
@@ -19,6 +47,9 @@ const UNITS: [(&str, &str); 35] = [
     ("dps", "deg/s"),
     ("cm_s", "cm/s"),
     ("mm_s", "mm/s"),
+    ("m_s_1", "m/s"),
+    ("rad_s_1", "rad/s"),
+    ("deg_s_1", "deg/s"),
     ("m_s", "m/s"),
     ("mps", "m/s"),
     ("seconds", "s"),
@@ -103,6 +134,18 @@ pub(super) fn in_si(unit: &str) -> Option<f64> {
         "ns" => 1e-9,
         "deg" | "deg/s" => 1f64.to_radians(),
         "rpm" => std::f64::consts::TAU / 60.0,
+        "rev/s" => std::f64::consts::TAU,
+        "mrad" | "mrad/s" => 1e-3,
+        "cdeg" | "cdeg/s" => 0.01 * 1f64.to_radians(),
+        "g" => STANDARD_GRAVITY,
+        "mg" => 1e-3 * STANDARD_GRAVITY,
+        "km" => 1e3,
+        "km/h" => 1.0 / 3.6,
+        "ft" | "ft/s" => 0.3048,
+        "kt" => 1852.0 / 3600.0,
+        "in" => 0.0254,
+        "min" => 60.0,
+        "h" => 3600.0,
         _ => return None,
     })
 }
@@ -118,6 +161,8 @@ mod tests {
             ("[m/s]", "m/s"),
             ("(m/s²)", "m/s2"),
             ("m/s^2", "m/s2"),
+            ("[rad s^-1]", "rad/s"),
+            ("[m s^-2]", "m/s2"),
             ("°/s", "deg/s"),
             ("Deg", "deg"),
         ] {

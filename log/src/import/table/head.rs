@@ -4,6 +4,7 @@ use std::io::{self, BufRead};
 
 use super::super::mapping::{Cell, Heading, Mapping, RowReader, is_line_of_units};
 use super::super::read_ahead::read_ahead;
+use super::dates;
 use super::numbers::Numbers;
 use super::text;
 
@@ -273,7 +274,11 @@ fn by_number(
     let heading = Heading { above, names: None, units: None, width: line.len() };
     let reader = RowReader::new(mapping, heading).ok()?;
     let mut numbers = Numbers::new(mapping.decimal);
-    let cells: Vec<Cell> = line.iter().map(|cell| numbers.read(cell.as_bytes())).collect();
+    let read = |(at, cell): (usize, &String)| match reader.is_date(at) {
+        true => dates::read(cell.as_bytes()),
+        false => numbers.read(cell.as_bytes()),
+    };
+    let cells: Vec<Cell> = line.iter().enumerate().map(read).collect();
     let least = (0..line.len()).rev().find(|at| reader.uses(*at)).map_or(0, |last| last + 1);
     reader.read(0, &cells).is_ok().then_some((reader, [least, line.len()]))
 }

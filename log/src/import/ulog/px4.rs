@@ -52,8 +52,10 @@ topic_specs! {
         "thrust_body[2]", "thrust"],
     "battery_status": ["voltage_v", "connected"],
     "esc_status": ["esc_count", "esc[0].esc_rpm", "esc[1].esc_rpm", "esc[2].esc_rpm",
-        "esc[3].esc_rpm", "esc[0].actuator_function", "esc[1].actuator_function",
-        "esc[2].actuator_function", "esc[3].actuator_function"],
+        "esc[3].esc_rpm", "esc[4].esc_rpm", "esc[5].esc_rpm", "esc[6].esc_rpm", "esc[7].esc_rpm",
+        "esc[0].actuator_function", "esc[1].actuator_function", "esc[2].actuator_function",
+        "esc[3].actuator_function", "esc[4].actuator_function", "esc[5].actuator_function",
+        "esc[6].actuator_function", "esc[7].actuator_function"],
     "vehicle_land_detected": ["landed", "maybe_landed", "ground_contact"],
     "vehicle_status": ["arming_state", "nav_state", "vehicle_type", "is_vtol", "is_rotary_wing",
         "system_type"],
@@ -87,6 +89,7 @@ impl Contents {
     pub(super) fn fill(mut self, flight: &mut Flight) {
         let mut tally = std::mem::take(&mut self.tally);
         let mut facts = self.facts();
+        facts.notes.append(&mut self.notes);
         let topics = &self.topics;
         flight.clock = Clock::Single;
         fill_attitude(topics, flight, &mut facts, &mut tally);
@@ -195,7 +198,11 @@ impl Contents {
     }
 
     fn fill_states(&self, flight: &mut Flight, tally: &mut Tally) {
-        if let Some(topic) = self.topics.primary("battery_status", 0, tally) {
+        // Of several packs or sensors, the first that is connected.
+        let is_connected = |row: Row<'_>| row.get("connected") != 0.0 && row.get("voltage_v") > 0.0;
+        let mut packs = self.topics.instances("battery_status");
+        let pack = packs.find(|(_, topic)| topic.rows().any(is_connected)).map_or(0, |(at, _)| at);
+        if let Some(topic) = self.topics.primary("battery_status", pack, tally) {
             flight.voltage = self.topics.stream(topic, tally, |row| {
                 let voltage = row.get("voltage_v");
                 if row.get("connected") == 0.0 || voltage == 0.0 {
@@ -205,12 +212,21 @@ impl Contents {
             });
         }
         if let Some(topic) = self.topics.primary("vehicle_land_detected", 0, tally) {
-            flight.in_air = self.topics.stream(topic, tally, |row| {
-                let touches = ["landed", "maybe_landed", "ground_contact"].map(|f| row.get(f));
-                Sample::of(stamp(&row), touches[0].is_finite().then(|| !touches.contains(&1.0)))
-            });
+            flight.in_air =
+                self.topics.stream(topic, tally, |row| Sample::of(stamp(&row), in_air(&row)));
         }
     }
+}
+
+/// Whether the vehicle is in the air, by a row of `vehicle_land_detected`.
+fn in_air(row: &Row<'_>) -> Option<bool> {
+    let touches = ["landed", "maybe_landed", "ground_contact"].map(|field| row.get(field));
+    touches[0].is_finite().then(|| !touches.contains(&1.0))
+}
+
+/// Time in the air of a boot, s.
+pub(super) fn flown(topics: &Topics) -> f64 {
+    topics.time_in_air("vehicle_land_detected", |row| Some((stamp(&row), in_air(&row)?)))
 }
 
 /// Name of a `nav_state`.
@@ -242,7 +258,10 @@ fn fill_attitude(
     let Some(topic) = topics.primary("vehicle_attitude", 0, tally) else { return };
     flight.attitude = topics.stream(topic, tally, |row| {
         let quaternion = attitude(row.all(["q[0]", "q[1]", "q[2]", "q[3]"]));
-        let euler = || row.finite(["roll", "pitch", "yaw"]).filter(|_| row.get("q[0]").is_nan());
+        // In 2016 the quaternion could be there and not filled in.
+        let has_none =
+            || row.all(["q[0]", "q[1]", "q[2]", "q[3]"]).iter().all(|c| c.is_nan() || *c == 0.0);
+        let euler = || row.finite(["roll", "pitch", "yaw"]).filter(|_| has_none());
         let euler = || euler().map(|[roll, pitch, yaw]| Euler::new(roll, pitch, yaw).attitude());
         Sample::of(sampled(&row), quaternion.or_else(euler))
     });

@@ -23,6 +23,11 @@ impl VehicleLog {
             }
             last = flying.then_some((epoch, frame_time.ground));
         }
+        // A state that was heard before the first stamp of a boot was taken for the boot before.
+        for (flown, epoch) in flown.iter_mut().zip(&self.epochs) {
+            let (from, to) = epoch.span();
+            *flown = flown.min((to - from).max(0.0));
+        }
         flown
     }
 

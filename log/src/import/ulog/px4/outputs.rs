@@ -3,7 +3,7 @@
 use super::stamp;
 use crate::import::facts::VehicleFacts;
 use crate::import::flight::{Flight, MotorSource, MotorUnit};
-use crate::import::functions::{Movement, OUTPUTS, PX4_MOTOR_1, numbered, px4_drive};
+use crate::import::functions::{MOTORS, Movement, OUTPUTS, PX4_MOTOR_1, numbered, px4_drive};
 use crate::import::onboard::{Sample, Topic};
 use crate::import::ranges;
 use crate::import::tally::Tally;
@@ -13,6 +13,26 @@ use crate::import::ulog::Contents;
 const FRACTION_MAX: f64 = 2.0;
 /// Radians per second in one revolution per minute.
 const RPM: f64 = std::f64::consts::TAU / 60.0;
+const ESC_RPM: [&str; 8] = [
+    "esc[0].esc_rpm",
+    "esc[1].esc_rpm",
+    "esc[2].esc_rpm",
+    "esc[3].esc_rpm",
+    "esc[4].esc_rpm",
+    "esc[5].esc_rpm",
+    "esc[6].esc_rpm",
+    "esc[7].esc_rpm",
+];
+const ESC_FUNCTION: [&str; 8] = [
+    "esc[0].actuator_function",
+    "esc[1].actuator_function",
+    "esc[2].actuator_function",
+    "esc[3].actuator_function",
+    "esc[4].actuator_function",
+    "esc[5].actuator_function",
+    "esc[6].actuator_function",
+    "esc[7].actuator_function",
+];
 const OUTPUT_FIELDS: [&str; OUTPUTS] = [
     "output[0]",
     "output[1]",
@@ -71,9 +91,19 @@ impl Contents {
             }
             flight.motor_source = MotorSource::ActuatorMotors;
             flight.motor_unit = MotorUnit::ThrustFraction;
-            let bend = self.parameters.get("THR_MDL_FAC").copied();
-            if let Some(bend) = bend.filter(|bend| *bend > 0.0 && *bend <= 1.0) {
-                flight.outputs = flight.outputs.map(|thrusts| thrusts.map(|t| signal(t, bend)));
+            // It may be tuned in flight.
+            let bend_at = |time: f64| {
+                let bend = self.parameter_at("THR_MDL_FAC", time);
+                bend.filter(|bend| *bend > 0.0 && *bend <= 1.0)
+            };
+            let bends: Vec<Option<f64>> =
+                flight.outputs.times().iter().map(|time| bend_at(*time)).collect();
+            for (thrusts, bend) in flight.outputs.values_mut().iter_mut().zip(&bends) {
+                if let Some(bend) = bend {
+                    *thrusts = thrusts.map(|thrust| signal(thrust, *bend));
+                }
+            }
+            if let Some(bend) = bends.iter().flatten().next_back() {
                 facts.notes.push(format!(
                     "actuator_motors are thrusts: outputs are the signals that THR_MDL_FAC {bend} \
                      makes of them"
@@ -145,23 +175,18 @@ impl Contents {
             if row.get("esc_count") < 4.0 {
                 return Sample::Skip;
             }
-            let rpm = row.finite([
-                "esc[0].esc_rpm",
-                "esc[1].esc_rpm",
-                "esc[2].esc_rpm",
-                "esc[3].esc_rpm",
-            ]);
+            let rpm = row.all(ESC_RPM);
             // Which motor each controller drives, if the log has it.
-            let functions = row.all([
-                "esc[0].actuator_function",
-                "esc[1].actuator_function",
-                "esc[2].actuator_function",
-                "esc[3].actuator_function",
-            ]);
-            let of_motor = |motor: usize| {
-                functions.iter().position(|f| *f == PX4_MOTOR_1 + motor as f64).unwrap_or(motor)
+            let functions = row.all(ESC_FUNCTION);
+            let drives =
+                |motor: usize| functions.iter().position(|f| *f == PX4_MOTOR_1 + motor as f64);
+            let is_stated = (0..MOTORS).any(|motor| drives(motor).is_some());
+            let speed = |motor: usize| {
+                let esc = if is_stated { drives(motor) } else { Some(motor) };
+                esc.map_or(f64::NAN, |esc| rpm[esc].abs() * RPM)
             };
-            let speeds = rpm.map(|rpm| std::array::from_fn(|i| rpm[of_motor(i)].abs() * RPM));
+            let speeds: [f64; MOTORS] = std::array::from_fn(speed);
+            let speeds = speeds.iter().all(|speed| speed.is_finite()).then_some(speeds);
             Sample::of(stamp(&row), speeds)
         });
     }
