@@ -410,6 +410,9 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
     });
 }
 
+/// A stream's values in other axes, and what it means that they fit better there.
+type Turned<V> = (fn(Attitude, &V) -> V, &'static str);
+
 /// Reports body vectors in world axes, or the reverse. At a single attitude, that looks like any
 /// rotation; over several it does not.
 fn check_frames(flight: &Flight, audit: &mut Audit) {
@@ -445,10 +448,10 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
         other
     };
     // As stated, then as the reader of the log turned it from other axes than stated.
+    let body: fn(Attitude, &Frd) -> Frd = |q, v| q.to_body(Ned::from(v.to_array()));
+    let back: fn(Attitude, &Frd) -> Frd = |q, v| Frd::from(q.to_world(*v).to_array());
     if is_open(attitude) {
-        let body = |q: Attitude, w: &Frd| q.to_body(Ned::from(w.to_array()));
-        let back = |q: Attitude, w: &Frd| Frd::from(q.to_world(*w).to_array());
-        let readings: [(fn(Attitude, &Frd) -> Frd, &str); 2] = [
+        let readings: [Turned<Frd>; 2] = [
             (body, "matches the attitude in world axes, not in body axes"),
             (back, "matches the attitude in body axes, not in world axes as stated"),
         ];
@@ -463,7 +466,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
     if is_open(position) {
         let world = |q: Attitude, v: &Ned| q.to_world(Frd::from(v.to_array()));
         let back = |q: Attitude, v: &Ned| Ned::from(q.to_body(*v).to_array());
-        let readings: [(fn(Attitude, &Ned) -> Ned, &str); 2] = [
+        let readings: [Turned<Ned>; 2] = [
             (world, "matches the position in body axes, not in world axes"),
             (back, "matches the position in world axes, not in body axes as stated"),
         ];
@@ -477,9 +480,7 @@ fn check_frames(flight: &Flight, audit: &mut Audit) {
         }
     }
     if is_open(velocity) {
-        let body = |q: Attitude, f: &Frd| q.to_body(Ned::from(f.to_array()));
-        let back = |q: Attitude, f: &Frd| Frd::from(q.to_world(*f).to_array());
-        let readings: [(fn(Attitude, &Frd) -> Frd, &str); 2] = [
+        let readings: [Turned<Frd>; 2] = [
             (body, "matches the velocity in world axes, not in body axes"),
             (back, "matches the velocity in body axes, not in world axes as stated"),
         ];
