@@ -307,6 +307,7 @@ def test_logs_of_another_vehicle_are_refused(flights, tmp_path):
     assert "another vehicle" in done.stderr and "mass" in done.stderr and not model.exists()
 
 
+@pytest.mark.long
 def test_a_resumed_training_gives_the_same_file(program, flights, tmp_path):
     long = ["--passes", "60", "--hidden", "24", "--regularization", "1e-5"]
     whole, model = tmp_path / "whole.safetensors", tmp_path / "model.safetensors"
