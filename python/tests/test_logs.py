@@ -89,6 +89,7 @@ def test_a_learner_learns_and_predicts(logs: list[Path], tmp_path: Path) -> None
     assert plan.states.shape == (len(plan.inputs) + 1, 12)
 
 
+@pytest.mark.long
 def test_a_learner_is_one_of_scikit_learn(logs: list[Path]) -> None:
     pytest.importorskip("sklearn")
     from sklearn.base import clone

@@ -84,6 +84,7 @@ def test_a_row_matches_diagnose(folder: Path, whole: bytes) -> None:
     assert float(rows[4]["gap_after"]) == found.answer["gap"]["after"]
 
 
+@pytest.mark.long
 def test_seven_shards_and_killed_workers_give_the_same_bytes(folder: Path, whole: bytes, tmp_path: Path) -> None:
     manifest = folder / "diagnoses.toml"
     workers = [worker(manifest, tmp_path, shard, 7) for shard in range(1, 8)]
@@ -109,6 +110,7 @@ def test_a_changed_case_is_another_sweep(folder: Path, whole: bytes) -> None:
         (folder / "cases/empty/flight_0.tlog").write_bytes(b"no log")
 
 
+@pytest.mark.long
 def test_an_exam_does_not_depend_on_its_workers(folder: Path, tmp_path: Path) -> None:
     manifest = folder / "exam.toml"
     one = dw.sweep(manifest, tmp_path / "one")
