@@ -337,7 +337,7 @@ fn corrupted_streams_are_found_without_false_alarms() {
 }
 
 #[test]
-#[ignore = "takes half an hour; prints the rates that the documentation states"]
+#[ignore = "half an hour; prints the rates that the documentation states: tests/run --all"]
 fn corrupted_streams_are_found_at_stated_rates_over_seeds() {
     let seeds = std::env::var("AUDIT_SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(200);
     let (found, alarms, notes) = rates(0..seeds);

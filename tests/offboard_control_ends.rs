@@ -1,4 +1,5 @@
-//! Control ends when it must, and does not resume by itself.
+//! The controller gives up the vehicle when its mode changes, the link is lost or a fault occurs, and
+//! takes it back only after a new engage.
 
 use message::{Battery, Inbound};
 

@@ -41,6 +41,7 @@
 //! mapped to the host clock; it stays constant where a new estimate of the clock would turn it
 //! back. An unknown component is NaN.
 
+mod calendar;
 pub mod descriptor;
 pub mod encoder;
 pub mod export;

@@ -2,6 +2,8 @@
 
 use message::clock::HostTime;
 
+use crate::calendar;
+
 /// `YYYY-MM-DDTHH-MM-SSZ_<vehicle>_<run>`, UTC; of the two names, only letters, digits, `-` and `.`
 /// remain.
 pub(super) fn stem(start: HostTime, vehicle: &str, run: &str) -> String {
@@ -17,7 +19,7 @@ pub(super) fn stem(start: HostTime, vehicle: &str, run: &str) -> String {
 
 /// `YYYY-MM-DD`, UTC, from seconds since 1970.
 pub fn date(seconds: u64) -> String {
-    let (year, month, day) = civil_from_days(seconds / 86_400);
+    let (year, month, day) = calendar::date(seconds / 86_400);
     format!("{year:04}-{month:02}-{day:02}")
 }
 
@@ -27,18 +29,6 @@ pub(super) fn sanitised(name: &str) -> String {
     let name: String = name.chars().map(|c| if kept(c) { c } else { '-' }).take(64).collect();
     let name = name.trim_matches(['.', '-']);
     if name.is_empty() { "unnamed".into() } else { name.into() }
-}
-
-/// Year, month and day of the proleptic Gregorian calendar, from days since 1970-01-01
-/// (H. Hinnant, "chrono-compatible low-level date algorithms", civil_from_days).
-fn civil_from_days(days: u64) -> (u64, u64, u64) {
-    let z = days + 719_468;
-    let (era, doe) = (z / 146_097, z % 146_097);
-    let yoe = (doe - doe / 1460 + doe / 36_524 - doe / 146_096) / 365;
-    let doy = doe - (365 * yoe + yoe / 4 - yoe / 100);
-    let mp = (5 * doy + 2) / 153;
-    let month = if mp < 10 { mp + 3 } else { mp - 9 };
-    (yoe + era * 400 + u64::from(month <= 2), month, doy - (153 * mp + 2) / 5 + 1)
 }
 
 #[cfg(test)]

@@ -1,13 +1,11 @@
 //! Checks units, axes and orders by how streams fit each other, and reports delays, rotations and
 //! biases.
 
-use vehicle::frame::{Attitude, Frd, Ned};
+use vehicle::frame::Attitude;
 
 use super::agreement::{Agreement, Estimate};
-use super::kinematics::{
-    Kinematics, Reading, by_attitude, gaining_follows, moving_follows, turning_explained,
-    turning_follows, turns,
-};
+use super::frames::{self, READS};
+use super::kinematics::{Reading, moving_follows, turning_explained, turning_follows, turns};
 use super::timing::is_logged;
 use super::weak::median;
 use super::{Audit, Finding, Severity};
@@ -17,16 +15,8 @@ use crate::log::import::Flight;
 /// rad/s and m/s.
 const TURNS: f64 = 0.2;
 const MOVES: f64 = 0.3;
-/// A reading that explains this share is the right one, where the stated one fails.
-const READS: f64 = 0.8;
 /// Below this explained share, the streams do not follow each other at all.
 const FOLLOWS: f64 = 0.3;
-/// Above this explained share, the frames need no check.
-const FITS: f64 = 0.98;
-/// Attitudes further apart than this distinguish body axes from world axes, rad.
-const APART: f64 = 0.1;
-/// Other frames must leave less than this share of the unexplained part.
-const LEAVES: f64 = 0.5;
 /// A log shorter than this need not show that a stream follows, s.
 const SHORT_S: f64 = 10.0;
 /// Scales outside this range come from another unit.
@@ -164,7 +154,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     if audit.kinematics.position.is_none() {
         check_moving(flight, audit);
     }
-    check_frames(flight, audit);
+    frames::check(flight, audit);
     check_force(flight, audit);
     check_voltage(flight, audit);
 }
@@ -408,91 +398,6 @@ fn check_readings(flight: &Flight, audit: &mut Audit) {
         advice: "check order, direction and frames of the attitude, and that both are from one \
                  vehicle",
     });
-}
-
-/// A stream's values in other axes, and what it means that they fit better there.
-type Turned<V> = (fn(Attitude, &V) -> V, &'static str);
-
-/// Reports body vectors in world axes, or the reverse. At a single attitude, that looks like any
-/// rotation; over several it does not.
-fn check_frames(flight: &Flight, audit: &mut Audit) {
-    let attitudes = flight.attitude.values();
-    let turns = |first: &Attitude| attitudes.iter().any(|q| first.angle_to(*q) > APART);
-    if !attitudes.first().is_some_and(turns) {
-        return;
-    }
-    let Kinematics { attitude, position, velocity, .. } = audit.kinematics;
-    let is_open = |pair: Option<Agreement>| pair.is_none_or(|pair| pair.explained < FITS);
-    let follows_better = |stated: Option<f64>, otherwise: Option<f64>| {
-        let (stated, otherwise) = (stated?, otherwise?);
-        // Where the stated frames fit, the rest is rounding.
-        let is_better =
-            stated < FITS && otherwise > READS && 1.0 - otherwise < LEAVES * (1.0 - stated);
-        is_better.then_some(otherwise)
-    };
-    let mut report = |stream, found: f64, what: &str| {
-        audit.findings.push(Finding {
-            severity: Severity::Fault,
-            check: "frame",
-            stream: Some(stream),
-            found,
-            expected: 1.0,
-            unit: "",
-            what: what.to_owned(),
-            advice: "check the frames stated for the log",
-        });
-    };
-    let with = |change: &dyn Fn(&mut Flight)| {
-        let mut other = flight.clone();
-        change(&mut other);
-        other
-    };
-    // As stated, then as the reader of the log turned it from other axes than stated.
-    let body: fn(Attitude, &Frd) -> Frd = |q, v| q.to_body(Ned::from(v.to_array()));
-    let back: fn(Attitude, &Frd) -> Frd = |q, v| Frd::from(q.to_world(*v).to_array());
-    if is_open(attitude) {
-        let readings: [Turned<Frd>; 2] = [
-            (body, "matches the attitude in world axes, not in body axes"),
-            (back, "matches the attitude in body axes, not in world axes as stated"),
-        ];
-        for (turned, what) in readings {
-            let other =
-                with(&|other| other.body_rate = by_attitude(flight, &flight.body_rate, turned));
-            if let Some(found) = follows_better(turning_follows(flight), turning_follows(&other)) {
-                report("body_rate", found, what);
-            }
-        }
-    }
-    if is_open(position) {
-        let world = |q: Attitude, v: &Ned| q.to_world(Frd::from(v.to_array()));
-        let back = |q: Attitude, v: &Ned| Ned::from(q.to_body(*v).to_array());
-        let readings: [Turned<Ned>; 2] = [
-            (world, "matches the position in body axes, not in world axes"),
-            (back, "matches the position in world axes, not in body axes as stated"),
-        ];
-        let follows = |flight: &Flight| Some(moving_follows(flight)?.0);
-        for (turned, what) in readings {
-            let other =
-                with(&|other| other.velocity = by_attitude(flight, &flight.velocity, turned));
-            if let Some(found) = follows_better(follows(flight), follows(&other)) {
-                report("velocity", found, what);
-            }
-        }
-    }
-    if is_open(velocity) {
-        let readings: [Turned<Frd>; 2] = [
-            (body, "matches the velocity in world axes, not in body axes"),
-            (back, "matches the velocity in body axes, not in world axes as stated"),
-        ];
-        for (turned, what) in readings {
-            let other = with(&|other| {
-                other.specific_force = by_attitude(flight, &flight.specific_force, turned);
-            });
-            if let Some(found) = follows_better(gaining_follows(flight), gaining_follows(&other)) {
-                report("specific_force", found, what);
-            }
-        }
-    }
 }
 
 /// Reports a position and a velocity that do not follow each other although one of them moves.

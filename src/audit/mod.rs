@@ -8,6 +8,7 @@ mod agreement;
 mod conventions;
 mod duplicates;
 mod finding;
+mod frames;
 mod kinematics;
 mod motors;
 mod pair;

@@ -5,9 +5,10 @@
 //! discard everything after it: rows are first compared with the clock of their neighbours in the
 //! file, and then the longest increasing sequence is kept.
 
+mod boots;
+
 use std::collections::BTreeMap;
 
-use super::LogFault;
 use super::flight::Stream;
 use super::tally::Tally;
 
@@ -15,15 +16,6 @@ use super::tally::Tally;
 const NEIGHBOURS: usize = 15;
 /// A time stamp further than this from the clock on both sides is damaged, s.
 const OFF_CLOCK: f64 = 10.0;
-/// A clock that falls back by more than this, s, was restarted: by the median of so many rows on
-/// each side.
-const RESTART: f64 = 1.0;
-const RESTART_ROWS: usize = 50;
-/// Largest number of boots listed; a damaged log may have any number.
-const BOOTS_NAMED: usize = 20;
-/// Fewest rows of a boot.
-const BOOT_ROWS: usize = 10;
-
 /// A topic to read and the fields of its rows.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TopicSpec {
@@ -134,118 +126,6 @@ impl Topics {
         let topic = self.topics.entry((spec.topic, instance)).or_insert_with(fresh);
         topic.values.extend_from_slice(values);
         topic.numbers.push(number);
-    }
-
-    /// The rows of each boot of the vehicle: at a restart its clock starts anew.
-    fn boots(self) -> Vec<Self> {
-        let starts = self.restarts();
-        let mut boots = Vec::with_capacity(starts.len() + 1);
-        let ends = starts.iter().copied().chain([self.clock.len()]);
-        let mut from = 0;
-        for to in ends {
-            let clock = self.clock[from..to].to_vec();
-            boots.push(Self { clock, topics: BTreeMap::new() });
-            from = to;
-        }
-        for (key, topic) in self.topics {
-            for (row, number) in topic.values.chunks_exact(topic.fields.len()).zip(topic.numbers) {
-                let number = number as usize;
-                let boot = starts.partition_point(|start| *start <= number);
-                let first = boot.checked_sub(1).map_or(0, |before| starts[before]);
-                let fresh = || Topic::bare(topic.name, topic.fields);
-                let kept = boots[boot].topics.entry(key).or_insert_with(fresh);
-                kept.values.extend_from_slice(row);
-                kept.numbers.push((number - first) as u32);
-            }
-        }
-        boots
-    }
-
-    /// Indices of the rows before which the vehicle's clock starts anew.
-    fn restarts(&self) -> Vec<usize> {
-        let mut starts = Vec::new();
-        let mut last = 0;
-        for at in BOOT_ROWS..self.clock.len().saturating_sub(BOOT_ROWS - 1) {
-            let falls = self.clock[at] < self.clock[at - 1] - RESTART;
-            if !falls || at < last + BOOT_ROWS {
-                continue;
-            }
-            let before = middle(&self.clock[at.saturating_sub(RESTART_ROWS).max(last)..at]);
-            let after = middle(&self.clock[at..self.clock.len().min(at + RESTART_ROWS)]);
-            if before.zip(after).is_some_and(|(before, after)| after < before - RESTART) {
-                starts.push(at);
-                last = at;
-            }
-        }
-        starts
-    }
-
-    /// Of several boots in one file the chosen one, counted from 1, or else the one that flew
-    /// longest by `flown`, s, or lasted longest. Notes all, and counts the rows of the others.
-    ///
-    /// # Errors
-    /// The file does not have the chosen boot.
-    pub fn choose_boot(
-        self,
-        boot: Option<usize>,
-        flown: impl Fn(&Self) -> f64,
-        notes: &mut Vec<String>,
-        tally: &mut Tally,
-    ) -> Result<Self, LogFault> {
-        if boot.is_none_or(|boot| boot == 1) && self.restarts().is_empty() {
-            return Ok(self);
-        }
-        let mut boots = self.boots();
-        let count = boots.len();
-        if let Some(boot) = boot.filter(|boot| !(1..=count).contains(boot)) {
-            return Err(LogFault::NoBoot { boot, boots: count });
-        }
-        let spans: Vec<[f64; 2]> = boots.iter().map(Self::span).collect();
-        let flown: Vec<f64> = boots.iter().map(flown).collect();
-        let weight = |at: usize| (flown[at] as u64, (spans[at][1] - spans[at][0]) as u64);
-        let longest = (0..count).rev().max_by_key(|at| weight(*at)).unwrap_or(0);
-        let chosen = boot.map_or(longest, |boot| boot - 1);
-        for (at, ([from, to], flown)) in spans.iter().zip(flown).enumerate() {
-            if at < BOOTS_NAMED || at == chosen {
-                let used = if at == chosen { ", used" } else { "" };
-                let boot = at + 1;
-                notes.push(format!(
-                    "boot {boot} of {count} (--boot {boot}): {from:.2} to {to:.2} s, {flown:.1} s \
-                     of it flown{used}"
-                ));
-            }
-            if at != chosen {
-                let rows = boots[at].clock.len() as u64;
-                tally.add("row of another boot of the vehicle", rows);
-            }
-        }
-        Ok(boots.swap_remove(chosen))
-    }
-
-    /// First and last time of the clock, damaged stamps left out as far as they are few, s.
-    fn span(&self) -> [f64; 2] {
-        let ends = self.clock.len().min(NEIGHBOURS);
-        let first = middle(&self.clock[..ends]).unwrap_or_default();
-        let last = middle(&self.clock[self.clock.len() - ends..]).unwrap_or_default();
-        [first, last]
-    }
-
-    /// Time in the air by the rows of a topic, s; `in_air` says of a row whether it is, and `None`
-    /// if it does not say.
-    pub fn time_in_air(
-        &self,
-        topic: &'static str,
-        in_air: impl Fn(Row<'_>) -> Option<(f64, bool)>,
-    ) -> f64 {
-        let Some((_, topic)) = self.instances(topic).next() else { return 0.0 };
-        let (mut flown, mut since) = (0.0, None);
-        let end = self.span()[1];
-        let ends = [(end, false)];
-        for (time, flies) in topic.rows().filter_map(in_air).chain(ends) {
-            flown += since.map_or(0.0, |since: f64| (time - since).max(0.0));
-            since = (flies && time.is_finite()).then_some(time);
-        }
-        flown
     }
 
     /// Time stamp of the newest row, s; NaN without one.
@@ -399,54 +279,6 @@ mod tests {
             (0..40).map(|k| f64::from(k) + if k < 20 { 0.0 } else { 600.0 }).collect();
         let (times, left_out) = stream(&stamps);
         assert_eq!((times, left_out), (stamps, vec![]));
-    }
-
-    fn rows(stamps: impl IntoIterator<Item = f64>) -> Topics {
-        let mut topics = Topics::default();
-        stamps.into_iter().for_each(|stamp| topics.push(SPEC, 0, stamp, &[stamp]));
-        topics
-    }
-
-    #[test]
-    fn boots_are_parted_where_the_clock_starts_anew() {
-        let boot = |from: f64, count: u32| (0..count).map(move |k| from + 0.1 * f64::from(k));
-        // The second starts within the time of the first.
-        let log = || rows(boot(5.0, 200).chain(boot(12.0, 300)));
-        assert_eq!(log().restarts(), [200]);
-        let choose = |boot| {
-            let (mut notes, mut tally) = (Vec::new(), Tally::default());
-            let chosen = log().choose_boot(boot, |_| 0.0, &mut notes, &mut tally);
-            chosen.map(|chosen| (chosen.clock, notes, tally.into_vec()))
-        };
-        let Ok((clock, notes, left_out)) = choose(None) else { panic!("the longest") };
-        assert_eq!(clock, boot(12.0, 300).collect::<Vec<_>>());
-        assert!(notes[1].contains("boot 2 of 2") && notes[1].ends_with("used"), "{notes:?}");
-        assert_eq!(left_out[0].1, 200);
-        let Ok((clock, ..)) = choose(Some(1)) else { panic!("the first") };
-        assert_eq!(clock, boot(5.0, 200).collect::<Vec<_>>());
-        assert!(matches!(choose(Some(3)), Err(LogFault::NoBoot { boot: 3, boots: 2 })));
-    }
-
-    #[test]
-    fn damaged_stamps_and_late_rows_are_no_boots() {
-        let mut stamps: Vec<f64> = (0..300).map(|k| 100.0 + 0.1 * f64::from(k)).collect();
-        stamps[40] = 1e9;
-        stamps[90] = 3.0;
-        stamps[91] = 3.1;
-        stamps[150] = f64::NAN;
-        // A logger first writes what it has last seen of rare topics.
-        let late = [7.0, 90.0, 2.0].into_iter();
-        assert_eq!(rows(late.chain(stamps)).restarts(), [0; 0]);
-    }
-
-    #[test]
-    fn time_in_air_is_counted_to_the_end() {
-        let log = rows((0..100).map(f64::from));
-        let state = |row: Row<'_>| {
-            let time = row.get("x");
-            [10.0, 40.0, 80.0].contains(&time).then_some((time, time != 40.0))
-        };
-        assert!((log.time_in_air("topic", state) - 42.0).abs() < 1e-9);
     }
 
     #[test]

@@ -207,8 +207,8 @@ pub struct Spec {
     pub family: Option<EffectId>,
     /// Whether the effect grows with the square of its first slot and has no slope at 0.
     pub is_quadratic: bool,
-    /// Parameters by which the exam judges an answer; each group counts as one vector. Empty means
-    /// every parameter that has a neutral value, by itself.
+    /// Parameters by which the exam judges an answer; each group counts as one vector. If it is empty,
+    /// the exam judges each parameter that has a neutral value separately.
     pub judged: &'static [&'static [&'static str]],
 }
 

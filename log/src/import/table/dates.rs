@@ -1,6 +1,7 @@
 //! Times written as dates, in the manner of ISO 8601.
 
 use super::super::mapping::Cell;
+use crate::calendar;
 
 const DAY_S: f64 = 86400.0;
 
@@ -29,7 +30,7 @@ fn seconds(text: &str) -> Option<f64> {
             None => (time, 0.0),
         },
     };
-    let midnight = DAY_S * days(year, month, day) as f64;
+    let midnight = DAY_S * calendar::days(year, month, day) as f64;
     is_date.then_some(midnight + time_of_day(time.trim())? - offset)
 }
 
@@ -61,14 +62,6 @@ fn offset(text: &str) -> Option<f64> {
 fn digits(text: &str, most: usize) -> Option<i64> {
     let is_number = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     (is_number && text.len() <= most).then(|| text.parse().ok()).flatten()
-}
-
-/// Days from 1970-01-01 to a date of the Gregorian calendar.
-fn days(year: i64, month: i64, day: i64) -> i64 {
-    // Years that begin in March have their leap day at the end.
-    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
-    let leap_days = year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400);
-    365 * year + leap_days + (153 * month + 2) / 5 + day - 719_469
 }
 
 #[cfg(test)]
