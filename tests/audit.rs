@@ -17,7 +17,7 @@ use sitl::config::{ImuNoise, SensorConfig, SitlConfig};
 use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
 /// Rotates and moves in every axis.
-const LIVELY: &str = r#"
+pub const LIVELY: &str = r#"
 family = "multisine"
 altitude_m = 1.5
 duration_s = 24
@@ -34,7 +34,7 @@ fn place(name: &str) -> PathBuf {
 }
 
 /// A flight of the nano quadrotor with sensor noise.
-fn fly(name: &str, trajectory: &str, config: SitlConfig, seed: u64) -> Flight {
+pub fn fly(name: &str, trajectory: &str, config: SitlConfig, seed: u64) -> Flight {
     let params = lockstep::params(lockstep::NANO);
     let trajectory = lockstep::toml_trajectory(trajectory);
     let settings = lockstep::settings(&params, trajectory);
@@ -45,7 +45,7 @@ fn fly(name: &str, trajectory: &str, config: SitlConfig, seed: u64) -> Flight {
 }
 
 /// Noise as usual, but no bias.
-fn unbiased() -> SitlConfig {
+pub fn unbiased() -> SitlConfig {
     let usual = SensorConfig::default();
     let unbiased = |imu: ImuNoise| ImuNoise { bias: 0.0, bias_walk: 0.0, ..imu };
     let sensors = SensorConfig {
@@ -412,23 +412,6 @@ fn frozen_jumping_and_impossible_values_are_found() {
         if count % 50 == 0 { Frd::new(900.0, 0.0, 0.0) } else { *w }
     });
     assert_fault(&flight, "impossible", "no sensor");
-}
-
-#[test]
-fn duplicate_flight_is_found() {
-    let first = FLIGHT.clone();
-    // Another file with the same samples at other times.
-    let mut second = FLIGHT.clone();
-    second.origin.sha256 = "other".into();
-    second.origin.path = "copy.tlog".into();
-    second.attitude = second.attitude.shifted(500.0);
-    let other = fly("other", LIVELY, unbiased(), 8);
-    let audits = Audit::of_all(&[first, second, other]);
-    let twins: Vec<usize> = audits
-        .iter()
-        .map(|audit| audit.findings.iter().filter(|f| f.check == "duplicate").count())
-        .collect();
-    assert_eq!(twins, [0, 1, 0]);
 }
 
 #[test]

@@ -18,6 +18,7 @@ mod architecture;
 mod audit;
 mod audit_corrupted;
 mod audit_degenerate;
+mod audit_duplicates;
 mod closed_loop_golden;
 mod closed_loop_linear;
 mod collect;

@@ -3,16 +3,18 @@
 
 use std::collections::BTreeSet;
 
+use vehicle::frame::{Attitude, Frd};
+
 use super::{Audit, Finding, Severity};
 use crate::learn::alignment::interpolated;
-use crate::log::import::Flight;
+use crate::log::import::{Flight, Stream};
 
 /// Fewest distinct samples for a comparison.
 const SAMPLES_MIN: usize = 100;
 /// Share of a flight's samples that another also has: different flights share hardly any.
 const SHARED_MAX: f64 = 0.2;
 /// Limits of the root mean square difference between two recordings of one flight: attitude, rad,
-/// and position, m. Flights of the same reference differ by more, since their clocks start
+/// and position, m. Most flights of the same reference differ by more, since their clocks start
 /// separately.
 const SAME_ATTITUDE: f64 = 0.006;
 const SAME_POSITION: f64 = 0.01;
@@ -20,6 +22,11 @@ const SAME_POSITION: f64 = 0.01;
 const SPREAD_MIN: f64 = 0.1;
 /// Instants at which two recordings are compared.
 const INSTANTS: usize = 200;
+/// Distance between the attitudes whose second difference is the motion's fine structure, s.
+const FINE_S: f64 = 0.05;
+/// Least correlation of the fine structures. Simulators restart their clock with each flight, so two
+/// flights of one reference may agree in all but the disturbances, which are each flight's own.
+const FINE_CORRELATION: f64 = 0.5;
 
 /// Finds duplicate pairs; the later file of each is at fault.
 pub(super) fn check(flights: &[Flight], audits: &mut [Audit]) {
@@ -122,5 +129,30 @@ fn is_same_flight(a: &Flight, b: &Flight) -> bool {
     }
     let rms = |sum: f64, count: f64| (sum / count).sqrt();
     let is_near = places == 0.0 || rms(away, places) < SAME_POSITION;
-    count > 20.0 && is_near && rms(apart, count) < SAME_ATTITUDE && rms(spread, count) > SPREAD_MIN
+    count > 20.0
+        && is_near
+        && rms(apart, count) < SAME_ATTITUDE
+        && rms(spread, count) > SPREAD_MIN
+        && fine_correlation([&a.attitude, &b.attitude], [from, to]) > FINE_CORRELATION
+}
+
+/// The correlation of two attitudes' second differences from `from` to `to`; 1 where neither has
+/// any.
+fn fine_correlation(attitudes: [&Stream<Attitude>; 2], [from, to]: [f64; 2]) -> f64 {
+    let fine = |attitude: &Stream<Attitude>, time: f64| -> Option<Frd> {
+        let at = |time: f64| interpolated(attitude, time);
+        let (before, here, after) = (at(time - FINE_S)?, at(time)?, at(time + FINE_S)?);
+        Some(here.rotation_to(after) + here.rotation_to(before))
+    };
+    let instants = ((to - from) / FINE_S) as usize;
+    let [mut product, mut of_a, mut of_b] = [0.0; 3];
+    for k in 0..instants {
+        let time = from + k as f64 * FINE_S;
+        if let (Some(p), Some(q)) = (fine(attitudes[0], time), fine(attitudes[1], time)) {
+            product += p.dot(q);
+            of_a += p.dot(p);
+            of_b += q.dot(q);
+        }
+    }
+    if of_a == 0.0 && of_b == 0.0 { 1.0 } else { product / (of_a * of_b).sqrt() }
 }

@@ -4,6 +4,9 @@ use std::fmt::Write;
 
 use super::page::{Mood, escape};
 
+/// Characters above which a text wraps.
+const LONG: usize = 60;
+
 /// A table with a header; columns of numbers stand to the right.
 #[derive(Clone, Debug)]
 pub struct Table {
@@ -37,6 +40,7 @@ impl Table {
             let class = match (column, mood, numeric) {
                 (0, Mood::Good | Mood::Warning | Mood::Bad, _) => mood.class(),
                 (_, _, true) => "num",
+                _ if cell.len() > LONG => "text long",
                 _ => "text",
             };
             let _ = write!(self.html, "<td class=\"{class}\">{cell}</td>");

@@ -21,7 +21,7 @@ pub fn smallness(value: f64) -> String {
 }
 
 /// Four significant digits, without zeros that say nothing.
-fn short(value: f64) -> String {
+pub fn short(value: f64) -> String {
     let text = significant(value);
     match text.contains('.') {
         true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),

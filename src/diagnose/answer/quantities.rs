@@ -53,7 +53,8 @@ pub fn short(number: f64) -> String {
 }
 
 fn with_numbers(effect: impl Display, numbers: impl Iterator<Item = String>) -> String {
-    format!("{effect} ({})", numbers.collect::<Vec<_>>().join(", "))
+    let numbers = numbers.collect::<Vec<_>>().join(", ");
+    if numbers.is_empty() { effect.to_string() } else { format!("{effect} ({numbers})") }
 }
 
 fn list(numbers: &[f64]) -> String {

@@ -264,12 +264,11 @@ fn sentence(
              chance."
         );
     };
-    let [low, high] = tested.interval.map(|bound| page::signed(bound, first.unit));
+    let [by, low, high] = page::signed(&tested, first.unit);
     let how = match tested.test {
         Test::PairedT => format!("{pairs} pairs"),
         Test::WelchT => format!("{a} and {b} flights"),
     };
-    let by = page::signed(tested.difference, first.unit);
     let share =
         first.relative().map_or(String::new(), |share| format!(", {:+.0} %", 100.0 * share));
     let verdict = match outcome {

@@ -2,14 +2,13 @@
 
 use vehicle::frame::Ned;
 
-use super::{Alignment, Comparison, Difference, Entry, Outcome, Sample};
-use crate::report::axis::significant;
+use super::{Alignment, Comparison, Difference, Entry, Outcome, Sample, Tested};
 use crate::report::bars::{self, Bar};
 use crate::report::chart::{Chart, Curve, Panel, Ribbon, Style};
 use crate::report::page::{Mood, Page, escape};
 use crate::report::scene::Scene;
 use crate::report::table::{Table, definitions};
-use crate::report::words::{length, smallness};
+use crate::report::words::{self, length, smallness};
 
 /// Places along the shared axis.
 const PLACES: usize = 400;
@@ -108,6 +107,7 @@ impl Comparison {
         for d in &self.differences {
             let (scale, unit) = shown_unit(d.unit);
             let number = |v: f64| short(scale * v);
+            let to_digits_of = |half: f64, v: f64| digits(scale * v, scale * half);
             let mood = match (d.stands(), d.outcome()) {
                 (true, Outcome::Worse) => Mood::Bad,
                 (true, Outcome::Better) => Mood::Good,
@@ -115,7 +115,11 @@ impl Comparison {
             };
             let group = |sample: &Sample| match sample.flights {
                 1 => number(sample.mean),
-                _ => format!("{} \u{b1} {}", number(sample.mean), number(sample.deviation)),
+                _ => {
+                    let [mean, deviation] =
+                        [sample.mean, sample.deviation].map(|v| to_digits_of(sample.deviation, v));
+                    format!("{mean} \u{b1} {deviation}")
+                }
             };
             let name = match unit {
                 "" => d.metric.to_owned(),
@@ -124,8 +128,9 @@ impl Comparison {
             let mut cells = vec![name, group(&d.a), group(&d.b)];
             match d.tested {
                 Some(tested) => {
-                    let [low, high] = tested.interval.map(number);
-                    cells.push(number(tested.difference));
+                    let half = tested.half_width();
+                    let [low, high] = tested.interval.map(|v| to_digits_of(half, v));
+                    cells.push(to_digits_of(half, tested.difference));
                     cells.push(format!("{low} to {high}"));
                     cells.push(format!("{:.3}", tested.p));
                     cells.push(d.p_of_all.map_or_else(String::new, |p| format!("{p:.3}")));
@@ -270,8 +275,7 @@ impl Comparison {
 
 fn in_words(difference: &Difference) -> Option<String> {
     let tested = difference.tested?;
-    let [low, high] = tested.interval.map(|bound| signed(bound, difference.unit));
-    let by = signed(tested.difference, difference.unit);
+    let [by, low, high] = signed(&tested, difference.unit);
     Some(format!("{}: {by} ({low} to {high})", difference.metric))
 }
 
@@ -295,15 +299,34 @@ pub(super) fn value(value: f64, unit: &str) -> String {
     }
 }
 
-/// Four digits; what is next to nothing by its power of ten.
+/// Four digits, without zeros at the end; a tiny number by its power of ten.
 fn short(value: f64) -> String {
-    if value != 0.0 && value.abs() < 1e-4 { smallness(value) } else { significant(value) }
+    if value != 0.0 && value.abs() < 1e-4 { smallness(value) } else { words::short(value) }
 }
 
-/// A difference with its sign and unit.
-pub(super) fn signed(difference: f64, unit: &str) -> String {
-    let sign = if difference > 0.0 { "+" } else { "" };
-    sign.to_owned() + &value(difference, unit)
+/// A number to two digits of the half width of its interval: further digits say nothing.
+fn digits(value: f64, half: f64) -> String {
+    if half < 1e-9 {
+        return short(value);
+    }
+    let decimals = (1.0 - half.log10().floor()).clamp(0.0, 9.0) as usize;
+    format!("{value:.decimals$}")
+}
+
+/// A difference and the ends of its interval, each with its sign and unit.
+pub(super) fn signed(tested: &Tested, unit: &str) -> [String; 3] {
+    let (scale, shown) = shown_unit(unit);
+    let [low, high] = tested.interval;
+    [tested.difference, low, high].map(|difference| {
+        let sign = if difference > 0.0 { "+" } else { "" };
+        match unit {
+            "m" => sign.to_owned() + &value(difference, unit),
+            _ => {
+                let number = digits(scale * difference, scale * tested.half_width());
+                format!("{sign}{number} {shown}").trim_end().to_owned()
+            }
+        }
+    })
 }
 
 /// Mean of lines at each place, and its interval's edges; NaN where fewer than half of them are.

@@ -74,6 +74,11 @@ pub struct Tested {
 }
 
 impl Tested {
+    /// Half the width of the interval.
+    pub fn half_width(&self) -> f64 {
+        (self.interval[1] - self.interval[0]) / 2.0
+    }
+
     /// Of pairs; `None` of fewer than two.
     pub fn paired(a: &[f64], b: &[f64]) -> Option<Self> {
         let differences: Vec<f64> = b.iter().zip(a).map(|(b, a)| b - a).collect();
