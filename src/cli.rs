@@ -166,7 +166,7 @@ pub struct DiagnoseArgs {
     /// Flight logs of the real vehicle.
     #[arg(required_unless_present = "fleet")]
     pub logs: Vec<PathBuf>,
-    /// The simulator's vehicle file.
+    /// The simulator's vehicle file, or the name of a shipped one.
     #[arg(long)]
     pub vehicle: PathBuf,
     /// Diagnoses many vehicles of one type, instead of one vehicle from its logs. A folder with a
@@ -199,7 +199,7 @@ pub struct DiagnoseArgs {
     /// open.
     #[arg(long, value_name = "FILE")]
     pub next_flight: Option<PathBuf>,
-    /// Configuration file: room and envelope of the next flight.
+    /// Configuration file; its `collect` and `envelope` bound the next flight.
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Mapping of the columns of CSV logs.
@@ -271,7 +271,7 @@ pub struct OnsetArgs {
     /// Flight logs of one vehicle, in the order of their dates.
     #[arg(required = true)]
     pub logs: Vec<PathBuf>,
-    /// The vehicle file.
+    /// Vehicle file, or the name of a shipped one.
     #[arg(long)]
     pub vehicle: PathBuf,
     /// Mapping of the columns of CSV logs.

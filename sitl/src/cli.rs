@@ -21,7 +21,7 @@ use vehicle::{VehicleError, VehicleParams};
 /// Options of the simulated vehicle.
 #[derive(Clone, Debug, clap::Args)]
 pub struct SitlArgs {
-    /// Vehicle file (TOML or JSON)
+    /// Vehicle file (TOML or JSON), or the name of a shipped one
     #[arg(long, value_name = "FILE")]
     pub vehicle: PathBuf,
     /// Autopilot to simulate, on the wire and in flight; overrides the one in --config

@@ -35,10 +35,11 @@ pub struct DemoArgs {
     /// Number of flights for each, with consecutive seeds from --seed.
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
     pub flights: u64,
-    /// Vehicle file [default: a built-in nano quadrotor].
+    /// Vehicle file, or the name of a shipped one [default: crazyflie].
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
-    /// Trajectory file, or with --fly model-free a plan [default: the built-in sinusoid-yaw].
+    /// Trajectory file, the name of a shipped one, or with --fly model-free a plan [default:
+    /// sinusoid-yaw].
     #[arg(long)]
     pub trajectory: Option<PathBuf>,
     /// The simulated vehicle.

@@ -12,7 +12,7 @@ use crate::model::file::ModelKind;
 /// Flags of `fly`.
 #[derive(Debug, Args)]
 pub struct FlyArgs {
-    /// Trajectory file (TOML or CSV), or a plan (.json).
+    /// Trajectory file (TOML or CSV), the name of a shipped one, or a plan (.json).
     pub trajectory: PathBuf,
     /// Connection to the vehicle: udpin:HOST:PORT, udpout:, tcp:, tcpin: or serial:DEVICE:BAUD.
     #[arg(long, value_name = "URL")]
@@ -20,11 +20,11 @@ pub struct FlyArgs {
     /// Vehicle file, or the name of a shipped one.
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
-    /// Replans in flight, through the model of --model. If the trajectory file changes in flight,
-    /// the vehicle moves over to the new trajectory.
+    /// Plans anew in flight, by default ten times a second. If the trajectory file changes, the
+    /// vehicle moves over to the new trajectory.
     #[arg(long)]
     pub replan: bool,
-    /// Model file to replan through [default: the vehicle file's own physics].
+    /// Model file to plan through [default: the vehicle file's own physics].
     #[arg(long, value_name = "FILE", requires = "replan")]
     pub model: Option<PathBuf>,
     /// Which of its models [default: the one that predicted best].
@@ -91,7 +91,7 @@ pub struct CollectArgs {
     /// are not flown again.
     #[arg(long)]
     pub out: PathBuf,
-    /// Vehicle file [default: in simulation a built-in nano quadrotor].
+    /// Vehicle file, or the name of a shipped one [default: in simulation crazyflie].
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
     /// Flies the vehicle at this address, one flight after the other, instead of the simulated one.
@@ -121,7 +121,7 @@ pub struct CollectArgs {
     /// Writes the programme's trajectory files, for `fly`, into this folder without flying them.
     #[arg(long, value_name = "FOLDER")]
     pub write_trajectories: Option<PathBuf>,
-    /// Configuration file; its `collect` sets where and how boldly to fly.
+    /// Configuration file; its `collect` and `envelope` set where and how aggressively to fly.
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Prints the flights as JSON.
@@ -153,7 +153,7 @@ impl CollectArgs {
 /// What the simulated vehicle has beyond its vehicle file.
 #[derive(Clone, Debug, Args)]
 pub struct SimulationArgs {
-    /// The simulated vehicle's own configuration: sensors, pack, start.
+    /// The simulated vehicle's own configuration: sensors, battery, start.
     #[arg(long)]
     pub sitl_config: Option<PathBuf>,
     /// Effects of the simulated vehicle that the controller does not know: a TOML file with a table

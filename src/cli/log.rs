@@ -43,8 +43,8 @@ pub enum LogCommand {
         /// motive).
         #[arg(long, value_name = "MAP")]
         mapping: Option<PathBuf>,
-        /// Which start of the vehicle to read, from 1, if a log holds several [default:
-        /// the one that flew longest].
+        /// Which boot of the vehicle to read, from 1, if a log holds several [default: the one that
+        /// flew longest].
         #[arg(long, value_name = "N")]
         boot: Option<usize>,
         /// Prints a mapping file for a table, proposed from its column names, and imports nothing.
@@ -86,8 +86,8 @@ pub enum LogCommand {
         /// motive).
         #[arg(long, value_name = "MAP")]
         mapping: Option<PathBuf>,
-        /// Which start of the vehicle to read, from 1, if a log holds several [default:
-        /// the one that flew longest].
+        /// Which boot of the vehicle to read, from 1, if a log holds several [default: the one that
+        /// flew longest].
         #[arg(long, value_name = "N")]
         boot: Option<usize>,
         /// The report to write [default: next to the log, with its name].
@@ -104,7 +104,7 @@ pub enum LogCommand {
 pub enum FailOnFinding {
     /// Faults of the data.
     Fault,
-    /// These, and flaws of the measurement.
+    /// These, and errors of the measurement.
     Measurement,
 }
 

@@ -191,15 +191,16 @@ pub enum ModelCommand {
 /// Flags of `plan`.
 #[derive(Debug, Args)]
 pub struct PlanArgs {
-    /// Desired trajectory (TOML or CSV).
+    /// Desired trajectory (TOML or CSV), or the name of a shipped one.
     pub trajectory: PathBuf,
-    /// Model file of `train` [default: the vehicle file's own physics].
+    /// Model file from `train` [default: the vehicle file's own physics].
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Which of its models [default: the one that predicted best].
     #[arg(long, value_enum, requires = "model")]
     pub kind: Option<ModelKind>,
-    /// Vehicle file [default: the model's vehicle, else a built-in nano quadrotor].
+    /// Vehicle file, or the name of a shipped one [default: the model's vehicle, else
+    /// crazyflie].
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
     /// The plan to write.

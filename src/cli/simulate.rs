@@ -9,9 +9,9 @@ use super::{LearnArgs, SimulationArgs, ViewArgs};
 /// Flags of `simulate`.
 #[derive(Debug, Args)]
 pub struct SimulateArgs {
-    /// Trajectory file, the name of a shipped one, or a plan [default: the built-in sinusoid-yaw].
+    /// Trajectory file, the name of a shipped one, or a plan [default: sinusoid-yaw].
     pub trajectory: Option<PathBuf>,
-    /// Vehicle file, or the name of a shipped one [default: a built-in nano quadrotor].
+    /// Vehicle file, or the name of a shipped one [default: crazyflie].
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
     /// The simulated vehicle.

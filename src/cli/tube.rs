@@ -38,13 +38,13 @@ pub struct TubeFitArgs {
     /// Calibration flights to simulate.
     #[arg(long, value_name = "COUNT", default_value_t = 500, requires = "along")]
     pub flights: u32,
-    /// Model file of `train` [default: the vehicle file's own physics].
+    /// Model file from `train` [default: the vehicle file's own physics].
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Which of its models [default: the one that predicted best].
     #[arg(long, value_enum, requires = "model")]
     pub kind: Option<ModelKind>,
-    /// Vehicle file, or the name of a shipped one [default: a built-in nano quadrotor].
+    /// Vehicle file, or the name of a shipped one [default: crazyflie].
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
     /// The simulated vehicle. Each flight's random disturbances are added to its effects.
@@ -72,7 +72,7 @@ pub struct TubeCheckArgs {
     /// Flights to simulate. None repeats a flight of `tube fit`, whatever the seeds.
     #[arg(long, value_name = "COUNT", default_value_t = 1000)]
     pub flights: u32,
-    /// Vehicle file, or the name of a shipped one [default: a built-in nano quadrotor].
+    /// Vehicle file, or the name of a shipped one [default: crazyflie].
     #[arg(long)]
     pub vehicle: Option<PathBuf>,
     /// The simulated vehicle. Each flight's random disturbances are added to its effects.

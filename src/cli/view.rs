@@ -3,7 +3,7 @@
 use clap::Args;
 use wire::Endpoint;
 
-/// Where a view is served that is asked for without an address.
+/// Address of `--view` without one.
 pub const VIEW_ADDRESS: &str = "127.0.0.1:8765";
 
 /// Address of `--metrics` without one.
@@ -56,7 +56,7 @@ pub struct FlightViewArgs {
     #[command(flatten)]
     pub watch: ViewArgs,
     /// Lets viewers move the goal and scale the feedback, within offboard.adjustment of the
-    /// configuration and where the supervisor heeds them; each change is in the log.
+    /// configuration and where the supervisor allows it; each change is in the log.
     #[arg(long, requires = "view")]
     pub view_write: bool,
 }
