@@ -1,4 +1,4 @@
-//! What the terminal view shows of a flight.
+//! The content of the terminal view of a flight.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -6,22 +6,24 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use crate::log::record::{LinkStats, Record, Tick};
 use crate::log::sink::Listener;
 
-/// Messages that are kept, to scroll in and to print in the end.
+/// Number of kept messages, to scroll through and to print at the end.
 const MESSAGES: usize = 500;
 
-/// What the screen shows beside the status.
+/// The content of the screen besides the status.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Seen {
     pub tick: Option<Tick>,
     pub link: Option<LinkStats>,
-    /// V and A.
-    pub battery: (Option<f64>, Option<f64>),
+    /// Battery voltage, V.
+    pub voltage: Option<f64>,
+    /// Battery current, A.
+    pub current: Option<f64>,
     pub messages: VecDeque<String>,
-    /// How many of the newest messages are scrolled past.
+    /// Number of newest messages that are scrolled out of view.
     pub scrolled: usize,
 }
 
-/// What is seen of one flight. The log's thread and whoever has a message write it.
+/// The shared content of one flight's view. The log's thread and every source of messages write it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scene(Arc<Mutex<Seen>>);
 
@@ -30,7 +32,7 @@ impl Scene {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds lines to the messages, without the colours that they may have.
+    /// Adds lines to the messages, without their colours.
     pub fn print(&self, text: &[u8]) {
         let text = without_colours(&String::from_utf8_lossy(text));
         let mut seen = self.lock();
@@ -39,9 +41,9 @@ impl Scene {
                 seen.messages.pop_front();
             }
             seen.messages.push_back(line.to_owned());
-            // What is read stays where it is.
+            // While the user reads older messages, they keep their place until they are dropped.
             if seen.scrolled > 0 {
-                seen.scrolled += 1;
+                seen.scrolled = (seen.scrolled + 1).min(seen.messages.len() - 1);
             }
         }
     }
@@ -53,20 +55,21 @@ impl Listener for Scene {
             Record::Tick(tick) => self.lock().tick = Some(*tick),
             Record::Link { stats, .. } => self.lock().link = Some(*stats),
             Record::Battery { voltage, current, .. } => {
-                self.lock().battery = (*voltage, *current);
+                let mut seen = self.lock();
+                (seen.voltage, seen.current) = (*voltage, *current);
             }
             _ => {}
         }
     }
 }
 
-/// The text without terminal sequences, so that none that a vehicle sends gets to the terminal.
+/// The text without terminal sequences, so that none from a vehicle reaches the terminal.
 fn without_colours(text: &str) -> String {
     let mut plain = String::with_capacity(text.len());
     let mut rest = text.chars();
     while let Some(character) = rest.next() {
         if character == '\u{1b}' {
-            // To the letter that ends it.
+            // Skips to the letter that ends the sequence.
             let mut sequence = rest.by_ref().skip_while(|c| *c == '[');
             sequence.find(|c| c.is_ascii_alphabetic());
         } else if character == '\n' || !character.is_control() {
@@ -97,5 +100,6 @@ mod tests {
         (0..2 * MESSAGES).for_each(|n| scene.print(format!("{n}\n").as_bytes()));
         assert_eq!(scene.lock().messages.len(), MESSAGES);
         assert_eq!(scene.lock().messages.back().map(String::as_str), Some("999"));
+        assert_eq!(scene.lock().scrolled, MESSAGES - 1, "the oldest message is still in view");
     }
 }

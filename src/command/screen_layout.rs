@@ -1,4 +1,4 @@
-//! What stands where on the terminal view.
+//! The layout of the terminal view.
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -12,7 +12,7 @@ use crate::station::Status;
 const GOOD: Color = Color::Green;
 const BAD: Color = Color::Red;
 
-/// Below this share of charge the battery is shown as a warning.
+/// Share of charge below which the battery is shown as a warning.
 const LOW_CHARGE: f64 = 0.2;
 
 pub(super) fn draw(frame: &mut Frame<'_>, title: &str, status: &Status, seen: &Seen) {
@@ -152,14 +152,17 @@ fn draw_progress(frame: &mut Frame<'_>, area: Rect, status: &Status) {
 }
 
 fn draw_battery(frame: &mut Frame<'_>, area: Rect, status: &Status, seen: &Seen) {
-    let (voltage, current) = seen.battery;
     let share = known(status.battery.map(|share| 100.0 * share), 0, "%");
-    let label = format!("battery {share}, {}, {}", known(voltage, 2, "V"), known(current, 1, "A"));
+    let label = format!(
+        "battery {share}, {}, {}",
+        known(seen.voltage, 2, "V"),
+        known(seen.current, 1, "A")
+    );
     let colour = if status.battery.is_some_and(|left| left < LOW_CHARGE) { BAD } else { GOOD };
     draw_gauge(frame, area, status.battery.unwrap_or(0.0), label, colour);
 }
 
-/// The newest at the bottom.
+/// The newest message is at the bottom.
 fn draw_messages(frame: &mut Frame<'_>, area: Rect, seen: &Seen) {
     let block = Block::bordered().title("events");
     let height = usize::from(block.inner(area).height);
