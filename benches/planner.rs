@@ -40,7 +40,7 @@ fn planned(vehicle: &VehicleParams) -> PlannedVehicle {
             mass_kg: vehicle.mass,
             inertia: vehicle.inertia,
             gravity: vehicle.gravity,
-            thrust_full_n: vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
+            thrust_full_n: vehicle.thrust_full_n(),
         },
         attitude_pd: vehicle.attitude_pd.expect("an attitude loop"),
         limits: Limits::default(),

@@ -36,7 +36,7 @@ pub fn fly(effect: &str, law: Law) -> anyhow::Result<(End, f64)> {
     let mut vehicle = Vehicle::new(params.clone(), effects, SitlConfig::default(), 1)?;
 
     // The ground station: its assumptions about the vehicle, and the flight.
-    let thrust_full_n = params.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
+    let thrust_full_n = params.thrust_full_n();
     let hover =
         HoverVehicle { mass_kg: params.mass, inertia: params.inertia, gravity: params.gravity };
     let thrust = ThrustMap::linear(thrust_full_n).context("no thrust")?;

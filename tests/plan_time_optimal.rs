@@ -256,7 +256,7 @@ fn flight_planner(settings: PlanSettings) -> FlightPlanner {
 fn race_plan(task: &Task, planner: &FlightPlanner) -> (Plan, Knots) {
     let planned = planner.plan(task, &task.margin, Stop::NEVER).expect("a plan");
     let vehicle = crazyflie();
-    let thrust_full_n = vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
+    let thrust_full_n = vehicle.thrust_full_n();
     let desired = planned.outcome.iterate.states.clone();
     let plan = Plan::new(
         Found {

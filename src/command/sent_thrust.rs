@@ -1,10 +1,10 @@
-//! A model of accelerations behind the map from thrust to what is sent.
+//! A model of accelerations whose input is the requested thrust instead of the sent one.
 //!
-//! Models take the rotors' thrust in the nominal vehicle's numbers, as the firmware's mixer has it.
-//! The daemon sends a thrust in newton through the map of the vehicle file's modelled effects, so
-//! that the rotors give what was asked for. A plan is in what is asked for: between the two is the
-//! map, or thrust effects would be made up for twice. An autopilot that straightens the curve of its
-//! motors itself does so for each rotor, behind its mixer.
+//! Models take the nominal vehicle's thrust, as the firmware's mixer does. The daemon maps a
+//! requested thrust (N) through the vehicle file's modelled effects, so that the rotors give the
+//! requested thrust. A plan contains requested thrusts. Without the map between the two, the plan
+//! would compensate for thrust effects twice. An autopilot that linearises its motors' curve itself
+//! does so for each rotor, behind its mixer.
 
 use std::sync::Arc;
 
@@ -17,13 +17,13 @@ use vehicle::{ROTORS, VehicleParams};
 
 /// Column of the thrust in a [`Jacobian`]; the moments follow.
 const INPUT: usize = 9;
-/// Least slope of a rotor's thrust over its output, both over full, that is divided by.
+/// Least divisor: slope of a rotor's thrust over its output, both relative to full.
 const SLOPE_MIN: f64 = 1e-3;
-/// Over this share of full thrust the map's slope is taken, to each side.
+/// Half width of the difference quotient of the map's slope, as a share of full thrust.
 const SLOPE_SHARE: f64 = 1e-4;
 
-/// `model` with the thrust that is asked for as its input; as it is, where the vehicle file has no
-/// effect on the thrust.
+/// `model` with the requested thrust as its input; unchanged if the vehicle file has no effect on
+/// the thrust.
 pub(super) fn behind_the_map(
     model: Arc<dyn Model>,
     params: &VehicleParams,
@@ -40,18 +40,18 @@ pub(super) fn behind_the_map(
     Ok(Arc::new(sent))
 }
 
-/// A model whose input is what is asked for.
+/// A model whose input is the requested thrust.
 struct SentThrust {
     model: Arc<dyn Model>,
     map: ThrustMap,
     requested_full_n: f64,
-    /// Of the firmware's mixer.
+    /// Full thrust according to the firmware's mixer.
     nominal_full_n: f64,
 }
 
 impl SentThrust {
     fn new(model: Arc<dyn Model>, params: &VehicleParams, vehicle: &EffectiveVehicle) -> Self {
-        let nominal_full_n = params.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
+        let nominal_full_n = params.thrust_full_n();
         let (map, requested_full_n) = (vehicle.thrust, vehicle.thrust_full_n);
         Self { model, map, requested_full_n, nominal_full_n }
     }
@@ -74,7 +74,7 @@ impl Model for SentThrust {
     fn linearize(&self, at: &Point) -> ([f64; ACCELERATIONS], Jacobian) {
         let (accelerations, mut jacobian) = self.model.linearize(&self.behind(at));
         let step = SLOPE_SHARE * self.requested_full_n;
-        // Within the range of the map, whose ends are flat.
+        // Within the range of the map, which is flat at its ends.
         let middle = at.input[0].clamp(step, self.requested_full_n - step);
         let slope = (self.nominal(middle + step) - self.nominal(middle - step)) / (2.0 * step);
         for row in &mut jacobian {
@@ -84,8 +84,8 @@ impl Model for SentThrust {
     }
 }
 
-/// A model whose input is a wrench that the autopilot makes rotor by rotor: it bends each output so
-/// that the rotor gives the thrust that the mixer wants.
+/// A model whose input is a wrench that the autopilot realises rotor by rotor: it corrects each
+/// output so that the rotor gives the mixer's thrust.
 struct LinearisedRotors {
     model: Arc<dyn Model>,
     mixer: Allocation,
@@ -109,8 +109,7 @@ impl LinearisedRotors {
         Ok(Self { model, mixer, map, square_share, scale })
     }
 
-    /// Outputs for a wrench, and how fast each rises with the share of full thrust that its rotor
-    /// is to give.
+    /// Outputs for a wrench, and the slope of each over its rotor's share of full thrust.
     fn outputs(&self, wrench: [f64; 4]) -> ([f64; ROTORS], [f64; ROTORS]) {
         let shares = self.mixer.outputs(wrench);
         let outputs = std::array::from_fn(|i| self.map.fraction(shares[i] / self.scale));
@@ -135,7 +134,7 @@ impl Model for LinearisedRotors {
         let (accelerations, mut jacobian) = self.model.linearize(&self.behind(at));
         let (_, slopes) = self.outputs(at.input);
         let inverse = self.mixer.inverse();
-        // Of the wrench that the outputs nominally are, by each component that is asked for.
+        // Derivative of the outputs' nominal wrench by each requested component.
         let by_requested: [[f64; 4]; 4] = std::array::from_fn(|j| {
             let full = self.mixer.thrust_max();
             self.mixer.wrench(std::array::from_fn(|i| slopes[i] * inverse[i][j] / full[i]))

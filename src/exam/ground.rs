@@ -102,7 +102,7 @@ impl Ground {
             controller,
             limits,
             hover,
-            thrust_full_n: vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
+            thrust_full_n: vehicle.thrust_full_n(),
             encoder: Encoder::new(SYSTEM, COMPONENT),
             attitude: None,
             body_rate: Frd::zero(),

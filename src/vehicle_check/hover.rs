@@ -18,7 +18,7 @@ const SAMPLES_MIN: usize = 20;
 /// down.
 pub(super) fn held(flight: &Flight, spans: &[Range<f64>], vehicle: &VehicleParams) -> Held {
     let weight = vehicle.mass * vehicle.gravity;
-    let full: f64 = vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
+    let full = vehicle.thrust_full_n();
     let ratios: Vec<f64> =
         blocks(spans).iter().filter_map(|block| ratio(flight, block, vehicle)).collect();
     let held = Held {

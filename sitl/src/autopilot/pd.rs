@@ -77,7 +77,7 @@ mod tests {
             prop_assume!(outputs.iter().all(|u| (0.001..0.999).contains(u)));
             let made = vehicle.allocation().unwrap().wrench(outputs);
             let expected = [
-                0.5 * vehicle.rotors.iter().map(|r| r.thrust_max_n).sum::<f64>(),
+                0.5 * vehicle.thrust_full_n(),
                 -pd.kp[0] * roll - pd.kd[0] * rate,
                 -pd.kp[1] * pitch,
                 -pd.kp[2] * yaw,

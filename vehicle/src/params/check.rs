@@ -21,7 +21,7 @@ const GYRATION_TILT: [f64; 2] = [0.18, 0.95];
 const GYRATION_YAW: [f64; 2] = [0.25, 1.3];
 /// Distance of the rotors from the centre, m: from what lies in a hand to what lifts people.
 const ARM_M: [f64; 2] = [0.01, 5.0];
-/// So many times beyond what is expected of it a moment of inertia is no vehicle's.
+/// Factor beyond the expected range at which a moment of inertia belongs to no vehicle.
 const INERTIA_ABSURD: f64 = 50.0;
 /// Units in which moments of inertia are often given, in kg m^2.
 const INERTIA_UNITS: [(f64, &str); 5] =
@@ -34,6 +34,8 @@ const LOOP_RAD_S: [f64; 2] = [1.0, 50.0];
 const LOOP_DAMPING: [f64; 2] = [0.3, 4.0];
 /// Rate gain over inertia, times lag and delay, above which the rate loop oscillates.
 const RATE_LOOP_LAG: f64 = 3.0;
+/// Most of `command_delay_s` that the rate loop sees, s. The rest is the link's.
+const ONBOARD_DELAY_MAX_S: f64 = 0.01;
 /// The axes' names in messages.
 const AXES: [&str; 3] = ["roll", "pitch", "yaw"];
 
@@ -74,7 +76,7 @@ impl VehicleParams {
         remarks.extend(self.hover_remark().filter(|_| is_light));
         let arm = self.arm_remark();
         let inertia = self.inertia_remarks();
-        // Moments of inertia are held against the arm.
+        // Moments of inertia and rotors are compared with the arm, so a wrong arm explains them too.
         remarks.extend(inertia.into_iter().filter(|_| arm.is_none()));
         remarks.extend(self.rotor_remarks().into_iter().filter(|_| arm.is_none()));
         remarks.extend(arm);
@@ -84,8 +86,7 @@ impl VehicleParams {
     }
 
     fn thrust_to_weight(&self) -> Option<Remark> {
-        let full: f64 = self.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
-        let weight = self.mass * self.gravity;
+        let (full, weight) = (self.thrust_full_n(), self.weight_n());
         let ratio = full / weight;
         let [least, most] = THRUST_TO_WEIGHT;
         if (least..=most).contains(&ratio) {
@@ -147,7 +148,7 @@ impl VehicleParams {
             return None;
         }
         let is_an_arm = |factor: f64| (least..=most).contains(&(factor * arm));
-        // Of several units the one that the moments of inertia go with.
+        // Of several units, the one that fits the moments of inertia.
         let gyration = (self.inertia[0] / self.mass).sqrt();
         let fits = |factor: f64| {
             let [least, most] = GYRATION_TILT;
@@ -209,7 +210,7 @@ impl VehicleParams {
     fn loop_remarks(&self) -> Vec<Remark> {
         let Some(pd) = self.attitude_loop_pd() else { return Vec::new() };
         let field = if self.attitude_pd.is_some() { "attitude_pd" } else { "attitude_cascade" };
-        let lag = self.motor_time_constant_s + self.command_delay_s.min(0.01);
+        let lag = self.motor_time_constant_s + self.command_delay_s.min(ONBOARD_DELAY_MAX_S);
         let mut remarks = Vec::new();
         for (axis, name) in AXES.into_iter().enumerate() {
             let (kp, kd, moment) = (pd.kp[axis], pd.kd[axis], self.inertia[axis]);
@@ -364,10 +365,7 @@ mod tests {
 
     #[test]
     fn numbers_are_printed_briefly() {
-        let range_text = [0.0, 0.0123456, 1.23456, 12.3456, 1234.56, 1.0e300, 2.0e-7].map(brief);
-        assert_eq!(
-            range_text,
-            ["0.00000", "0.0123", "1.23", "12.3", "1235", "1.00e300", "2.00e-7"]
-        );
+        let printed = [0.0, 0.0123456, 1.23456, 12.3456, 1234.56, 1.0e300, 2.0e-7].map(brief);
+        assert_eq!(printed, ["0.00000", "0.0123", "1.23", "12.3", "1235", "1.00e300", "2.00e-7"]);
     }
 }

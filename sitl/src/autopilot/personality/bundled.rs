@@ -32,7 +32,7 @@ impl OnboardLoop for AttitudeLoop {
 /// The defaults are PX4's where PX4 has the parameter. Exceptions are the loss action (Land, which
 /// needs only the vehicle) and COM_RC_OVERRIDE (sticks also end OFFBOARD: the pilot wins).
 fn table(vehicle: &VehicleParams, pd: &AttitudePd) -> Vec<Spec> {
-    let thrust_max: f64 = vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum();
+    let thrust_max = vehicle.thrust_full_n();
     let float_fact = |name, value: f64| fact(name, Value::Float(value as f32));
     vec![
         // Cells in series.

@@ -16,7 +16,7 @@ const LENGTH_UNITS: [(f64, &str); 3] = [(1e-2, "cm"), (1e-3, "mm"), (0.0254, "in
 const SPEED_UNITS: [(f64, &str); 2] = [(60.0 / std::f64::consts::TAU, "rad/s"), (60.0, "1/s")];
 
 impl VehicleParams {
-    /// If the radius does not fit, the numbers that are held against it say nothing more.
+    /// If the radius does not fit, comparisons with it say nothing more.
     pub(super) fn rotor_remarks(&self) -> Vec<Remark> {
         let radius = self.radius_remark();
         if radius.is_some() {
