@@ -5,6 +5,7 @@
 //! The nominal vehicle is a rigid body with thrust along -z body and a drag torque at each rotor.
 //! Aerodynamics and a dependence on voltage come from effects only.
 
+mod aerodynamics;
 mod body_laws;
 mod constants;
 mod loads;
@@ -15,10 +16,10 @@ pub(crate) use body_laws::Lawless;
 pub use constants::{Constants, RotorConstants};
 pub use loads::{Environment, Loads};
 
+use self::aerodynamics::Aerodynamics;
 use self::wiring::FlowEffects;
 use crate::effects::{
-    BatterySag, Effect, EffectId, EffectSet, Flow, RotorDrag, RotorGyroscopic, ThrustCurve, Wind,
-    Wrench,
+    BatterySag, Effect, EffectId, EffectSet, RotorDrag, RotorGyroscopic, ThrustCurve, Wind, Wrench,
 };
 use crate::frame::{Frd, Ned};
 use crate::law::{Laws, Needed, QUANTITIES, Quantity};
@@ -26,22 +27,6 @@ use crate::params::{ROTORS, VehicleError, VehicleParams};
 use crate::rigid_body::{RigidBody, State};
 use crate::rotor::Allocation;
 use crate::scalar::Scalar;
-
-/// The effects that depend on the airflow past the vehicle, linear drag and angular damping.
-#[derive(Clone, Copy, Debug, Default)]
-struct Aerodynamics {
-    effects: FlowEffects,
-    /// Linear drag in N per m/s.
-    linear_drag: Option<f64>,
-    /// Damping moment per body rate in N m s.
-    angular_damping: Option<[f64; 3]>,
-}
-
-impl Aerodynamics {
-    fn is_empty(&self) -> bool {
-        self.effects.is_empty() && self.linear_drag.is_none() && self.angular_damping.is_none()
-    }
-}
 
 /// A vehicle with effects, ready to evaluate.
 #[derive(Clone, Copy, Debug)]
@@ -217,12 +202,7 @@ impl Physics {
 
     #[inline(always)]
     fn dense_under<M>(&self, laws: M) -> Physics<M> {
-        let some = self.aerodynamics.unwrap_or_default();
-        let aerodynamics = Aerodynamics {
-            effects: some.effects.dense(),
-            linear_drag: Some(some.linear_drag.unwrap_or_default()),
-            angular_damping: Some(some.angular_damping.unwrap_or_default()),
-        };
+        let aerodynamics = self.aerodynamics.unwrap_or_default().dense();
         Physics {
             aerodynamics: Some(aerodynamics),
             spin_momentum_max: Some(self.spin_momentum_max.unwrap_or_default()),
@@ -441,42 +421,6 @@ impl<L: BodyLaws> Physics<L> {
             wrench.moment += Frd::new(-(q * h), p * h, -loads.spin_momentum_rate);
         }
         wrench
-    }
-
-    #[inline(always)]
-    fn add_aerodynamics<T: Scalar>(
-        &self,
-        aerodynamics: &Aerodynamics,
-        state: &State<T>,
-        loads: &Loads<T>,
-        env: &Environment,
-        wrench: &mut Wrench<T>,
-    ) {
-        let air_relative = state.velocity - env.air_velocity.map(T::from);
-        let air_relative = state.attitude.to_body(air_relative);
-        let (x, y) = (air_relative.front(), air_relative.right());
-        let flow = Flow {
-            air_relative,
-            horizontal_speed2: x * x + y * y,
-            rotor_speed_ratio: loads.rotor_speed_ratio,
-            thrust: loads.thrust,
-            height: -state.position.down() + env.floor,
-            air_density: self.air_density,
-            inverse_induced_velocity: self.inverse_induced_velocity,
-        };
-
-        let factor = aerodynamics.effects.thrust_factor(&flow);
-        let [roll, pitch, yaw] = wrench.moment.to_array();
-        wrench.moment = Frd::new(roll * factor, pitch * factor, yaw);
-        wrench.force = wrench.force * factor;
-
-        aerodynamics.effects.add(&flow, wrench);
-        if let Some(coefficient) = aerodynamics.linear_drag {
-            wrench.force += air_relative * T::from(-coefficient);
-        }
-        if let Some(damping) = aerodynamics.angular_damping {
-            wrench.moment += state.body_rate.scale_by(damping.map(|k| T::from(-k)));
-        }
     }
 
     /// Acceleration in world axes (m/s^2) and angular acceleration in body axes (rad/s^2) under the

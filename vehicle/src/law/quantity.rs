@@ -13,7 +13,7 @@ macro_rules! quantities {
     ($($variant:ident $name:literal $unit:ident $about:literal),+ $(,)?) => {
         /// A quantity that a formula may use.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-        #[allow(missing_docs)] // each says what it is by `about`
+        #[allow(missing_docs)] // `about` describes each
         pub enum Quantity {
             $($variant),+
         }
