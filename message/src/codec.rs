@@ -3,6 +3,9 @@
 //! MAVLink's units, frames and markers for unset fields end here. The codec refuses numbers that
 //! are not finite or physically impossible, so the code behind it need not check.
 
+mod condition;
+mod wrapping_clock;
+
 use std::collections::BTreeMap;
 
 use mavlink::MessageData;
@@ -10,10 +13,11 @@ use vehicle::frame::{Attitude, Euler, Ned};
 use wire::Frame;
 use wire::dialect::*;
 
+pub use self::condition::heartbeat;
+use self::condition::{battery, landed_state, sys_status};
+use self::wrapping_clock::WrappingClock;
 use crate::clock::VehicleTime;
-use crate::inbound::{
-    AttitudeSource, Battery, ChargeState, Inbound, LandedState, MotorSource, SystemState,
-};
+use crate::inbound::{AttitudeSource, Inbound, MotorSource};
 use crate::parameter_value::{self, ParameterCast};
 use crate::text::TextAssembler;
 
@@ -27,8 +31,6 @@ const RATE_MAX: f64 = 200.0;
 const SPECIFIC_FORCE_MAX: f64 = 3e3;
 /// Largest Euler angle: autopilots send (-pi, pi] or [0, 2 pi).
 const ANGLE_MAX: f64 = 2.0 * std::f64::consts::PI + 0.01;
-/// A time stamp further behind the newest than this means a restarted vehicle, not a late frame, s.
-const LATE_MAX_S: f64 = 10.0;
 /// Largest number of parameter types kept; autopilots have about two thousand parameters.
 const PARAMETERS_MAX: usize = 8192;
 
@@ -68,7 +70,7 @@ pub struct Codec {
     cast: ParameterCast,
     /// Types of the parameters received so far; PARAM_SET needs them.
     parameter_types: BTreeMap<String, MavParamType>,
-    latest: VehicleTime,
+    clock: WrappingClock,
 }
 
 impl Codec {
@@ -97,11 +99,7 @@ impl Codec {
         let message = frame.message().map_err(|_| Refusal::Malformed)?;
         let decoded = self.message(&message)?;
         if let Some((Some(time), _)) = decoded {
-            // Late frames change nothing; a clock that is far behind has restarted.
-            let is_late = time < self.latest && self.latest.seconds_since(time) < LATE_MAX_S;
-            if !is_late {
-                self.latest = time;
-            }
+            self.clock.observe(time);
         }
         Ok(decoded)
     }
@@ -111,11 +109,13 @@ impl Codec {
         Ok(Some(match message {
             M::ODOMETRY(data) => odometry(data)?,
             M::ATTITUDE_QUATERNION(data) => {
-                (Some(self.unwrap_ms(data.time_boot_ms)), attitude_quaternion(data)?)
+                (Some(self.clock.extend_ms(data.time_boot_ms)), attitude_quaternion(data)?)
             }
-            M::ATTITUDE(data) => (Some(self.unwrap_ms(data.time_boot_ms)), attitude_euler(data)?),
+            M::ATTITUDE(data) => {
+                (Some(self.clock.extend_ms(data.time_boot_ms)), attitude_euler(data)?)
+            }
             M::LOCAL_POSITION_NED(data) => {
-                (Some(self.unwrap_ms(data.time_boot_ms)), local_position(data)?)
+                (Some(self.clock.extend_ms(data.time_boot_ms)), local_position(data)?)
             }
             M::HIGHRES_IMU(data) => imu(data)?,
             M::ACTUATOR_OUTPUT_STATUS(data) => {
@@ -125,12 +125,12 @@ impl Codec {
             }
             M::SERVO_OUTPUT_RAW(data) if data.port == 0 => {
                 let raw = [data.servo1_raw, data.servo2_raw, data.servo3_raw, data.servo4_raw];
-                let time = self.unwrap_us(data.time_usec);
+                let time = self.clock.extend_us(data.time_usec);
                 outputs(MotorSource::ServoOutputRaw, time, raw.map(f32::from))?
             }
             M::BATTERY_STATUS(data) if data.id == 0 => (None, battery(data)),
             M::ATTITUDE_TARGET(data) => {
-                (Some(self.unwrap_ms(data.time_boot_ms)), attitude_target(data)?)
+                (Some(self.clock.extend_ms(data.time_boot_ms)), attitude_target(data)?)
             }
             M::SYS_STATUS(data) => (None, sys_status(data)),
             M::EXTENDED_SYS_STATE(data) => (None, landed_state(data)),
@@ -172,27 +172,6 @@ impl Codec {
             _ => return Ok(None),
         }))
     }
-
-    /// Extends a 32-bit counter of microseconds, which wraps every 71.6 minutes.
-    fn unwrap_us(&self, low: u32) -> VehicleTime {
-        VehicleTime::from_us(unwrap(self.latest.as_us(), low, LATE_MAX_S * 1e6))
-    }
-
-    /// Extends a 32-bit counter of milliseconds, which wraps every 49.7 days.
-    fn unwrap_ms(&self, low: u32) -> VehicleTime {
-        let ms = unwrap(self.latest.as_us() / 1000, low, LATE_MAX_S * 1e3);
-        VehicleTime::from_us(ms.saturating_mul(1000))
-    }
-}
-
-/// The value nearest to `latest` whose lower half is `low`. A value further back than `late_max`
-/// means that the vehicle has restarted and counts from zero.
-fn unwrap(latest: u64, low: u32, late_max: f64) -> u64 {
-    let ahead = i64::from(low.wrapping_sub(latest as u32) as i32);
-    match latest.checked_add_signed(ahead) {
-        Some(value) if ahead as f64 >= -late_max => value,
-        _ => low.into(),
-    }
 }
 
 /// Whether a message carries the time of its sample, which makes each one unique.
@@ -225,19 +204,6 @@ fn is_understood(id: u32) -> bool {
         )
 }
 
-/// Decodes a HEARTBEAT byte by byte: a vehicle type that the dialect lacks must not hide the
-/// vehicle.
-pub fn heartbeat(payload: &[u8]) -> Inbound {
-    let byte = |index: usize| payload.get(index).copied().unwrap_or(0);
-    Inbound::Heartbeat {
-        custom_mode: u32::from_le_bytes([byte(0), byte(1), byte(2), byte(3)]),
-        vehicle_type: byte(4),
-        autopilot: byte(5),
-        armed: byte(6) & MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED.bits() != 0,
-        system: SystemState::from(byte(7)),
-    }
-}
-
 fn odometry(data: &ODOMETRY_DATA) -> Result<Decoded, Refusal> {
     let (frame, child) = (data.frame_id, data.child_frame_id);
     if frame != MavFrame::MAV_FRAME_LOCAL_NED {
@@ -245,7 +211,7 @@ fn odometry(data: &ODOMETRY_DATA) -> Result<Decoded, Refusal> {
     }
     let attitude = unit(data.q)?;
     let velocity = bounded([data.vx, data.vy, data.vz], SPEED_MAX)?;
-    let velocity: Ned = match data.child_frame_id {
+    let velocity: Ned = match child {
         MavFrame::MAV_FRAME_LOCAL_NED => velocity.into(),
         MavFrame::MAV_FRAME_BODY_FRD => attitude.to_world(velocity.into()),
         _ => return Err(Refusal::OdometryFrame { frame, child }),
@@ -303,37 +269,6 @@ fn outputs(source: MotorSource, time: VehicleTime, outputs: [f32; 4]) -> Result<
     }
 }
 
-/// Cells are in mV, 65535 if unused. Autopilots that measure only the pack put its voltage in the
-/// first cell and the overflow in the next, so the sum is right in both cases.
-fn battery(data: &BATTERY_STATUS_DATA) -> Inbound {
-    let cells = data.voltages.iter().filter(|&&cell| cell != u16::MAX);
-    let further = data.voltages_ext.iter().filter(|&&cell| cell != 0 && cell != u16::MAX);
-    let (count, sum_mv) = cells
-        .chain(further)
-        .fold((0, 0.0), |(count, sum), &cell| (count + 1, sum + f64::from(cell)));
-    Inbound::Battery(Battery {
-        voltage: (count > 0).then_some(sum_mv / 1000.0),
-        current: (data.current_battery >= 0).then(|| f64::from(data.current_battery) / 100.0),
-        remaining: (0..=100)
-            .contains(&data.battery_remaining)
-            .then(|| f64::from(data.battery_remaining) / 100.0),
-        charge: charge_state(data.charge_state),
-    })
-}
-
-fn charge_state(state: MavBatteryChargeState) -> ChargeState {
-    use MavBatteryChargeState as M;
-    match state {
-        M::MAV_BATTERY_CHARGE_STATE_OK | M::MAV_BATTERY_CHARGE_STATE_CHARGING => ChargeState::Ok,
-        M::MAV_BATTERY_CHARGE_STATE_LOW => ChargeState::Low,
-        M::MAV_BATTERY_CHARGE_STATE_CRITICAL
-        | M::MAV_BATTERY_CHARGE_STATE_EMERGENCY
-        | M::MAV_BATTERY_CHARGE_STATE_FAILED
-        | M::MAV_BATTERY_CHARGE_STATE_UNHEALTHY => ChargeState::Critical,
-        _ => ChargeState::Unknown,
-    }
-}
-
 fn attitude_target(data: &ATTITUDE_TARGET_DATA) -> Result<Inbound, Refusal> {
     let ignored = AttitudeTargetTypemask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE;
     let rates = [data.body_roll_rate, data.body_pitch_rate, data.body_yaw_rate];
@@ -347,23 +282,6 @@ fn attitude_target(data: &ATTITUDE_TARGET_DATA) -> Result<Inbound, Refusal> {
         type_mask: data.type_mask.bits(),
     };
     Ok(message)
-}
-
-fn sys_status(data: &SYS_STATUS_DATA) -> Inbound {
-    let health = data.onboard_control_sensors_health.bits();
-    let enabled = data.onboard_control_sensors_enabled.bits();
-    let in_use = data.onboard_control_sensors_present.bits() & enabled;
-    Inbound::SysStatus { unhealthy: in_use & !health, health, enabled }
-}
-
-fn landed_state(data: &EXTENDED_SYS_STATE_DATA) -> Inbound {
-    Inbound::LandedState(match data.landed_state {
-        MavLandedState::MAV_LANDED_STATE_ON_GROUND => LandedState::OnGround,
-        MavLandedState::MAV_LANDED_STATE_IN_AIR => LandedState::InAir,
-        MavLandedState::MAV_LANDED_STATE_TAKEOFF => LandedState::TakingOff,
-        MavLandedState::MAV_LANDED_STATE_LANDING => LandedState::Landing,
-        MavLandedState::MAV_LANDED_STATE_UNDEFINED => LandedState::Undefined,
-    })
 }
 
 fn unit(q: [f32; 4]) -> Result<Attitude, Refusal> {
@@ -446,76 +364,6 @@ mod tests {
         assert_eq!(decode(&MavMessage::ATTITUDE(spin)), Err(Refusal::OutOfRange));
         let far = LOCAL_POSITION_NED_DATA { vz: f32::INFINITY, ..Default::default() };
         assert_eq!(decode(&MavMessage::LOCAL_POSITION_NED(far)), Err(Refusal::OutOfRange));
-    }
-
-    #[test]
-    fn battery_voltage_is_decoded_from_cells_or_pack() {
-        let voltage = |voltages, voltages_ext| {
-            let data = BATTERY_STATUS_DATA {
-                voltages,
-                voltages_ext,
-                current_battery: -1,
-                battery_remaining: -1,
-                ..Default::default()
-            };
-            match decode(&MavMessage::BATTERY_STATUS(data)).unwrap().unwrap().1 {
-                Inbound::Battery(Battery { voltage, current: None, remaining: None, .. }) => {
-                    voltage
-                }
-                other => panic!("{other:?}"),
-            }
-        };
-        let unused = u16::MAX;
-        let mut pack = [unused; 10];
-        pack[0] = 16_200;
-        assert_eq!(voltage(pack, [0; 4]), Some(16.2));
-        let cells = [4_050, 4_050, 4_050, 4_050, unused, unused, unused, unused, unused, unused];
-        assert_eq!(voltage(cells, [0; 4]), Some(16.2));
-        assert_eq!(voltage([unused; 10], [0; 4]), None);
-    }
-
-    #[test]
-    fn unknown_vehicle_type_still_decodes_as_a_heartbeat() {
-        let payload = [0x00, 0x00, 0x06, 0x00, 250, 12, 0x81, 4, 3];
-        let expected = Inbound::Heartbeat {
-            autopilot: 12,
-            vehicle_type: 250,
-            armed: true,
-            custom_mode: 0x0006_0000,
-            system: SystemState::Active,
-        };
-        assert_eq!(heartbeat(&payload), expected);
-    }
-
-    #[test]
-    fn servo_time_is_unwrapped() {
-        let mut codec = Codec::default();
-        let hour_and_more = (1u64 << 32) + 1_000;
-        let attitude = HIGHRES_IMU_DATA { time_usec: hour_and_more, ..Default::default() };
-        decode_with(&mut codec, &MavMessage::HIGHRES_IMU(attitude)).unwrap();
-        let mut time = |time_usec| {
-            let data = SERVO_OUTPUT_RAW_DATA { time_usec, servo1_raw: 1500, ..Default::default() };
-            decode_with(&mut codec, &MavMessage::SERVO_OUTPUT_RAW(data)).unwrap().unwrap().0
-        };
-        assert_eq!(time(2_000), Some(VehicleTime::from_us((1 << 32) + 2_000)));
-        assert_eq!(time(u32::MAX), Some(VehicleTime::from_us((1 << 32) - 1)));
-    }
-
-    #[test]
-    fn boot_milliseconds_are_unwrapped_and_reset_by_a_reboot() {
-        let mut codec = Codec::default();
-        let mut time = |ms: u64| {
-            let time_boot_ms = ms as u32;
-            let data = ATTITUDE_QUATERNION_DATA { time_boot_ms, q1: 1.0, ..Default::default() };
-            let message = MavMessage::ATTITUDE_QUATERNION(data);
-            decode_with(&mut codec, &message).unwrap().unwrap().0.unwrap().as_us() / 1000
-        };
-        let wrap = 1u64 << 32;
-        for ms in [wrap - 20, wrap - 10, wrap, wrap + 10, wrap - 5, wrap + 60_000] {
-            assert_eq!(time(ms), ms);
-        }
-        assert_eq!(time(3_000), 3_000, "rebooted since");
-        assert_eq!(time(3_010), 3_010);
     }
 
     #[test]
