@@ -14,9 +14,9 @@ use message::parameter_value::ParameterCast;
 use super::loss_reaction::LossLaw;
 
 /// MAV_AUTOPILOT_ARDUPILOTMEGA.
-const ARDUPILOT: u8 = 3;
+pub(crate) const ARDUPILOT: u8 = 3;
 /// MAV_AUTOPILOT_PX4.
-const PX4: u8 = 12;
+pub(crate) const PX4: u8 = 12;
 /// AUTOPILOT_VERSION vendor and product of the vehicle that honours attitude, rates and thrust
 /// together.
 pub const PD_VEHICLE: (u16, u16) = (0x4457, 1);

@@ -5,10 +5,12 @@
 //! [`Session::next_event`].
 
 mod core;
+mod decoders;
+mod event;
+mod novelty;
 mod outbox;
-
-use std::fmt;
-use std::time::Duration;
+mod settings;
+mod vehicle_id;
 
 use mavlink::{MavlinkVersion, MessageData};
 use wire::dialect::{
@@ -16,20 +18,21 @@ use wire::dialect::{
     SET_ATTITUDE_TARGET_DATA, TIMESYNC_DATA,
 };
 use wire::signing::{Key, Refused, Stamp};
-use wire::transport::{PEERS_MAX, Peer};
-use wire::{Decoder, DecoderStats};
+use wire::transport::Peer;
+use wire::{DecoderStats, Frame};
 
 use self::core::Core;
+use self::decoders::Decoders;
+pub use self::event::{Delivery, Event};
+pub use self::settings::Settings;
+pub use self::vehicle_id::VehicleId;
 use super::attitude_target::{EncodeError, ThrustMap};
 use super::budget::LineBudget;
 use super::counters::{LinkState, LinkStats, RefusalCount, Sender};
 use super::external_pose::{ExternalPose, PoseForm};
-use super::intervals::IntervalEvent;
 use super::load::LinkLoad;
-use super::profile::{FormChoice, MessageRate, Profile};
-use super::received::Received;
+use super::profile::Profile;
 use super::request::{Outcome, Request, RequestId};
-use super::signing::{FrameRejection, SigningSettings};
 use super::vehicle_clock::ClockEstimate;
 use crate::clock::{HostTime, VehicleTime};
 use crate::guard::Cleared;
@@ -44,183 +47,6 @@ const ANSWERS: [u32; 5] = [
     PARAM_ERROR_DATA::ID,
     AUTOPILOT_VERSION_DATA::ID,
 ];
-
-/// Settings of a session.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
-    /// Own system id.
-    pub system: u8,
-    /// Own component id.
-    pub component: u8,
-    /// The vehicle's system id; `None` takes the first autopilot that appears.
-    pub vehicle_system: Option<u8>,
-    /// Whether the vehicle file has `attitude_pd`.
-    pub vehicle_has_attitude_pd: bool,
-    /// The form of setpoints.
-    pub form: FormChoice,
-    /// Maps newtons to the thrust field.
-    pub thrust: ThrustMap,
-    /// Messages to request, whatever they cost; `None` requests the profile's, as far as the line
-    /// has room.
-    pub telemetry: Option<Vec<MessageRate>>,
-    /// Whether to answer the vehicle's TIMESYNC requests. Two stations that answer confuse it.
-    pub answer_timesync: bool,
-    /// Whether these answers carry the vehicle's own clock as estimated here. The vehicle then
-    /// accepts stamps of its own clock unchanged.
-    pub answers_in_vehicle_time: bool,
-    /// Silence after which the link is stale.
-    pub stale_after: Duration,
-    /// Silence after which the vehicle is lost.
-    pub lost_after: Duration,
-    /// The link's name in messages, such as its URL.
-    pub endpoint: Option<String>,
-    /// Bits per second of a serial line, to which the profile's messages are fitted.
-    pub baud: Option<u32>,
-    /// Signing; `None` signs nothing and accepts all frames.
-    pub signing: Option<SigningSettings>,
-}
-
-impl Settings {
-    /// The usual settings: an onboard computer (component 191) of system 254.
-    pub fn new(thrust: ThrustMap) -> Self {
-        Self {
-            system: 254,
-            component: 191,
-            vehicle_system: None,
-            vehicle_has_attitude_pd: false,
-            form: FormChoice::Profile,
-            thrust,
-            telemetry: None,
-            answer_timesync: true,
-            answers_in_vehicle_time: false,
-            stale_after: Duration::from_millis(2500),
-            lost_after: Duration::from_secs(5),
-            endpoint: None,
-            baud: None,
-            signing: None,
-        }
-    }
-}
-
-/// What [`Session::receive`] delivers, in order of arrival.
-#[derive(Debug)]
-pub enum Delivery<'a> {
-    /// A frame of any sender, as it was on the wire.
-    Frame {
-        /// The peer that sent it.
-        peer: Peer,
-        /// The whole frame.
-        bytes: &'a [u8],
-    },
-    /// From here on a different vehicle answers under the ids of the known one.
-    /// [`Event::VehicleReplaced`] reports it afterwards.
-    Replaced,
-    /// A message from the vehicle.
-    Message(Received),
-}
-
-/// News of the session.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Event {
-    /// The link's state changed.
-    State {
-        /// Old state.
-        from: LinkState,
-        /// New state.
-        to: LinkState,
-    },
-    /// A vehicle was found, for the first time or again after it was lost.
-    VehicleFound(VehicleId),
-    /// A second autopilot appeared, and nothing decides which one is meant.
-    AnotherAutopilot {
-        /// The first one.
-        vehicle: VehicleId,
-        /// The second one.
-        other: VehicleId,
-    },
-    /// The HEARTBEAT shows that a different vehicle answers under the known ids. It is identified
-    /// before it gets setpoints, and requests to the former vehicle end.
-    VehicleReplaced(VehicleId),
-    /// The vehicle is identified and can get setpoints.
-    Identified {
-        /// Its profile.
-        profile: Box<Profile>,
-        /// Whether it answered with its version.
-        is_version_known: bool,
-    },
-    /// A request ended.
-    Request {
-        /// Its id.
-        id: RequestId,
-        /// The request.
-        request: Request,
-        /// How it ended.
-        outcome: Outcome,
-    },
-    /// News of a message interval.
-    Interval(IntervalEvent),
-    /// The wanted messages need more of the serial line than it can carry reliably.
-    LineBudget(Box<LineBudget>),
-    /// The vehicle answered a TIMESYNC request after this round trip.
-    RoundTrip(Duration),
-    /// The vehicle's clock jumped. A jump beyond a second, in either direction, may mean another
-    /// vehicle, so it is identified again before it gets setpoints.
-    ClockJump {
-        /// Size of the jump, ns.
-        by_ns: i64,
-    },
-    /// A frame was rejected, for a new reason.
-    FrameRejected(FrameRejection),
-}
-
-/// The identity of a vehicle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct VehicleId {
-    /// System id.
-    pub system: u8,
-    /// Component id of its autopilot.
-    pub component: u8,
-    /// MAV_AUTOPILOT.
-    pub autopilot: u8,
-    /// MAV_TYPE.
-    pub vehicle_type: u8,
-    /// The peer from which it was received.
-    pub peer: Peer,
-}
-
-impl VehicleId {
-    /// Whether its autopilot is one that can be flown. An unknown autopilot replaces a known one
-    /// only under the same ids, once that one is lost.
-    pub fn is_known(&self) -> bool {
-        matches!(self.autopilot, 3 | 12)
-    }
-
-    /// Whether `other`, which has the same system and component, is a different vehicle.
-    fn is_another(&self, other: &Self) -> bool {
-        (self.autopilot, self.vehicle_type) != (other.autopilot, other.vehicle_type)
-    }
-}
-
-impl fmt::Display for VehicleId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let autopilot = match self.autopilot {
-            3 => "ArduPilot",
-            12 => "PX4",
-            _ => "unknown",
-        };
-        let vehicle_type = match self.vehicle_type {
-            2 => "quadrotor",
-            13 => "hexarotor",
-            14 => "octorotor",
-            _ => "other",
-        };
-        write!(
-            f,
-            "system {} component {}: autopilot {autopilot} ({}), type {vehicle_type} ({})",
-            self.system, self.component, self.autopilot, self.vehicle_type
-        )
-    }
-}
 
 /// Why a setpoint was not sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -239,22 +65,14 @@ pub enum SetpointError {
 /// A session with one vehicle.
 #[derive(Debug)]
 pub struct Session {
-    datagrams: Decoder,
-    streams: Vec<(Peer, Decoder)>,
-    /// Statistics of the decoders of closed streams.
-    closed: DecoderStats,
+    decoders: Decoders,
     core: Core,
 }
 
 impl Session {
     /// A session that has received nothing yet.
     pub fn new(settings: Settings, now: HostTime) -> Self {
-        Self {
-            datagrams: Decoder::new(),
-            streams: Vec::new(),
-            closed: DecoderStats::default(),
-            core: Core::new(settings, now),
-        }
+        Self { decoders: Decoders::default(), core: Core::new(settings, now) }
     }
 
     /// Takes bytes that arrived from a peer, and passes what they contain to `on`.
@@ -266,43 +84,26 @@ impl Session {
         is_datagram: bool,
         on: &mut impl FnMut(Delivery<'_>),
     ) {
-        let core = &mut self.core;
+        let Self { decoders, core } = self;
+        let on_frame = |frame: Frame| core.frame(now, peer, &frame, on);
         if is_datagram {
-            return self.datagrams.datagram(bytes, |frame| core.frame(now, peer, &frame, on));
-        }
-        let index = match self.streams.iter().position(|(known, _)| *known == peer) {
-            Some(index) => index,
-            None => {
-                if self.streams.len() == PEERS_MAX {
-                    let (_, oldest) = self.streams.remove(0);
-                    self.closed = sum(self.closed, oldest.stats());
-                }
-                self.streams.push((peer, Decoder::new()));
-                self.streams.len() - 1
-            }
-        };
-        let (_, decoder) = &mut self.streams[index];
-        decoder.push(bytes);
-        while let Some(frame) = decoder.next_frame() {
-            core.frame(now, peer, &frame, on);
+            decoders.datagram(bytes, on_frame);
+        } else {
+            decoders.stream(peer, bytes, on_frame);
         }
     }
 
     /// Notes that a peer's connection closed. Returns whether it was the vehicle's, whose next
     /// heartbeat then gives the new one.
     pub fn peer_closed(&mut self, peer: Peer) -> bool {
-        for (_, decoder) in self.streams.extract_if(.., |(known, _)| *known == peer) {
-            self.closed = sum(self.closed, decoder.stats());
-        }
+        self.decoders.close(peer);
         let vehicle = self.core.vehicle.as_mut().filter(|vehicle| vehicle.peer == Some(peer));
         vehicle.map(|vehicle| vehicle.peer = None).is_some()
     }
 
     /// Notes that the transport closed: all peers are gone, and their numbers may be reused.
     pub fn transport_closed(&mut self) {
-        for (_, decoder) in self.streams.drain(..) {
-            self.closed = sum(self.closed, decoder.stats());
-        }
+        self.decoders.close_all();
         if let Some(vehicle) = &mut self.core.vehicle {
             vehicle.peer = None;
         }
@@ -480,8 +281,7 @@ impl Session {
 
     /// Statistics of the decoders of all peers, closed ones included.
     pub fn received(&self) -> DecoderStats {
-        let streams = self.streams.iter().map(|(_, decoder)| decoder.stats());
-        streams.fold(sum(self.closed, self.datagrams.stats()), sum)
+        self.decoders.stats()
     }
 
     /// When the vehicle's last frame arrived, once it was found.
@@ -520,7 +320,7 @@ impl Session {
             stray: core.counters.stray,
             refused: core.counters.refused,
             vehicle_frames: core.counters.vehicle_frames,
-            lost: core.sequence.lost(),
+            lost: core.novelty.lost(),
             repeated: core.counters.repeated,
             sent_frames: core.counters.sent_frames,
             sent_bytes: core.counters.sent_bytes,
@@ -529,15 +329,5 @@ impl Session {
             clock: core.clock.estimate(),
             messages: core.counters.messages(),
         }
-    }
-}
-
-fn sum(a: DecoderStats, b: DecoderStats) -> DecoderStats {
-    DecoderStats {
-        bytes: a.bytes + b.bytes,
-        frames: a.frames + b.frames,
-        crc_errors: a.crc_errors + b.crc_errors,
-        unknown: a.unknown + b.unknown,
-        unframed_bytes: a.unframed_bytes + b.unframed_bytes,
     }
 }

@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use mavlink::{MavlinkVersion, MessageData};
-use message::codec::{self, Codec};
+use message::codec::Codec;
 use message::{AttitudeSource, Inbound};
 use vehicle::frame::Attitude;
 use wire::dialect::*;
@@ -15,22 +15,20 @@ use wire::transport::Peer;
 use wire::{Encoder, Frame};
 
 use self::selection::autopilot_of;
+use super::novelty::Novelty;
 use super::outbox::{Outbox, heartbeat};
 use super::{Delivery, Event, Settings, VehicleId};
 use crate::clock::HostTime;
 use crate::link::budget::LineBudget;
 use crate::link::counters::{Counters, LinkState};
 use crate::link::intervals::Intervals;
-use crate::link::mode_reports::{ModeReport, ModeReports, Newness};
+use crate::link::mode_reports::Newness;
 use crate::link::profile::Profile;
 use crate::link::received::Received;
 use crate::link::request::Requests;
-use crate::link::sequence::{Order, Sequence};
 use crate::link::signing::Signing;
 use crate::link::timesync::Answer;
 use crate::link::vehicle_clock::VehicleClock;
-#[cfg(test)]
-use crate::planted::{self, Planted};
 
 const HEARTBEAT_PERIOD: Duration = Duration::from_secs(1);
 /// AUTOPILOT_VERSION is requested at this interval, this many times.
@@ -41,21 +39,6 @@ const ATTITUDE_FRESH: Duration = Duration::from_millis(200);
 /// Clock jump beyond which the vehicle may be another: backwards if it was started later, forwards
 /// if it was started earlier.
 const JUMP_NS: u64 = 1_000_000_000;
-/// Number of quantities that the vehicle repeats without a stamp: its mode, whether it is landed,
-/// its health, its pack.
-const UNSTAMPED_QUANTITIES: usize = 4;
-
-/// Which of them a message carries.
-fn unstamped_quantity(id: u32) -> Option<usize> {
-    match id {
-        HEARTBEAT_DATA::ID | CURRENT_MODE_DATA::ID => Some(0),
-        EXTENDED_SYS_STATE_DATA::ID => Some(1),
-        SYS_STATUS_DATA::ID => Some(2),
-        BATTERY_STATUS_DATA::ID => Some(3),
-        _ => None,
-    }
-}
-
 #[derive(Debug)]
 pub(super) struct Vehicle {
     pub(super) id: VehicleId,
@@ -78,13 +61,11 @@ pub(super) struct Core {
     /// Other autopilots, known as well as the vehicle's or as little.
     pub(super) others: Vec<VehicleId>,
     pub(super) profile: Option<Profile>,
+    /// When AUTOPILOT_VERSION is requested next, and how often it was; `None` once identified.
     pub(super) version_due: Option<(HostTime, u8)>,
     pub(super) codec: Codec,
     pub(super) counters: Counters,
-    pub(super) sequence: Sequence,
-    /// Place in the sequence of the newest message on each of these repeated quantities.
-    pub(super) newest_places: [u64; UNSTAMPED_QUANTITIES],
-    pub(super) mode_reports: ModeReports,
+    pub(super) novelty: Novelty,
     #[cfg(test)]
     sent: Option<(HostTime, Peer, MavMessage)>,
     pub(super) clock: VehicleClock,
@@ -98,16 +79,6 @@ pub(super) struct Core {
     pub(super) events: VecDeque<Event>,
     pub(super) outbox: Outbox,
     pub(super) signing: Option<Signing>,
-}
-
-/// The mode that a frame carries, if any: the first field of either message.
-fn reported_mode(frame: &Frame) -> Option<u32> {
-    matches!(frame.id(), HEARTBEAT_DATA::ID | CURRENT_MODE_DATA::ID).then(|| {
-        // A payload's trailing zeros are not sent.
-        let mut mode = [0; 4];
-        mode.iter_mut().zip(frame.payload()).for_each(|(to, from)| *to = *from);
-        u32::from_le_bytes(mode)
-    })
 }
 
 impl Core {
@@ -126,9 +97,7 @@ impl Core {
             version_due: None,
             codec: Codec::default(),
             counters: Counters::default(),
-            sequence: Sequence::default(),
-            newest_places: [0; UNSTAMPED_QUANTITIES],
-            mode_reports: ModeReports::default(),
+            novelty: Novelty::default(),
             #[cfg(test)]
             sent: None,
             clock: VehicleClock::default(),
@@ -180,7 +149,8 @@ impl Core {
         vehicle.is_signed |= frame.is_signed();
         vehicle.version = frame.version();
         self.counters.vehicle_frames += 1;
-        match self.newness(now, frame) {
+        let offboard = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
+        match self.novelty.of(now, frame, offboard.map(|mode| mode.custom_mode)) {
             Newness::New => {}
             Newness::Old => {
                 self.counters.repeated += 1;
@@ -231,46 +201,6 @@ impl Core {
     pub(super) fn turn(&mut self, now: HostTime) {
         if let Some(signing) = &mut self.signing {
             signing.turn(now, self.outbox.signer());
-        }
-    }
-
-    /// Whether the frame is new: it was not received before, and its mode or condition is not older
-    /// than the known one.
-    fn newness(&mut self, now: HostTime, frame: &Frame) -> Newness {
-        let (number, is_unique) = (frame.sequence(), codec::is_stamped(frame.id()));
-        let is_next = self.sequence.is_next(number);
-        let place = match self.sequence.take(now, number, frame.bytes(), is_unique) {
-            Order::Copy => return Newness::Old,
-            Order::New(place) | Order::Overtaken(place) => place,
-        };
-        self.mode_reports.frame_arrived(now);
-        let Some(newest) =
-            unstamped_quantity(frame.id()).and_then(|index| self.newest_places.get_mut(index))
-        else {
-            return Newness::New;
-        };
-        let is_newer = place > *newest;
-        *newest = place.max(*newest);
-        #[cfg(test)]
-        if planted::is(Planted::OlderHeartbeat) {
-            return Newness::New;
-        }
-        let is_settled = !self.sequence.is_unsettled(now);
-        match (reported_mode(frame), is_newer) {
-            (None, true) => Newness::New,
-            (None, false) => Newness::Old,
-            (Some(mode), _) => {
-                let obeys = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
-                let report = ModeReport {
-                    frame: frame.bytes(),
-                    mode,
-                    obeys: obeys.map(|mode| mode.custom_mode),
-                    is_newer,
-                    is_settled,
-                    is_next,
-                };
-                self.mode_reports.judge(&report)
-            }
         }
     }
 
@@ -464,7 +394,7 @@ impl Core {
     fn lose(&mut self, now: HostTime) {
         self.set_state(LinkState::Lost);
         self.counters.restart(now);
-        self.sequence.restart();
+        self.novelty.restart();
         if let Some(vehicle) = &mut self.vehicle {
             vehicle.peer = None;
         }

@@ -4,6 +4,7 @@ use std::cell::Cell;
 use std::collections::VecDeque;
 use std::fmt;
 use std::io::{self, Read};
+use std::ops::AddAssign;
 
 use mavlink::error::{EncoderError, ParserError};
 use mavlink::{Dialect, MavlinkReader, MavlinkVersion, Message};
@@ -27,6 +28,16 @@ pub struct DecoderStats {
     pub unknown: u64,
     /// Bytes outside frames, or in a frame that is still incomplete.
     pub unframed_bytes: u64,
+}
+
+impl AddAssign for DecoderStats {
+    fn add_assign(&mut self, other: Self) {
+        self.bytes += other.bytes;
+        self.frames += other.frames;
+        self.crc_errors += other.crc_errors;
+        self.unknown += other.unknown;
+        self.unframed_bytes += other.unframed_bytes;
+    }
 }
 
 /// Finds frames of MAVLink 1 and 2 in an arbitrary stream of bytes.

@@ -74,7 +74,7 @@ impl Core {
             // A reopened connection is a new one even under the same peer number. One that was
             // merely silent continues its count.
             if before != Some(id.peer) {
-                self.sequence.restart();
+                self.novelty.restart();
             }
         }
         false
@@ -115,7 +115,7 @@ impl Core {
         self.clock = VehicleClock::default();
         self.counters.restart(now);
         self.counters.is_vehicle(id.system, id.component);
-        self.sequence.restart();
+        self.novelty.restart();
         self.attitude = None;
         self.outbox.set_version(MavlinkVersion::V2);
         self.timesync_due = now;
