@@ -21,6 +21,7 @@
 //! before the vehicle fell silent or before this process paused. The pilot may have changed it
 //! since.
 
+mod conditions;
 mod event;
 mod health;
 mod modes;
@@ -51,9 +52,6 @@ use crate::guard::{Obeys, Stance};
 #[cfg(test)]
 use crate::planted::{self, Planted};
 use crate::telemetry::VehicleStatus;
-
-/// Time for CURRENT_MODE, which is requested twice a second, to follow the first HEARTBEAT, s.
-const INTENDED_MODE_WAIT_S: f64 = 3.0;
 
 /// Age of the state, s, above which state and setpoints count as stopped. An autopilot's own
 /// failsafe may act this early.
@@ -93,6 +91,14 @@ pub struct Observation<'a> {
     pub condition: FlightCondition<'a>,
 }
 
+/// A fault whose condition holds.
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    since: HostTime,
+    /// Whether the reaction is done.
+    is_answered: bool,
+}
+
 /// The state machine of a flight. The caller passes the time with each call.
 #[derive(Clone, Debug)]
 pub struct Supervisor {
@@ -101,6 +107,7 @@ pub struct Supervisor {
     settings: SupervisorSettings,
     safety: SafetySettings,
     state: FlightState,
+    /// When the present state began.
     since: HostTime,
     /// Start of the preparation of a flight, through all its states, until the flight begins.
     preparing_since: Option<HostTime>,
@@ -108,18 +115,22 @@ pub struct Supervisor {
     engaged: bool,
     /// Whether the newest sample of the present state was answered with a setpoint.
     streamed: bool,
+    /// The first mode read in the present state.
     mode_at_entry: Option<u32>,
     /// Whether the mode read OFFBOARD at some time in the present state.
     was_offboard: bool,
+    /// Since when mode and intended mode have read something other than OFFBOARD.
     other_mode_since: Option<HostTime>,
+    /// When the request of the present state was last sent.
     requested_at: Option<HostTime>,
     /// When landing was first requested in the present state.
     landing_requested_at: Option<HostTime>,
     /// Share of the braking time that the cause of a landing allows.
     brake_share: f64,
+    /// The vehicle's last refusal in the present state.
     refusal: Option<String>,
-    /// Since when each fault's condition has held, and whether the reaction is done.
-    faults: BTreeMap<Fault, (HostTime, bool)>,
+    /// The faults whose condition holds.
+    faults: BTreeMap<Fault, Held>,
     /// When control began.
     control_since: HostTime,
     /// The mode change that ended control.
@@ -256,6 +267,7 @@ impl Supervisor {
 
     /// Evaluates vehicle and clock, and takes every transition that follows.
     pub fn observe(&mut self, now: HostTime, seen: &Observation) {
+        self.note_release(now, seen.status);
         // The longest chain of transitions in one call is shorter than the number of states.
         for _ in 0..STATES.len() {
             let Some((trigger, why)) = self.trigger(now, seen) else { break };
@@ -349,133 +361,6 @@ impl Supervisor {
         self.streamed = is_sent;
     }
 
-    /// The first trigger that holds and has a transition from the present state.
-    fn trigger(&mut self, now: HostTime, seen: &Observation) -> Option<(Trigger, String)> {
-        let silence_s = seen.status.silence_s(now);
-        let linked = silence_s < self.settings.link_lost_after_s;
-        let (mode, intended) = (seen.status.mode, seen.status.intended_mode);
-        let offboard = mode == Some(self.modes.offboard);
-        let released = mode.is_some()
-            && !offboard
-            && intended != Some(self.modes.offboard)
-            && (intended.is_some() || self.relies_on_heartbeat(now, seen.status));
-        // A doubted mode may hide OFFBOARD: what was read before the doubt does not count.
-        if released && linked && seen.status.mode_reported.is_some() {
-            self.other_mode_since.get_or_insert(now);
-        } else {
-            self.other_mode_since = None;
-        }
-        let released_s = self
-            .other_mode_since
-            .map_or(0.0, |since| now.since(since.max(self.since)).as_secs_f64());
-        let in_state_s = self.seconds_in_state(now);
-        let armed = seen.status.armed;
-        let by_command = self.policy == EngagePolicy::Command;
-        let is_return = offboard && seen.status.mode_changed_with_disarming();
-        let on_ground = seen.airborne == Some(false);
-        let rests_s = self.rest_since.map_or(0.0, |since| now.since(since).as_secs_f64());
-        // In order of precedence.
-        let rows = [
-            (Trigger::LinkLost, !linked),
-            (Trigger::VehicleHeard, linked && mode.is_some()),
-            (Trigger::EngageAsked, linked && !by_command),
-            (Trigger::ModeChanged, self.mode_changed(mode)),
-            (Trigger::Disarmed, armed == Some(false)),
-            (
-                Trigger::OffboardFound,
-                linked && if self.state == FlightState::Standby { is_return } else { !released },
-            ),
-            (Trigger::Released, released_s >= self.settings.release_s),
-            (Trigger::TelemetryLost, !seen.telemetry_ready),
-            (Trigger::TelemetryReady, seen.telemetry_ready),
-            (Trigger::PreflightPassed, seen.preflight.is_empty() && (self.engaged || !by_command)),
-            (
-                Trigger::OffboardRead,
-                self.obeys(now, seen.status) == Obeys::Yes
-                    && self.streamed
-                    && (by_command || self.pilot_switched(seen)),
-            ),
-            (
-                Trigger::StreamEstablished,
-                self.engaged
-                    && by_command
-                    && self.streamed
-                    && in_state_s >= self.settings.stream_before_engage_s,
-            ),
-            (Trigger::ArmedInAir, armed == Some(true) && seen.airborne == Some(true)),
-            (Trigger::Armed, armed == Some(true) && on_ground),
-            (Trigger::HoldDone, in_state_s >= self.settings.hold_s),
-            (
-                Trigger::Landed,
-                on_ground && mode == Some(self.modes.land) || rests_s >= self.settings.rest_s,
-            ),
-            (
-                Trigger::TimedOut,
-                self.time_limit_s().is_some_and(|limit| self.waited_s(now) > limit),
-            ),
-        ];
-        let (trigger, _) = rows
-            .into_iter()
-            .find(|(trigger, holds)| *holds && self.state.next(*trigger).is_some())?;
-        Some((trigger, self.describe(trigger, seen)))
-    }
-
-    /// Whether not to wait for the intended mode: the vehicle has none, or does not report it.
-    fn relies_on_heartbeat(&self, now: HostTime, status: &VehicleStatus) -> bool {
-        let known_s = status.mode_since.map_or(0.0, |since| now.since(since).as_secs_f64());
-        !self.modes.reports_intended || known_s > INTENDED_MODE_WAIT_S
-    }
-
-    /// Whether OFFBOARD was entered by the pilot's switch. In the air it always was. On the ground
-    /// it may be the autopilot's return to an earlier choice on disarming, so a HEARTBEAT later
-    /// than the mode must have reported whether the motors are armed.
-    fn pilot_switched(&self, seen: &Observation) -> bool {
-        let status = seen.status;
-        let is_confirmed = status
-            .armed_reported
-            .is_some_and(|reported| status.mode_changed.is_none_or(|changed| reported >= changed));
-        seen.airborne == Some(true) || (is_confirmed && !status.mode_changed_with_disarming())
-    }
-
-    /// Whether the mode is one that the controller did not request and that was not there before.
-    /// An offer ends when the pilot leaves OFFBOARD before it counts as the pilot's switch.
-    fn mode_changed(&self, mode: Option<u32>) -> bool {
-        let Some(mode) = mode else { return false };
-        let offboard = mode == self.modes.offboard;
-        match self.state {
-            FlightState::Standby => !offboard && self.was_offboard,
-            FlightState::Engage => !offboard && self.mode_at_entry.is_some_and(|at| at != mode),
-            FlightState::Land => !offboard && mode != self.modes.land,
-            _ => !offboard,
-        }
-    }
-
-    /// Time that counts against the limit: the whole preparation where telemetry comes and goes, s.
-    fn waited_s(&self, now: HostTime) -> f64 {
-        let preparing = self.preparing_since.filter(|_| self.state.is_preparing());
-        now.since(preparing.unwrap_or(self.since)).as_secs_f64()
-    }
-
-    fn time_limit_s(&self) -> Option<f64> {
-        let s = &self.settings;
-        let commanded =
-            |limit| (self.policy == EngagePolicy::Command && self.engaged).then_some(limit);
-        match self.state {
-            FlightState::AwaitRelease | FlightState::AwaitTelemetry | FlightState::Preflight => {
-                commanded(s.ready_timeout_s)
-            }
-            FlightState::Engage => Some(s.engage_timeout_s),
-            FlightState::Arm if self.policy == EngagePolicy::PilotSwitch => {
-                Some(s.pilot_arm_timeout_s)
-            }
-            FlightState::Arm => commanded(s.arm_timeout_s),
-            FlightState::TakeOff | FlightState::Approach => Some(s.take_off_timeout_s),
-            FlightState::Land => Some(s.land_timeout_s),
-            FlightState::Disarm => Some(s.disarm_after_s + s.land_timeout_s),
-            _ => None,
-        }
-    }
-
     /// Reacts to each fault once, as soon as its condition has held for its dwell time.
     fn react(&mut self, now: HostTime, seen: &Observation) {
         if !self.state.is_in_control() {
@@ -491,11 +376,12 @@ impl Supervisor {
                 self.faults.remove(&fault);
                 continue;
             }
-            let (since, reacted) = self.faults.entry(fault).or_insert((now, false));
-            if *reacted || now.since(*since).as_secs_f64() < self.safety.dwell_s(fault, condition) {
+            let held = self.faults.entry(fault).or_insert(Held { since: now, is_answered: false });
+            let held_s = now.since(held.since).as_secs_f64();
+            if held.is_answered || held_s < self.safety.dwell_s(fault, condition) {
                 continue;
             }
-            *reacted = true;
+            held.is_answered = true;
             let why = self.safety.describe(fault, condition);
             let reaction = self.safety.reaction(fault);
             let next = reaction.trigger().and_then(|trigger| self.state.next(trigger));
@@ -554,7 +440,7 @@ impl Supervisor {
         }
     }
 
-    /// Whether to brake a vehicle before it is asked to land.
+    /// Whether feedback still brakes the vehicle, before the request to land.
     fn brakes(&self, now: HostTime, seen: &Observation) -> bool {
         self.landing_requested_at.is_none()
             && seen.condition.sample_age_s <= STATE_STOPPED_S
