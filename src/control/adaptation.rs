@@ -25,16 +25,16 @@
 //! supervisor, unchanged. Once distrusted, adaptation stays off until the next flight: the learned
 //! values fade, and the feedback becomes what it is without adaptation.
 
+mod event;
 mod recursion;
 mod watch;
-
-use std::fmt;
 
 use nalgebra::SVector;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::frame::{Attitude, Frd, Ned, wrap_angle};
 
+pub use self::event::{AdaptationEvent, ParameterChange};
 use self::recursion::{Learned, PARAMETERS, Recursion, Regressor};
 pub use self::watch::Distrust;
 use self::watch::Watch;
@@ -98,9 +98,6 @@ const REPORT_DELAY_S: f64 = 0.8;
 const REPORTED_SHARE_MIN: f64 = 0.05;
 const REPORTED_PUSH_MIN_M_S2: f64 = 0.4;
 const REPORTED_ATTITUDE_MIN_RAD: f64 = 0.03;
-/// Tilt offset from which the report names one weak rotor, rad.
-const ROTOR_TILT_RAD: f64 = 0.04;
-
 /// Estimated deviations of the vehicle from its file.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Parameters {
@@ -138,28 +135,6 @@ pub(super) struct Moved {
     pub unexplained: [f64; 3],
 }
 
-/// An event of adaptation to report.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum AdaptationEvent {
-    /// Parameters have changed.
-    Changed(ParameterChange),
-    /// Adaptation is off until the next flight.
-    SwitchedOff(Distrust),
-}
-
-/// The parameters that changed, and their new values.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ParameterChange {
-    /// Time since the change began, s.
-    pub began_s_ago: f64,
-    /// Thrust over mass, relative to the file's.
-    pub thrust_over_mass: Option<f64>,
-    /// Push north and east, m/s^2.
-    pub push: Option<[f64; 2]>,
-    /// Offset of roll, pitch and yaw from the ones sent, rad.
-    pub attitude: Option<[f64; 3]>,
-}
-
 /// Adapts the physics' parameters to the vehicle's motion.
 #[derive(Clone, Debug)]
 pub struct Adaptation {
@@ -177,8 +152,18 @@ pub struct Adaptation {
     is_sized: bool,
     /// Time of the first sample learned from.
     began: Option<VehicleTime>,
-    reported: (f64, [f64; 2], [f64; 3]),
+    reported: Reported,
     event: Option<AdaptationEvent>,
+}
+
+/// The estimates when a change was last reported.
+#[derive(Clone, Copy, Debug, Default)]
+struct Reported {
+    thrust_share: f64,
+    /// Acceleration north and east, m/s^2.
+    push: [f64; 2],
+    /// Roll, pitch, yaw, rad.
+    attitude: [f64; 3],
 }
 
 impl Adaptation {
@@ -205,7 +190,7 @@ impl Adaptation {
             sized: None,
             is_sized: false,
             began: None,
-            reported: (0.0, [0.0; 2], [0.0; 3]),
+            reported: Reported::default(),
             event: None,
             settings,
         }
@@ -350,24 +335,25 @@ impl Adaptation {
         let (sin, cos) = moved.attitude.yaw().sin_cos();
         let push = [north + cos * front - sin * right, east + sin * front + cos * right];
         let attitude = self.trims.map(|trim| trim.value);
-        let (share_reported, push_reported, attitude_reported) = &mut self.reported;
+        let reported = &mut self.reported;
         let mut change = ParameterChange { began_s_ago, ..ParameterChange::default() };
-        if (thrust_share - *share_reported).abs() > REPORTED_SHARE_MIN
+        if (thrust_share - reported.thrust_share).abs() > REPORTED_SHARE_MIN
             && self.recursion.deviation(0) < 0.5 * REPORTED_SHARE_MIN
         {
-            *share_reported = thrust_share;
+            reported.thrust_share = thrust_share;
             change.thrust_over_mass = Some(1.0 + thrust_share);
         }
-        if (push[0] - push_reported[0]).hypot(push[1] - push_reported[1]) > REPORTED_PUSH_MIN_M_S2 {
-            *push_reported = push;
+        let [north, east] = [push[0] - reported.push[0], push[1] - reported.push[1]];
+        if north.hypot(east) > REPORTED_PUSH_MIN_M_S2 {
+            reported.push = push;
             change.push = Some(push);
         }
         if attitude
             .iter()
-            .zip(*attitude_reported)
+            .zip(reported.attitude)
             .any(|(a, b)| (a - b).abs() > REPORTED_ATTITUDE_MIN_RAD)
         {
-            *attitude_reported = attitude;
+            reported.attitude = attitude;
             change.attitude = Some(attitude);
         }
         if change.thrust_over_mass.is_some() || change.push.is_some() || change.attitude.is_some() {
@@ -420,72 +406,5 @@ impl Trim {
             (self.variance, self.surprise) = (prior, 0.0);
         }
         is_change
-    }
-}
-
-impl ParameterChange {
-    /// The rotor that lacks thrust, from the tilt that its moment causes; X layout.
-    fn weak_rotor(&self) -> Option<&'static str> {
-        let [roll, pitch, _] = self.attitude?;
-        if roll.abs().min(pitch.abs()) < ROTOR_TILT_RAD {
-            return None;
-        }
-        // Less thrust on the right rolls right, less in front turns the nose down.
-        Some(match (roll > 0.0, pitch < 0.0) {
-            (true, true) => "front right",
-            (true, false) => "rear right",
-            (false, true) => "front left",
-            (false, false) => "rear left",
-        })
-    }
-}
-
-impl fmt::Display for ParameterChange {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut between = "";
-        if let Some(thrust) = self.thrust_over_mass {
-            let (mass, thrust) = (100.0 * (1.0 / thrust - 1.0), 100.0 * (thrust - 1.0));
-            let cause = match (self.weak_rotor(), thrust < 0.0) {
-                (Some(_), true) => "",
-                (_, true) => " (a payload, or a pack that sags)",
-                (_, false) => " (less load, or more thrust than expected)",
-            };
-            write!(f, "mass {mass:+.0} % or thrust {thrust:+.0} %{cause}")?;
-            between = "; ";
-        }
-        if let Some([north, east]) = self.push {
-            let towards = east.atan2(north).to_degrees().rem_euclid(360.0);
-            write!(
-                f,
-                "{between}push of {:.1} m/s^2 towards {towards:.0} deg (wind, or a trim)",
-                north.hypot(east)
-            )?;
-            between = "; ";
-        }
-        if let Some([roll, pitch, yaw]) = self.attitude {
-            let [roll, pitch, yaw] = [roll, pitch, yaw].map(f64::to_degrees);
-            write!(
-                f,
-                "{between}moment that turns by roll {roll:+.1}, pitch {pitch:+.1}, yaw {yaw:+.1} deg"
-            )?;
-            if let Some(rotor) = self.weak_rotor() {
-                write!(f, " (less thrust at the {rotor} rotor)")?;
-            }
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Display for AdaptationEvent {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Changed(change) => write!(f, "adapted: {change}"),
-            Self::SwitchedOff(distrust) => {
-                write!(
-                    f,
-                    "adaptation is off for this flight: {distrust}; feedback continues without it"
-                )
-            }
-        }
     }
 }

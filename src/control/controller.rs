@@ -26,8 +26,10 @@ pub struct Controller {
     sent: Option<Setpoint>,
     /// The path back to the reference after a change.
     way_back: Option<WayBack>,
-    /// Whether a model leads, and the expectation passed last.
-    expected: (bool, Expected),
+    /// Whether a model leads.
+    is_led: bool,
+    /// The expectation passed last.
+    expected: Expected,
     /// Factor on the law's feedback.
     feedback_scale: f64,
 }
@@ -45,7 +47,8 @@ impl Controller {
             last_call_s: None,
             sent: None,
             way_back: None,
-            expected: (false, Expected::default()),
+            is_led: false,
+            expected: Expected::default(),
             feedback_scale: 1.0,
         }
     }
@@ -83,7 +86,7 @@ impl Controller {
     pub fn reset(&mut self) {
         self.law.reset();
         (self.sent, self.last_call_s, self.way_back) = (None, None, None);
-        self.expected = (false, Expected::default());
+        (self.is_led, self.expected) = (false, Expected::default());
         if let Some(observer) = &mut self.observer {
             observer.reset();
         }
@@ -134,7 +137,8 @@ impl Controller {
         thrust_gain: f64,
     ) {
         let Some(observer) = &mut self.observer else { return };
-        let (was_led, before) = std::mem::replace(&mut self.expected, (is_led, *expected));
+        let was_led = std::mem::replace(&mut self.is_led, is_led);
+        let before = std::mem::replace(&mut self.expected, *expected);
         if is_led != was_led {
             observer.expect_anew(&expected.beyond(&before));
         }

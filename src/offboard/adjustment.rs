@@ -9,7 +9,7 @@ use vehicle::frame::Ned;
 use super::OffboardController;
 use super::guidance::Extent;
 use crate::clock::HostTime;
-use crate::supervisor::Severity;
+use crate::supervisor::{SafetySettings, Severity};
 
 /// Bounds of what may be changed in flight.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
@@ -86,12 +86,14 @@ impl AdjustmentSettings {
     fn objection(
         &self,
         requested: &Adjusted,
-        (now, reach): (Extent, Extent),
-        fence: (f64, f64),
+        now: &Extent,
+        reach: &Extent,
+        safety: &SafetySettings,
     ) -> Option<String> {
         let (distance, scale) = (requested.goal.norm(), requested.feedback_scale);
         let most = self.feedback_scale_max;
-        let (radius, height) = (fence.0 - self.fence_margin_m, fence.1 - self.fence_margin_m);
+        let radius = safety.fence_radius_m - self.fence_margin_m;
+        let height = safety.fence_height_m - self.fence_margin_m;
         // NaN is within no range.
         let is_within = |value: f64, least: f64, most: f64| value >= least && value <= most;
         if !is_within(distance, 0.0, self.goal_max_m) {
@@ -130,13 +132,10 @@ impl OffboardController {
             true => {
                 let here = self.telemetry.last_sample().map(|sample| sample.state.position);
                 let here = here.unwrap_or_default();
-                let extents = (
-                    self.guidance.extent(held.goal, here),
-                    self.guidance.extent(requested.goal, here),
-                );
+                let now = self.guidance.extent(held.goal, here);
+                let reach = self.guidance.extent(requested.goal, here);
                 let safety = &self.settings.safety;
-                let fence = (safety.fence_radius_m, safety.fence_height_m);
-                self.settings.adjustment.objection(&requested, extents, fence)
+                self.settings.adjustment.objection(&requested, &now, &reach, safety)
             }
         };
         if let Some(why) = objection {
@@ -164,12 +163,16 @@ impl OffboardController {
 mod tests {
     use super::*;
 
+    fn fence() -> SafetySettings {
+        SafetySettings { fence_radius_m: 10.0, fence_height_m: 5.0, ..SafetySettings::default() }
+    }
+
     #[test]
     fn out_of_bounds_adjustment_is_refused_with_the_bound() {
         let settings = AdjustmentSettings::default();
         let now = Extent { radius_m: 1.0, highest_m: 1.0, lowest_m: 1.0 };
         let judge = |request: Adjustment, reach: Extent| {
-            settings.objection(&request.of(&Adjusted::default()), (now, reach), (10.0, 5.0))
+            settings.objection(&request.of(&Adjusted::default()), &now, &reach, &fence())
         };
         let north = |north| Adjustment { north_m: Some(north), ..Adjustment::default() };
         let scaled = |scale| Adjustment { feedback_scale: Some(scale), ..Adjustment::default() };
@@ -202,6 +205,6 @@ mod tests {
         let requested = Adjusted { goal: Ned::new(1.0, 0.0, 0.0), feedback_scale: 1.0 };
         let now = Extent { radius_m: 9.5, highest_m: 1.0, lowest_m: 0.0 };
         let nearer = Extent { radius_m: 9.4, ..now };
-        assert_eq!(settings.objection(&requested, (now, nearer), (10.0, 5.0)), None);
+        assert_eq!(settings.objection(&requested, &now, &nearer, &fence()), None);
     }
 }

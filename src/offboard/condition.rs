@@ -7,7 +7,9 @@ use vehicle::frame::Ned;
 
 use super::OffboardController;
 use crate::clock::HostTime;
-use crate::supervisor::{FlightCondition, FlightState, Observation, Severity, Standing, preflight};
+use crate::supervisor::{
+    FlightCondition, FlightState, Observation, PreflightCheck, Severity, Standing, preflight,
+};
 
 /// Share of the preflight tick rate that must be kept while a hold is streamed. Below 1, so that a
 /// pause too short to make the state stale does not end the stream.
@@ -46,33 +48,15 @@ impl OffboardController {
         let here = self.telemetry.last_sample().map(|sample| sample.state);
         // One observation can lead through Preflight to the stream, so the checks must run before
         // it.
-        let failed = if before.precedes_stream() {
-            let distance = here.map_or(f64::NAN, |s| self.guidance.start_distance_m(s.position));
-            let mut failed = self.standing_checks.clone();
-            let settings = &self.settings.preflight;
-            let standing = Standing {
-                rate_hz,
-                link_loss: self.link_loss,
-                round_trip_s: self.round_trip_s(now),
-                start_distance_m: distance,
-                airborne: self.airborne(),
-                ground_seen: self.guidance.ground().is_some(),
-                policy: self.policy,
-                take_over: self.settings.supervisor.take_over,
-            };
-            failed.extend(preflight(settings, &standing, &self.telemetry, now));
-            failed
-        } else {
-            std::mem::take(&mut self.failed_checks)
-        };
-        let from_anchor = match (here, self.guidance.anchor()) {
-            (Some(here), Some(anchor)) => here.position - anchor,
-            _ => Ned::zero(),
+        let failed = match before.precedes_stream() {
+            true => self.checks(now),
+            false => std::mem::take(&mut self.failed_checks),
         };
         let jumped = std::mem::take(&mut self.jumped);
         if self.may_be_unreachable(now) {
             self.unreachable_at = Some(now);
         }
+        let condition = FlightCondition { sample_age_s: age_s, jumped, ..self.condition(now) };
         let status = self.telemetry.status();
         let tick_rate_min = self.settings.preflight.tick_rate_min
             * if before.precedes_stream() { 1.0 } else { STREAMING_RATE_SHARE };
@@ -87,23 +71,7 @@ impl OffboardController {
                 && age_s < self.settings.safety.stale_after_s
                 && self.telemetry.tick_rate_hz() >= tick_rate_min * rate_hz,
             preflight: &failed,
-            condition: FlightCondition {
-                sample_age_s: age_s,
-                late: self.telemetry.late(),
-                jumped,
-                round_trip_s: self.round_trip_s(now),
-                was_unreachable: self
-                    .unreachable_at
-                    .is_some_and(|at| now.since(at) < UNREACHABLE_RECENT),
-                tracking_error_m: self.tracking_error,
-                tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
-                radius_m: (from_anchor.north().powi(2) + from_anchor.east().powi(2)).sqrt(),
-                height_m: -from_anchor.down(),
-                battery: status.battery.remaining,
-                battery_critical: status.battery.charge == ChargeState::Critical,
-                failsafe: None,
-                position_lost: status.position_healthy == Some(false),
-            },
+            condition,
         };
         self.supervisor.observe(now, &observation);
         self.failed_checks = failed;
@@ -126,6 +94,49 @@ impl OffboardController {
         let silence_s = self.telemetry.status().silence_s(now);
         if silence_s.is_finite() && silence_s > self.settings.supervisor.link_lost_after_s {
             self.forget();
+        }
+    }
+
+    /// The preflight checks that fail, including the standing ones.
+    fn checks(&self, now: HostTime) -> Vec<PreflightCheck> {
+        let here = self.telemetry.last_sample().map(|sample| sample.state.position);
+        let standing = Standing {
+            rate_hz: self.settings.telemetry.rate_hz,
+            link_loss: self.link_loss,
+            round_trip_s: self.round_trip_s(now),
+            start_distance_m: here.map_or(f64::NAN, |here| self.guidance.start_distance_m(here)),
+            airborne: self.airborne(),
+            ground_seen: self.guidance.ground().is_some(),
+            policy: self.policy,
+            take_over: self.settings.supervisor.take_over,
+        };
+        let mut failed = self.standing_checks.clone();
+        failed.extend(preflight(&self.settings.preflight, &standing, &self.telemetry, now));
+        failed
+    }
+
+    /// The quantities that faults are judged by, without the sample's age, jumps and failsafes.
+    fn condition(&self, now: HostTime) -> FlightCondition<'static> {
+        let here = self.telemetry.last_sample().map(|sample| sample.state);
+        let from_anchor = match (here, self.guidance.anchor()) {
+            (Some(here), Some(anchor)) => here.position - anchor,
+            _ => Ned::zero(),
+        };
+        let status = self.telemetry.status();
+        FlightCondition {
+            late: self.telemetry.late(),
+            round_trip_s: self.round_trip_s(now),
+            was_unreachable: self
+                .unreachable_at
+                .is_some_and(|at| now.since(at) < UNREACHABLE_RECENT),
+            tracking_error_m: self.tracking_error,
+            tilt_rad: here.map_or(f64::NAN, |s| s.attitude.tilt()),
+            radius_m: (from_anchor.north().powi(2) + from_anchor.east().powi(2)).sqrt(),
+            height_m: -from_anchor.down(),
+            battery: status.battery.remaining,
+            battery_critical: status.battery.charge == ChargeState::Critical,
+            position_lost: status.position_healthy == Some(false),
+            ..FlightCondition::default()
         }
     }
 

@@ -1,10 +1,13 @@
 //! The reference that the vehicle follows in each state of the flight.
 
+mod segment;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 use vehicle::rigid_body::State;
 
+use self::segment::{Segment, Speeds, Waypoint};
 use super::goal::GoalOffset;
 use crate::clock::VehicleTime;
 use crate::plan::reference::ReferenceSource;
@@ -94,6 +97,25 @@ pub(super) struct Extent {
 
 /// Text of the event at the end of a trajectory; `tube fit` finds it in logs.
 pub const TRAJECTORY_DONE: &str = "the trajectory is done";
+
+/// Depth below the take-off point that counts as estimator noise, m.
+const FLOOR_NOISE_M: f64 = 0.05;
+/// A vehicle that is to stop comes to rest about this far ahead, in seconds of its velocity: at 3
+/// m/s with a tilt of 0.4 rad that takes a quarter of a second to build up.
+const STOPPING_S: f64 = 0.6;
+/// The greatest stopping distance, m, whatever velocity the vehicle reports.
+const STOPPING_MAX_M: f64 = 2.0;
+/// Thrust beyond hover thrust, as a share of it, at which the vehicle counts as off the ground.
+const LIFTING_EXCESS: f64 = 0.1;
+/// Number of steps at which a trajectory's extent is sampled.
+const EXTENT_STEPS: usize = 200;
+
+/// Where the next sample holds the vehicle: where it is, or where it can come to rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Latch {
+    Here,
+    Ahead,
+}
 
 /// Chooses the reference. The trajectory's origin is the anchor: the place where the vehicle took
 /// off or last stood, or else the point of the local frame's floor below it. Its axes are those of
@@ -274,10 +296,9 @@ impl Guidance {
                 let top = Ned::new(position.north(), position.east(), start.down());
                 let yaw = here.attitude.yaw();
                 self.segment = Segment::between(
-                    (position, yaw),
-                    (top, yaw),
-                    self.settings.climb_speed_m_s,
-                    self.settings.approach_yaw_rate_rad_s,
+                    Waypoint { position, yaw },
+                    Waypoint { position: top, yaw },
+                    self.speeds(self.settings.climb_speed_m_s),
                 );
             }
             FlightState::Approach => {
@@ -291,10 +312,9 @@ impl Guidance {
                 self.goal.arrive();
                 let anchor = anchor + self.goal.at();
                 self.segment = Segment::between(
-                    (from.position, from.attitude.yaw),
-                    (start.position + anchor, start.attitude.yaw),
-                    self.settings.approach_speed_m_s,
-                    self.settings.approach_yaw_rate_rad_s,
+                    Waypoint { position: from.position, yaw: from.attitude.yaw },
+                    Waypoint { position: start.position + anchor, yaw: start.attitude.yaw },
+                    self.speeds(self.settings.approach_speed_m_s),
                 );
             }
             FlightState::Hold if self.latch.is_none() => {
@@ -347,7 +367,7 @@ impl Guidance {
         }
         let climbing = t - s.spool_s;
         let mut reference = self.along(climbing);
-        let floor = self.segment.from.down().max(self.lowest_down - FLOOR_NOISE_M);
+        let floor = self.segment.from().down().max(self.lowest_down - FLOOR_NOISE_M);
         let height = floor - here.position.down();
         let risen = (height / s.feedback_height_m).clamp(0.0, 1.0);
         let excess = last_thrust_n.map_or(0.0, |thrust_n| thrust_n / self.hover_thrust_n - 1.0);
@@ -366,8 +386,8 @@ impl Guidance {
         );
         let thrust = s.spool_thrust + (1.0 - s.spool_thrust) * (climbing / s.spool_s).min(1.0);
         reference.feedforward.thrust_n = thrust * self.hover_thrust_n;
-        let off = self.segment.to.down() - here.position.down();
-        let there = climbing >= self.segment.duration_s
+        let off = self.segment.to().down() - here.position.down();
+        let there = climbing >= self.segment.duration_s()
             && off.abs() < s.settle_radius_m.max(0.25 * self.segment.step().norm())
             && here.velocity.norm() < 2.0 * s.settle_speed_m_s;
         let reached = there.then_some((Trigger::TakenOff, "at the start height"));
@@ -377,7 +397,7 @@ impl Guidance {
     fn approach(&mut self, t: f64, sample: &Sample) -> Guided {
         let s = self.settings;
         let reference = self.along(t);
-        let over = t - self.segment.duration_s;
+        let over = t - self.segment.duration_s();
         let still = over >= 0.0 && sample.state.velocity.norm() < s.settle_speed_m_s;
         let near = (sample.state.position - reference.position).norm() < s.settle_radius_m;
         if still && (near || over > s.settle_timeout_s) {
@@ -412,11 +432,15 @@ impl Guidance {
         }
     }
 
+    fn speeds(&self, speed_m_s: f64) -> Speeds {
+        Speeds { speed_m_s, yaw_rate_rad_s: self.settings.approach_yaw_rate_rad_s }
+    }
+
     fn along(&self, t: f64) -> Reference {
-        let (position, velocity, yaw, yaw_rate) = self.segment.sample(t);
-        let mut reference = self.level(position, yaw);
-        reference.velocity = velocity;
-        reference.body_rate = Frd::new(0.0, 0.0, yaw_rate);
+        let at = self.segment.at(t);
+        let mut reference = self.level(at.position, at.yaw);
+        reference.velocity = at.velocity;
+        reference.body_rate = Frd::new(0.0, 0.0, at.yaw_rate);
         reference.feedforward.body_rate = reference.body_rate;
         reference
     }
@@ -458,65 +482,5 @@ impl Guided {
             trajectory_time: None,
             reached: None,
         }
-    }
-}
-
-/// A straight path from rest to rest with a minimum-jerk profile; yaw turns the shorter way.
-#[derive(Clone, Copy, Debug, Default)]
-struct Segment {
-    from: Ned,
-    to: Ned,
-    yaw_from: f64,
-    yaw_step: f64,
-    duration_s: f64,
-}
-
-/// Where the next sample holds the vehicle: where it is, or where it can come to rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Latch {
-    Here,
-    Ahead,
-}
-
-/// Depth below the take-off point that counts as estimator noise, m.
-const FLOOR_NOISE_M: f64 = 0.05;
-/// A vehicle that is to stop comes to rest about this far ahead, in seconds of its velocity: at 3
-/// m/s with a tilt of 0.4 rad that takes a quarter of a second to build up.
-const STOPPING_S: f64 = 0.6;
-/// The greatest stopping distance, m, whatever velocity the vehicle reports.
-const STOPPING_MAX_M: f64 = 2.0;
-/// Thrust beyond hover thrust, as a share of it, at which the vehicle counts as off the ground.
-const LIFTING_EXCESS: f64 = 0.1;
-/// Points of a trajectory that are looked at for how far it reaches.
-const EXTENT_STEPS: usize = 200;
-/// Shortest duration of a segment, s.
-const SEGMENT_MIN_S: f64 = 1.0;
-/// Peak slope of the minimum-jerk profile.
-const PEAK_SLOPE: f64 = 15.0 / 8.0;
-
-impl Segment {
-    fn between(from: (Ned, f64), to: (Ned, f64), speed: f64, yaw_rate: f64) -> Self {
-        let yaw_step = wrap_angle(to.1 - from.1);
-        let by_speed = PEAK_SLOPE * (to.0 - from.0).norm() / speed;
-        let by_yaw = PEAK_SLOPE * yaw_step.abs() / yaw_rate;
-        let duration_s = by_speed.max(by_yaw).max(SEGMENT_MIN_S);
-        Self { from: from.0, to: to.0, yaw_from: from.1, yaw_step, duration_s }
-    }
-
-    fn step(&self) -> Ned {
-        self.to - self.from
-    }
-
-    /// Position, velocity, yaw and yaw rate at `t`; at rest from the end on.
-    fn sample(&self, t: f64) -> (Ned, Ned, f64, f64) {
-        let x = (t / self.duration_s).clamp(0.0, 1.0);
-        let value = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x);
-        let slope = 30.0 * (x * (1.0 - x)).powi(2) / self.duration_s;
-        (
-            self.from + self.step() * value,
-            self.step() * slope,
-            self.yaw_from + self.yaw_step * value,
-            self.yaw_step * slope,
-        )
     }
 }
