@@ -289,10 +289,16 @@ impl SitlConfig {
     }
 
     fn checked(self) -> Result<Self, ConfigError> {
-        let require = |field, found: f64, holds: bool, expected| {
-            let right = found.is_finite() && holds;
-            if right { Ok(()) } else { Err(ConfigError::Value { field, expected, found }) }
-        };
+        self.check_place()?;
+        self.check_vibration()?;
+        self.check_estimator()?;
+        self.check_clock()?;
+        self.check_battery()?;
+        self.check_sensors()?;
+        Ok(self)
+    }
+
+    fn check_place(&self) -> Result<(), ConfigError> {
         let Home { latitude_deg, longitude_deg, altitude_m } = self.home;
         let on_earth = latitude_deg.abs() <= 90.0;
         require("home.latitude_deg", latitude_deg, on_earth, "degrees in -90..=90")?;
@@ -307,6 +313,10 @@ impl SitlConfig {
         let above = below <= self.floor_down_m;
         require("start.position_m", below, above, "a down coordinate not below floor_down_m")?;
         require("start.heading_rad", self.start.heading_rad, true, "an angle in rad")?;
+        Ok(())
+    }
+
+    fn check_vibration(&self) -> Result<(), ConfigError> {
         let Vibration { rotor_max_hz, gyro_rad_s, accelerometer_m_s2 } = self.vibration;
         for (field, value) in [
             ("vibration.rotor_max_hz", rotor_max_hz),
@@ -315,6 +325,10 @@ impl SitlConfig {
         ] {
             require(field, value, value >= 0.0, "0 or more")?;
         }
+        Ok(())
+    }
+
+    fn check_estimator(&self) -> Result<(), ConfigError> {
         let EstimatorConfig {
             wander_m,
             wander_time_s,
@@ -353,6 +367,10 @@ impl SitlConfig {
                 require("estimator.gps_glitch.offset_m", offset, true, "lengths in m")?;
             }
         }
+        Ok(())
+    }
+
+    fn check_clock(&self) -> Result<(), ConfigError> {
         let ClockConfig { rate, stalls } = &self.clock;
         let expected = "vehicle seconds a second in 0.5..=2";
         require("clock.rate", *rate, (0.5..=2.0).contains(rate), expected)?;
@@ -362,6 +380,10 @@ impl SitlConfig {
             let expected = "a time in 0..=0.9 s";
             require("clock.stalls.for_s", *for_s, (0.0..=0.9).contains(for_s), expected)?;
         }
+        Ok(())
+    }
+
+    fn check_battery(&self) -> Result<(), ConfigError> {
         let BatteryConfig { capacity_mah, resistance_ohm, charge } = self.battery;
         if let Some(mah) = capacity_mah {
             require("battery.capacity_mah", mah, mah > 0.0, "a capacity above 0 mAh")?;
@@ -370,6 +392,10 @@ impl SitlConfig {
             require("battery.resistance_ohm", ohm, ohm >= 0.0, "a resistance of 0 or more ohm")?;
         }
         require("battery.charge", charge, (0.0..=1.0).contains(&charge), "a charge in 0..=1")?;
+        Ok(())
+    }
+
+    fn check_sensors(&self) -> Result<(), ConfigError> {
         let sensors = &self.sensors;
         for (field, value) in [
             ("sensors.position_noise_m", sensors.position_noise_m),
@@ -385,8 +411,19 @@ impl SitlConfig {
         ] {
             require(field, value, value >= 0.0, "0 or more")?;
         }
-        Ok(self)
+        Ok(())
     }
+}
+
+/// Checks that a value is finite and that its condition holds.
+fn require(
+    field: &'static str,
+    found: f64,
+    holds: bool,
+    expected: &'static str,
+) -> Result<(), ConfigError> {
+    let right = found.is_finite() && holds;
+    if right { Ok(()) } else { Err(ConfigError::Value { field, expected, found }) }
 }
 
 #[cfg(test)]

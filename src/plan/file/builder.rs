@@ -5,7 +5,10 @@ use std::path::Path;
 
 use vehicle::frame::Ned;
 
-use super::family::{Family, PaceFields, Sinusoid, Steps};
+use super::family::{
+    Family, FigureEight, PaceFields, RandomWaypoints, Sinusoid, SinusoidYaw, Steps, Waypoints,
+    YawRotation,
+};
 use super::multisine::Multisine;
 use super::{DURATION_MAX_S, TrajectoryError, TrajectoryFile, load};
 use crate::plan::curve::{Envelope, Harmonic, HarmonicCurve};
@@ -31,95 +34,13 @@ impl Builder<'_> {
             Family::SinusoidXy(f) => ("sinusoid-xy", self.sinusoid(&f, [0, 1])?),
             Family::SinusoidXz(f) => ("sinusoid-xz", self.sinusoid(&f, [0, 2])?),
             Family::SinusoidYz(f) => ("sinusoid-yz", self.sinusoid(&f, [1, 2])?),
-            Family::YawRotation(f) => {
-                let yaw = Harmonic {
-                    amplitude: self.finite("yaw_amplitude_deg", f.yaw_amplitude_deg)?.to_radians(),
-                    period_s: self.positive("yaw_period_s", f.yaw_period_s)?,
-                    rate: self.finite("yaw_rate_deg_s", f.yaw_rate_deg_s)?.to_radians(),
-                    ..Harmonic::default()
-                };
-                let still = Harmonic::constant(0.0);
-                let shape = self.harmonic([still; 2], f.altitude_m, yaw, f.duration_s, f.ramp_s)?;
-                ("yaw-rotation", shape)
-            }
-            Family::SinusoidYaw(f) => {
-                let period_s = self.positive("period_s", f.period_s)?;
-                let amplitude = self.finite("amplitude_m", f.amplitude_m)?;
-                // north = A sin(w t), east = A (1 - cos(w t)): a circle that starts at the anchor.
-                let north = Harmonic { amplitude, period_s, ..Harmonic::default() };
-                let east = Harmonic { phase: -FRAC_PI_2, ..north };
-                let yaw_period_s = self.positive("yaw_period_s", f.yaw_period_s)?;
-                let yaw = Harmonic {
-                    rate: std::f64::consts::TAU / yaw_period_s,
-                    ..Harmonic::constant(0.0)
-                };
-                let shape =
-                    self.harmonic([north, east], f.altitude_m, yaw, f.duration_s, f.ramp_s)?;
-                ("sinusoid-yaw", shape)
-            }
-            Family::FigureEight(f) => {
-                let period_s = self.positive("period_s", f.period_s)?;
-                let north = Harmonic {
-                    amplitude: 0.5 * self.finite("length_m", f.length_m)?,
-                    period_s,
-                    ..Harmonic::default()
-                };
-                let east = Harmonic {
-                    amplitude: 0.5 * self.finite("width_m", f.width_m)?,
-                    period_s: 0.5 * period_s,
-                    ..Harmonic::default()
-                };
-                let mut shape = self.harmonic(
-                    [north, east],
-                    f.altitude_m,
-                    Harmonic::constant(0.0),
-                    f.duration_s,
-                    f.ramp_s,
-                )?;
-                if let Shape::Harmonic { curve, .. } = &mut shape {
-                    // climb/2 (1 - cos): up from the given altitude and back.
-                    curve.position[2].push(Harmonic {
-                        amplitude: -0.5 * self.finite("climb_m", f.climb_m)?,
-                        period_s,
-                        phase: -FRAC_PI_2,
-                        ..Harmonic::default()
-                    });
-                }
-                ("figure-8", shape)
-            }
+            Family::YawRotation(f) => ("yaw-rotation", self.yaw_rotation(&f)?),
+            Family::SinusoidYaw(f) => ("sinusoid-yaw", self.sinusoid_yaw(&f)?),
+            Family::FigureEight(f) => ("figure-8", self.figure_eight(&f)?),
             Family::Multisine(f) => ("multisine", self.multisine(&f)?),
             Family::Steps(f) => ("steps", self.steps(&f)?),
-            Family::RandomWaypoints(f) => {
-                let half_size = [
-                    self.at_least_zero("half_size_m", f.half_size_m[0])?,
-                    self.at_least_zero("half_size_m", f.half_size_m[1])?,
-                    self.at_least_zero("half_size_m", f.half_size_m[2])?,
-                ];
-                let centre = Ned::new(0.0, 0.0, -self.positive("altitude_m", f.altitude_m)?);
-                let hold_s = self.at_least_zero("hold_s", f.hold_s)?;
-                let few = f.count <= WAYPOINTS_MAX;
-                self.check("count", "at most 10000 waypoints", f.count as f64, few)?;
-                let pace = self.pace(&f.pace)?;
-                let path =
-                    MinimumJerkPath::random(f.seed, f.count, centre, half_size, hold_s, pace);
-                ("random-waypoints", Shape::Path(self.some_points(path)?))
-            }
-            Family::Waypoints(f) => {
-                let mut waypoints = Vec::new();
-                for point in &f.points {
-                    waypoints.push(Waypoint {
-                        position: Ned::new(
-                            self.finite("north_m", point.north_m)?,
-                            self.finite("east_m", point.east_m)?,
-                            -self.positive("altitude_m", point.altitude_m)?,
-                        ),
-                        yaw: self.finite("yaw_deg", point.yaw_deg)?.to_radians(),
-                        hold_s: self.at_least_zero("hold_s", point.hold_s)?,
-                    });
-                }
-                let path = MinimumJerkPath::through(&waypoints, self.pace(&f.pace)?);
-                ("waypoints", Shape::Path(self.some_points(path)?))
-            }
+            Family::RandomWaypoints(f) => ("random-waypoints", self.random_waypoints(&f)?),
+            Family::Waypoints(f) => ("waypoints", self.waypoints(&f)?),
             Family::Csv(f) => {
                 let folder = self.origin.parent().unwrap_or(Path::new("."));
                 return load(&folder.join(f.file).with_extension("csv"));
@@ -135,6 +56,92 @@ impl Builder<'_> {
             duration > 0.0 && duration <= DURATION_MAX_S,
         )?;
         Ok(TrajectoryFile::Desired(trajectory))
+    }
+
+    fn yaw_rotation(&self, f: &YawRotation) -> Result<Shape, TrajectoryError> {
+        let yaw = Harmonic {
+            amplitude: self.finite("yaw_amplitude_deg", f.yaw_amplitude_deg)?.to_radians(),
+            period_s: self.positive("yaw_period_s", f.yaw_period_s)?,
+            rate: self.finite("yaw_rate_deg_s", f.yaw_rate_deg_s)?.to_radians(),
+            ..Harmonic::default()
+        };
+        let still = Harmonic::constant(0.0);
+        self.harmonic([still; 2], f.altitude_m, yaw, f.duration_s, f.ramp_s)
+    }
+
+    fn sinusoid_yaw(&self, f: &SinusoidYaw) -> Result<Shape, TrajectoryError> {
+        let period_s = self.positive("period_s", f.period_s)?;
+        let amplitude = self.finite("amplitude_m", f.amplitude_m)?;
+        // north = A sin(w t), east = A (1 - cos(w t)): a circle that starts at the anchor.
+        let north = Harmonic { amplitude, period_s, ..Harmonic::default() };
+        let east = Harmonic { phase: -FRAC_PI_2, ..north };
+        let yaw_period_s = self.positive("yaw_period_s", f.yaw_period_s)?;
+        let yaw =
+            Harmonic { rate: std::f64::consts::TAU / yaw_period_s, ..Harmonic::constant(0.0) };
+        self.harmonic([north, east], f.altitude_m, yaw, f.duration_s, f.ramp_s)
+    }
+
+    fn figure_eight(&self, f: &FigureEight) -> Result<Shape, TrajectoryError> {
+        let period_s = self.positive("period_s", f.period_s)?;
+        let north = Harmonic {
+            amplitude: 0.5 * self.finite("length_m", f.length_m)?,
+            period_s,
+            ..Harmonic::default()
+        };
+        let east = Harmonic {
+            amplitude: 0.5 * self.finite("width_m", f.width_m)?,
+            period_s: 0.5 * period_s,
+            ..Harmonic::default()
+        };
+        let mut shape = self.harmonic(
+            [north, east],
+            f.altitude_m,
+            Harmonic::constant(0.0),
+            f.duration_s,
+            f.ramp_s,
+        )?;
+        if let Shape::Harmonic { curve, .. } = &mut shape {
+            // climb/2 (1 - cos): up from the given altitude and back.
+            curve.position[2].push(Harmonic {
+                amplitude: -0.5 * self.finite("climb_m", f.climb_m)?,
+                period_s,
+                phase: -FRAC_PI_2,
+                ..Harmonic::default()
+            });
+        }
+        Ok(shape)
+    }
+
+    fn random_waypoints(&self, f: &RandomWaypoints) -> Result<Shape, TrajectoryError> {
+        let half_size = [
+            self.at_least_zero("half_size_m", f.half_size_m[0])?,
+            self.at_least_zero("half_size_m", f.half_size_m[1])?,
+            self.at_least_zero("half_size_m", f.half_size_m[2])?,
+        ];
+        let centre = Ned::new(0.0, 0.0, -self.positive("altitude_m", f.altitude_m)?);
+        let hold_s = self.at_least_zero("hold_s", f.hold_s)?;
+        let few = f.count <= WAYPOINTS_MAX;
+        self.check("count", "at most 10000 waypoints", f.count as f64, few)?;
+        let pace = self.pace(&f.pace)?;
+        let path = MinimumJerkPath::random(f.seed, f.count, centre, half_size, hold_s, pace);
+        Ok(Shape::Path(self.some_points(path)?))
+    }
+
+    fn waypoints(&self, f: &Waypoints) -> Result<Shape, TrajectoryError> {
+        let mut waypoints = Vec::new();
+        for point in &f.points {
+            waypoints.push(Waypoint {
+                position: Ned::new(
+                    self.finite("north_m", point.north_m)?,
+                    self.finite("east_m", point.east_m)?,
+                    -self.positive("altitude_m", point.altitude_m)?,
+                ),
+                yaw: self.finite("yaw_deg", point.yaw_deg)?.to_radians(),
+                hold_s: self.at_least_zero("hold_s", point.hold_s)?,
+            });
+        }
+        let path = MinimumJerkPath::through(&waypoints, self.pace(&f.pace)?);
+        Ok(Shape::Path(self.some_points(path)?))
     }
 
     fn harmonic(
