@@ -42,7 +42,7 @@ pub(super) struct Audience {
     service: Option<Service>,
     line: Option<StatusLine>,
     health: Option<HealthView>,
-    /// Changes of the vehicle that were said.
+    /// Changes of the vehicle that were reported.
     reported: u64,
     /// Messages of a learner for the terminal.
     lines: Option<Lines>,
@@ -60,7 +60,7 @@ impl Audience {
         Self::seen(view_settings(requested, run, config), run, course)
     }
 
-    /// The same of a flight, in which viewers may have a say.
+    /// As [`start`](Self::start), for a flight in which viewers may request changes.
     pub fn start_for_flight(
         args: &FlightViewArgs,
         config: &Config,
@@ -84,7 +84,7 @@ impl Audience {
         Ok(Self { view: Some(view), listeners: vec![Box::new(feed)], ..Self::default() })
     }
 
-    /// The same, with ground stations that hear the vehicle too.
+    /// Also forwards the vehicle's frames to other ground stations.
     pub fn forwarding(mut self, args: &ForwardArgs, config: &Config) -> anyhow::Result<Self> {
         let allow = AllowList::new(&config.settings.forward.allow).or_exit(Exit::Usage)?;
         if !args.forward.is_empty() {
@@ -95,7 +95,7 @@ impl Audience {
         Ok(self)
     }
 
-    /// The same, watching whether the vehicle changes, where the settings say so.
+    /// Also watches whether the vehicle changes, if the settings say so.
     pub fn monitored(mut self, vehicle: &VehicleParams, config: &Config) -> anyhow::Result<Self> {
         let health = &config.settings.health;
         if health.monitor {
@@ -117,7 +117,7 @@ impl Audience {
         Ok(self)
     }
 
-    /// The same, with what monitors ask.
+    /// Also serves health, status and metrics to monitors.
     pub fn served(mut self, args: &ServiceArgs) -> anyhow::Result<Self> {
         if let Some(requested) = &args.metrics {
             let service =
@@ -128,7 +128,7 @@ impl Audience {
         Ok(self)
     }
 
-    /// The same, on the whole terminal.
+    /// Also shows the flight on the whole terminal.
     pub fn on_screen(mut self, is_requested: bool, run: &RunInfo) -> anyhow::Result<Self> {
         if is_requested {
             let view = self.view.as_ref().map(|view| format!("   http://{}/", view.address()));
@@ -140,29 +140,29 @@ impl Audience {
         Ok(self)
     }
 
-    /// What others may say to the vehicle; a second call gives none.
+    /// The frames of other ground stations for the vehicle; `None` from the second call on.
     pub fn take_guests(&mut self) -> Option<Guests> {
         self.guests.take()
     }
 
-    /// What viewers ask to be changed, where they may; a second call gives none.
+    /// The changes that viewers request, if they may; `None` from the second call on.
     pub fn take_changes(&mut self) -> Option<Changes> {
         self.view.as_ref().and_then(LiveView::take_changes)
     }
 
-    /// Who is to hear the records; a second call gives none.
+    /// The listeners to the flight's records; `None` from the second call on.
     pub fn take_listeners(&mut self) -> Listeners {
         std::mem::take(&mut self.listeners)
     }
 
-    /// A line on the terminal until [`finish`](Self::finish), where there is no screen.
+    /// Shows a status line until [`finish`](Self::finish), unless there is a screen.
     pub fn begin(&mut self) {
         if self.screen.is_none() {
             self.line = Some(StatusLine::new(std::io::stderr().is_terminal()));
         }
     }
 
-    /// Shows where the flight stands. What a key asked for since the last call.
+    /// Shows the status; returns what a key requested since the last call.
     pub fn show(&mut self, now: HostTime, status: &Status) -> Option<Stop> {
         if let Some(view) = &self.view {
             view.show(now, status);
@@ -196,7 +196,7 @@ impl Audience {
     }
 }
 
-/// Says where the view is.
+/// Prints the address of the view.
 pub(super) fn print_address(address: std::net::SocketAddr) {
     print_status(format_args!("view at http://{address}/ (Foxglove: ws://{address})"));
     if !address.ip().is_loopback() {
@@ -219,13 +219,13 @@ pub(super) fn view_settings(requested: &str, run: &RunInfo, config: &Config) -> 
     }
 }
 
-/// `HOST:PORT`, of which `requested` may lack either: `usual` has them.
+/// `HOST:PORT`; `usual` gives what `requested` lacks.
 pub(super) fn address(requested: &str, usual: &str) -> String {
     let (host, port) = usual.split_once(':').unwrap_or((usual, "0"));
     let is_port = |text: &str| text.parse::<u16>().is_ok();
     match requested.rsplit_once(':') {
         Some(("", given)) if is_port(given) => format!("{host}:{given}"),
-        // The colons of an IPv6 address stand in brackets.
+        // An IPv6 address is in brackets, because it contains colons.
         Some((given, end)) if is_port(end) && (!given.contains(':') || given.ends_with(']')) => {
             requested.to_owned()
         }
@@ -234,10 +234,10 @@ pub(super) fn address(requested: &str, usual: &str) -> String {
     }
 }
 
-/// The course as a line. One that is planned anew in flight is drawn as it begins.
+/// The course as a line. A course that is replanned in flight is drawn as it begins.
 fn path(course: &Course) -> CoursePath {
     let start = course.at_start();
-    // Its thrust is of no matter here.
+    // The line shows positions only, so any thrust will do.
     let reference = start.reference(0.0);
     let count = (reference.duration() / COURSE_PERIOD_S).ceil();
     let period_s = COURSE_PERIOD_S * (count / COURSE_POINTS as f64).max(1.0);

@@ -13,7 +13,7 @@ use crate::cli::FailOnFinding;
 use crate::diagnose::verdict::untestable::{self, Untestable};
 use crate::log::import::{self, Flight, ImportError};
 
-/// What logs are worth: the JSON of `log audit`.
+/// The findings on logs: the JSON of `log audit`.
 #[derive(JsonSchema, Serialize)]
 pub struct AuditSummary {
     schema: &'static str,
@@ -21,7 +21,7 @@ pub struct AuditSummary {
     logs: Vec<Log>,
 }
 
-/// What a log is worth, and which effects it cannot show.
+/// The findings on one log, and the effects that it cannot show.
 #[derive(JsonSchema, Serialize)]
 struct Log {
     #[serde(flatten)]
@@ -29,7 +29,7 @@ struct Log {
     untestable: Vec<Untestable>,
 }
 
-/// Audits logs together, and says which could not be read.
+/// Audits logs together, and reports those that cannot be read.
 pub fn audit(files: &[PathBuf], mapping: Option<&Path>) -> (AuditSummary, Vec<ImportError>) {
     let opened: Vec<Result<Flight, ImportError>> =
         files.par_iter().map(|file| import::open_among(file, mapping)).collect();
@@ -60,7 +60,7 @@ pub(super) fn run(
 ) -> anyhow::Result<Exit> {
     let (summary, mut refused) = audit(files, mapping);
     let logs = &summary.logs;
-    // One log that is none keeps nothing back of the others.
+    // A file that is no log does not stop the audit of the others.
     let last = refused.pop();
     refused.iter().for_each(|error| print_status(format_args!("{error}")));
     if logs.is_empty() {

@@ -1,4 +1,4 @@
-//! `downwash campaign`: many simulated flights under drawn faults, and what did not hold in them.
+//! `downwash campaign`: many simulated flights under random faults, and the rules that they broke.
 
 mod kit;
 mod real_time;
@@ -32,9 +32,9 @@ use crate::campaign::script::Script;
 use crate::campaign::shrink::shrunk;
 use crate::cli::CampaignArgs;
 
-/// In real time a flight waits more than it computes: so many at once.
+/// Flights at once in real time, where a flight waits more than it computes.
 const REAL_TIME_JOBS: usize = 10;
-/// So many failing flights are shrunk; the others wait for the next run.
+/// Number of failing flights that are shrunk; the others wait for the next run.
 const SHRUNK_MAX: usize = 10;
 
 /// A flight of a campaign: the JSON of `campaign --script`, and a line of its rows.
@@ -44,19 +44,19 @@ pub struct CampaignFlight {
     pub index: usize,
     /// Why it could not be flown.
     pub failure: Option<String>,
-    /// The station's own word on how it ended.
+    /// How it ended, according to the station.
     pub end: String,
     /// Who had the vehicle at the end; null where the flight had none.
     pub ending: Option<Ending>,
     /// Rules that did not hold, each once.
     pub violations: Vec<Violation>,
-    /// Setpoints that left.
+    /// Number of setpoints that were sent.
     pub setpoints: u64,
     /// Simulated time, s.
     pub simulated_s: f64,
     /// CRC-32 of every byte in both directions: the same script gives the same. 0 in real time.
     pub digest: u32,
-    /// States of the flight, each with a fault that acted in it.
+    /// Pairs of a flight state and a fault that acted in it.
     pub coverage: Vec<(String, String)>,
 }
 
@@ -76,7 +76,7 @@ impl CampaignFlight {
         }
     }
 
-    /// One that could not be flown.
+    /// The row of a flight that could not be flown.
     fn not_flown(index: usize, error: &anyhow::Error) -> Self {
         Self {
             index,
@@ -105,7 +105,7 @@ pub struct Covered {
     state: String,
     /// The fault.
     fault: String,
-    /// How many flights.
+    /// Number of flights.
     flights: u64,
 }
 
@@ -114,7 +114,7 @@ pub struct Covered {
 pub struct Failed {
     /// Its number.
     index: usize,
-    /// What did not hold.
+    /// The rules that it broke.
     violations: Vec<Violation>,
     /// Why it could not be flown.
     failure: Option<String>,
@@ -122,7 +122,7 @@ pub struct Failed {
     script: Option<PathBuf>,
 }
 
-/// What a campaign has come to: the JSON of `campaign`.
+/// The result of a campaign: the JSON of `campaign`.
 #[derive(Debug, JsonSchema, Serialize)]
 pub struct CampaignSummary {
     schema: &'static str,
@@ -142,12 +142,12 @@ pub struct CampaignSummary {
     simulated_h: f64,
     /// Flights that broke a rule or could not be flown.
     failed: Vec<Failed>,
-    /// How the flights ended, as truth has it.
+    /// How the flights ended, according to the simulated vehicle's true state.
     endings: BTreeMap<String, usize>,
-    /// The share of such flights that fail is below this with 95 % confidence, by the rule of three;
-    /// null where some failed.
+    /// Upper bound, with 95 % confidence, on the share of such flights that fail, by the rule of
+    /// three; null where some failed.
     bound_95: Option<f64>,
-    /// Flight states and faults that met.
+    /// Flight states in which faults acted.
     coverage: Vec<Covered>,
 }
 
@@ -255,7 +255,7 @@ impl Campaign<'_> {
         Some(flight.unwrap_or_else(|error| CampaignFlight::not_flown(index, &error)))
     }
 
-    /// Flies what of the shard is missing; how many that were.
+    /// Flies the shard's missing flights; returns how many it flew.
     fn fly(&self, stop: &AtomicBool) -> anyhow::Result<usize> {
         let done = self.folder.done()?;
         let own = (0..self.args.flights).filter(|index| self.args.shard.has(*index));
@@ -321,7 +321,7 @@ impl Campaign<'_> {
         })
     }
 
-    /// The shortest script that fails as this flight did, in a file.
+    /// Writes the shortest script that fails as this flight did.
     fn shrunk(&self, row: &CampaignFlight) -> anyhow::Result<Option<PathBuf>> {
         let Some(first) = row.violations.first().filter(|_| !self.args.real_time) else {
             return Ok(None);
@@ -351,7 +351,7 @@ fn violations_text(violations: &[Violation]) -> String {
     violations.iter().map(line).collect()
 }
 
-/// What stdout shows.
+/// The text for stdout.
 fn text(summary: &CampaignSummary) -> String {
     let CampaignSummary { seed, flights, done, setpoints, simulated_h, failed, .. } = summary;
     let is_real_time = &summary.real_time;

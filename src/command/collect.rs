@@ -58,7 +58,7 @@ struct FlightRow {
     kind: FlightKind,
     /// Length of the trajectory, s.
     planned_s: f64,
-    /// The most that the trajectory asks for.
+    /// The greatest demands of the trajectory.
     demands: Feasibility,
     /// `planned`, `done`, `kept` (its log was there), or why it ended otherwise.
     end: String,

@@ -16,7 +16,7 @@ use crate::log::import::{self, Flight, ImportError};
 use crate::report::side_by_side::{Alignment, Comparison, Entry, Outcome, Pairing};
 use crate::report::{FlightReport, Recording};
 
-/// Facts of a run that say nothing of what it was: they differ in every flight, or in none.
+/// Facts of a run that do not distinguish groups: they differ in every flight, or in none.
 const NO_FACTS: [&str; 4] = ["run", "frames", "units", "log_version"];
 
 pub(super) fn run(args: &CompareArgs) -> anyhow::Result<Exit> {
@@ -41,7 +41,7 @@ pub(super) fn run(args: &CompareArgs) -> anyhow::Result<Exit> {
 /// A comparison with its page.
 #[derive(Debug)]
 pub struct Compared {
-    /// What differs, and by how much.
+    /// The differences and their sizes.
     pub comparison: Comparison,
     /// The page, one file without references to others.
     pub html: String,
@@ -90,7 +90,7 @@ pub fn compared(args: &CompareArgs) -> anyhow::Result<Compared> {
 /// Reads a flight for a comparison: along its trajectory where it is one of this program's.
 ///
 /// # Errors
-/// What is no flight log.
+/// The file is no flight log.
 pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
     let name = log.file_stem().unwrap_or_default().to_string_lossy();
     let own = LogReader::open(log).ok().and_then(|mut reader| {
@@ -122,19 +122,19 @@ pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
     Ok(Entry::recorded(&name, &Recording::new(flight), facts))
 }
 
-/// What the log of a flight of this program says of it.
+/// The facts that a log of this program states about its flight.
 fn run_facts(run: &BTreeMap<String, String>) -> BTreeMap<String, String> {
     let kept = run.iter().filter(|(key, _)| !NO_FACTS.contains(&key.as_str()));
     let mut facts: BTreeMap<String, String> =
         kept.map(|(key, value)| (key.clone(), value.clone())).collect();
-    // Flights of one trajectory are pairs.
+    // Flights along one trajectory form pairs.
     if let Some(trajectory) = run.get("run") {
         facts.insert("trajectory".to_owned(), trajectory.clone());
     }
     facts
 }
 
-/// What another program's log says of its vehicle.
+/// The facts that another program's log states about its vehicle.
 fn recorded_facts(flight: &Flight) -> BTreeMap<String, String> {
     let mut facts = BTreeMap::from([("format".to_owned(), flight.origin.format.to_owned())]);
     let stated = &flight.facts;
@@ -151,7 +151,7 @@ fn recorded_facts(flight: &Flight) -> BTreeMap<String, String> {
     facts
 }
 
-/// The values of a file (TOML or JSON) by their paths; nothing of what is neither.
+/// The values of a TOML or JSON file by their paths; empty for any other file.
 fn flattened(prefix: &str, text: &str) -> BTreeMap<String, String> {
     let json = serde_json::from_str::<Value>(text).ok();
     let value = json.or_else(|| toml::from_str::<Value>(text).ok());
@@ -166,7 +166,7 @@ fn flatten(path: String, value: &Value, facts: &mut BTreeMap<String, String>) {
     match value {
         Value::Object(table) => {
             for (key, value) in table {
-                // Where a number is from is not what it is.
+                // Provenance does not change a number.
                 if key != "provenance" && key != "notes" {
                     flatten(format!("{path}.{key}"), value, facts);
                 }

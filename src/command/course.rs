@@ -1,4 +1,4 @@
-//! What a flight is given to follow: a desired trajectory as it is, or a plan.
+//! The course of a flight: a desired trajectory as it is, or a plan.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -23,15 +23,15 @@ pub enum Course {
     Planned(Arc<Plan>),
     /// Planned anew in flight.
     Receding {
-        /// Where it begins.
+        /// Its start.
         goal: Trajectory,
-        /// What plans it.
+        /// Its planner.
         reference: Arc<RecedingReference>,
     },
 }
 
 impl Course {
-    /// Reads a trajectory file or a plan, and checks that the vehicle may be asked to fly it.
+    /// Reads a trajectory file or a plan, and checks that the vehicle can fly it.
     ///
     /// # Errors
     /// As [`check`](Self::check), and a file that cannot be read.
@@ -45,10 +45,10 @@ impl Course {
         Ok(course)
     }
 
-    /// Whether the envelope allows it, and a plan is one for this vehicle that holds.
+    /// Checks that it is within the envelope, and that a plan is flyable and made for this vehicle.
     ///
     /// # Errors
-    /// The first thing that speaks against flying it.
+    /// The first reason not to fly it.
     pub fn check(&self, vehicle: &VehicleFile, config: &Config) -> anyhow::Result<()> {
         let envelope = &config.settings.envelope;
         let params = &vehicle.params;
@@ -90,7 +90,7 @@ impl Course {
         Ok(())
     }
 
-    /// What the first tick along it follows: before the first plan, the goal as it is.
+    /// The reference of the first tick along it: before the first plan, the goal itself.
     pub fn at_start(&self) -> Self {
         match self {
             Self::Receding { goal, .. } => Self::Desired(goal.clone()),
@@ -98,7 +98,7 @@ impl Course {
         }
     }
 
-    /// What it is called in logs and reports.
+    /// Its name in logs and reports.
     pub fn name(&self) -> &str {
         match self {
             Self::Desired(goal) | Self::Receding { goal, .. } => goal.name(),
@@ -114,7 +114,8 @@ impl Course {
         }
     }
 
-    /// What the controller follows. `hover_thrust_n` is the vehicle's effective weight.
+    /// The reference that the controller follows. `hover_thrust_n` is the vehicle's effective
+    /// weight.
     pub fn reference(&self, hover_thrust_n: f64) -> Arc<dyn ReferenceSource + Send + Sync> {
         match self {
             Self::Desired(trajectory) => {

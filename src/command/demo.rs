@@ -1,6 +1,6 @@
-//! `downwash demo`: the whole experiment on the simulated vehicle, in lockstep. It has effects that
-//! its file does not say; flights are collected, a model is learned from them, the trajectory is
-//! planned through it, and flown with and without the plan.
+//! `downwash demo`: the whole experiment on the simulated vehicle, in lockstep. The vehicle has
+//! effects that its file does not state. The command collects flights, learns a model from them,
+//! plans the trajectory through it, and flies with and without the plan.
 
 mod flights;
 mod outcome;
@@ -31,11 +31,11 @@ use crate::plan::Trajectory;
 use crate::plan::planned::Plan;
 use crate::plan::receding::RecedingReference;
 
-/// What every stage works with.
+/// The inputs of every stage.
 struct Demo<'a> {
     args: &'a DemoArgs,
     config: Config,
-    /// The same for each law that flies.
+    /// The configuration of each law that flies.
     configs: Vec<Config>,
     vehicle: VehicleFile,
     desired: Option<Trajectory>,
@@ -44,7 +44,7 @@ struct Demo<'a> {
     interrupted: Arc<AtomicBool>,
 }
 
-/// What was learned.
+/// The learned models.
 struct Learned {
     file: ModelFile,
     path: PathBuf,
@@ -102,7 +102,8 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
     Ok(exit)
 }
 
-/// The simulated vehicle: as asked for; else, where a model is learned, with effects to learn.
+/// The simulated vehicle: with the requested effects; without any, and if a model is learned, with
+/// effects to learn.
 fn simulation(args: &DemoArgs) -> anyhow::Result<SimulationArgs> {
     let mut simulation = args.simulation.clone();
     let learns = args.fly.iter().any(|contestant| contestant.model().is_some());
@@ -115,7 +116,7 @@ fn simulation(args: &DemoArgs) -> anyhow::Result<SimulationArgs> {
 }
 
 impl Demo<'_> {
-    /// Every stage, one after the other. `given` is what is flown without a plan.
+    /// Runs every stage, one after the other. `given` is the course that is flown without a plan.
     fn run(&self, given: Course, began: Instant) -> anyhow::Result<Exit> {
         let learned = if self.args.fly.iter().any(|contestant| contestant.model().is_some()) {
             match self.learn()? {
@@ -148,7 +149,7 @@ impl Demo<'_> {
         self.conclude(flown, learned, plans, began)
     }
 
-    /// Collects flights and learns from them; the exit code where that did not come to an end.
+    /// Collects flights and learns from them; returns the exit code if that ended early.
     fn learn(&self) -> anyhow::Result<Result<Learned, Exit>> {
         let args = self.args;
         let vehicle = args.out.join("vehicle.toml");

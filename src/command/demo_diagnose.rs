@@ -1,6 +1,6 @@
-//! `downwash demo --diagnose`: the loop closed on one command. The simulated vehicle has an effect
-//! that its file does not say; it is found from a short programme of flights, and the trajectory is
-//! planned and flown with the file as shipped and with the improved one.
+//! `downwash demo --diagnose`: the whole loop in one command. The simulated vehicle has an effect
+//! that its file does not state. The diagnosis finds it from a short programme of flights; then the
+//! trajectory is planned and flown with the shipped file and with the improved one.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -47,8 +47,9 @@ use crate::report::comparison::{Contender, Track};
 use crate::report::repair::{self, Repair};
 use crate::station::End;
 
-/// Effects that a hidden one is drawn from: those that the programme shows and that matter to the
-/// trajectory. Wind needs a drag in the vehicle file, and floor and wake are not met.
+/// Candidates for the hidden effect: those that the programme shows and that matter along the
+/// trajectory. Wind needs a drag in the vehicle file, and the flights stay clear of the floor and
+/// of their own wake.
 const DRAWN: [EffectId; 13] = [
     EffectId::ThrustScale,
     EffectId::Mass,
@@ -64,9 +65,9 @@ const DRAWN: [EffectId; 13] = [
     EffectId::AttitudeTrim,
     EffectId::PdGain,
 ];
-/// Part of the usual magnitude of an effect that is drawn.
+/// Range of the drawn effect's size, over the usual one.
 const STRENGTH: [f64; 2] = [0.5, 1.0];
-/// Twins that say how large chance makes the evidence.
+/// Number of twins, which show how large chance makes the evidence.
 const TWINS: u32 = 40;
 
 /// The JSON of `demo --diagnose`, and its summary.json.
@@ -74,30 +75,30 @@ const TWINS: u32 = 40;
 pub(super) struct RepairSummary {
     schema: &'static str,
     schema_version: u32,
-    /// How the flights ended: done, or the first that did not.
+    /// How the flights ended: `done`, or how the first other one did.
     end: String,
     seed: u64,
     trajectory: String,
-    /// What the simulated vehicle has and the vehicle file does not say.
+    /// Effects of the simulated vehicle that the vehicle file does not state.
     #[schemars(
         with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
     )]
     hidden: EffectSet,
-    /// What was found.
+    /// Effects that the diagnosis found.
     #[schemars(
         with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
     )]
     found: EffectSet,
     finding: String,
     excited_s: f64,
-    /// On the flights along the trajectory, in units of the noise.
+    /// The gap on the flights along the trajectory, in units of the noise.
     gap: Option<RepairedGap>,
-    /// As shipped, then improved.
+    /// The shipped file, then the improved one.
     contenders: Vec<Contender>,
     improved: PathBuf,
     report: PathBuf,
     logs: Vec<PathBuf>,
-    /// Of the diagnosis alone, and of all there is.
+    /// Wall time of the diagnosis alone, and of everything.
     diagnosis_wall_s: f64,
     total_wall_s: f64,
 }
@@ -110,7 +111,7 @@ struct RepairedGap {
     floor: f64,
 }
 
-/// What every stage works with.
+/// The inputs of every stage.
 struct Loop<'a> {
     args: &'a DemoArgs,
     config: Config,
@@ -156,7 +157,8 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
     closed.run(began)
 }
 
-/// The simulated vehicle: as asked for; else with an effect that is drawn from the seed.
+/// The simulated vehicle: with the requested effects; without any, with an effect drawn from the
+/// seed.
 fn hide(args: &DemoArgs, vehicle: &VehicleParams) -> anyhow::Result<SimulationArgs> {
     let mut simulation = args.simulation.clone();
     if simulation.effects.is_none() && simulation.effect.is_empty() {
@@ -225,8 +227,8 @@ impl Loop<'_> {
         Ok(exit)
     }
 
-    /// Flies what shows effects; the exit code where a flight did not end as planned, which is
-    /// told.
+    /// Flies the programme that shows effects. Returns the exit code, and reports the flight, if
+    /// one did not end as planned.
     fn excite(&self) -> anyhow::Result<Result<Vec<PathBuf>, Exit>> {
         let args = self.args;
         print_status(format_args!("flying {:.0} s to see its effect", args.excite));
@@ -286,7 +288,7 @@ impl Loop<'_> {
         Ok(diagnosis)
     }
 
-    /// Writes the vehicle file with what was found.
+    /// Writes the vehicle file with the effects found.
     fn improve(&self, diagnosis: &Diagnosis) -> anyhow::Result<VehicleFile> {
         let logs: Vec<String> =
             diagnosis.answer.flights.iter().map(|flight| flight.name.clone()).collect();
@@ -314,7 +316,8 @@ impl Loop<'_> {
         Ok((course, path))
     }
 
-    /// Flies a course as often as asked. The daemon has `vehicle`'s file; firmware and truth stay.
+    /// Flies a course with every seed. The daemon has `vehicle`'s file; the firmware and the true
+    /// vehicle stay the same.
     fn fly(&self, name: &str, vehicle: &VehicleFile, course: &Course) -> anyhow::Result<Flown> {
         let args = self.args;
         let effective = EffectiveVehicle::new(&vehicle.params).or_exit(Exit::Usage)?;
@@ -350,7 +353,7 @@ impl Loop<'_> {
         Ok(Flown { contender: Contender::new(name, tracks), logs, end, exit })
     }
 
-    /// How far both simulators are from the flights along the trajectory, none of which was fitted.
+    /// The gap of both simulators on the flights along the trajectory, none of which was fitted.
     fn gap(
         &self,
         logs: &[PathBuf],
@@ -439,7 +442,7 @@ impl Loop<'_> {
 /// Name of the improved vehicle file.
 const IMPROVED: &str = "improved.toml";
 
-/// What stdout shows.
+/// The text for stdout.
 fn text(summary: &RepairSummary, hidden: &str) -> String {
     let mut text =
         format!("flights {}\nhidden  {hidden}\nfound   {}\n", summary.end, summary.finding);

@@ -1,4 +1,5 @@
-//! `downwash diagnose`: where the gap lies, which effect causes it, how far it shrinks.
+//! `downwash diagnose`: locates the gap, names the effect that causes it, and says how far it
+//! shrinks.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -47,14 +48,14 @@ pub(super) struct Told<'a> {
     answer: &'a Answer,
 }
 
-/// A diagnosis, and what it was made of.
+/// A diagnosis and its inputs.
 pub struct Finding {
     args: DiagnoseArgs,
     vehicle: VehicleParams,
     /// The answer.
     pub answer: Answer,
     effects: EffectSet,
-    /// What a search for changes saw of each flight, for the report.
+    /// What the change detector saw of each flight, for the report.
     seen: Vec<(String, Seen)>,
 }
 
@@ -70,12 +71,52 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
     find(args, &never, &|stage| print_status(format_args!("... {stage}")))?.print()
 }
 
-/// Diagnoses, and writes what does not hang on the answer's form: the next flight and the evidence.
-/// `progress` is shown the name of each stage as it begins. Where `stop` is set, the work ends soon,
-/// without a finding.
+/// The logs of the flags, the new ones last.
+fn paths(args: &DiagnoseArgs) -> Vec<PathBuf> {
+    let mut paths = args.logs.clone();
+    for path in &args.holdout {
+        if !paths.contains(path) {
+            paths.push(path.clone());
+        }
+    }
+    paths.retain(|path| !args.new.contains(path));
+    paths.extend(args.new.iter().cloned());
+    paths
+}
+
+/// Usable flights by their use, and the audits of all logs.
+struct Sorted {
+    fitted: Vec<PreparedFlight>,
+    held_out: Vec<PreparedFlight>,
+    new: Vec<PreparedFlight>,
+    logs: Vec<LogAnswer>,
+}
+
+/// Reads logs, and reports those that are left out.
+fn sorted(args: &DiagnoseArgs, paths: &[PathBuf], vehicle: &VehicleParams) -> Sorted {
+    let read = audited(paths, args.mapping.as_deref(), vehicle);
+    let mut sorted =
+        Sorted { fitted: Vec::new(), held_out: Vec::new(), new: Vec::new(), logs: Vec::new() };
+    for (path, log) in paths.iter().zip(read) {
+        match log.flight {
+            Ok(flight) if args.new.contains(path) => sorted.new.push(flight),
+            Ok(flight) if args.holdout.contains(path) => sorted.held_out.push(flight),
+            Ok(flight) => sorted.fitted.push(flight),
+            Err(error) => {
+                print_status(format_args!("{}: left out: {}", path.display(), in_words(&error)))
+            }
+        }
+        sorted.logs.extend(log.audit);
+    }
+    sorted
+}
+
+/// Diagnoses, and writes the files that do not depend on the answer's form: the next flight and the
+/// evidence. `progress` receives the name of each stage as it begins. Once `stop` is set, the work
+/// ends soon, without a finding.
 ///
 /// # Errors
-/// Files that cannot be read, or logs that hold nothing to compare with.
+/// Files that cannot be read, or logs without data to compare with.
 pub fn find(
     args: &DiagnoseArgs,
     stop: &Arc<AtomicBool>,
@@ -87,35 +128,14 @@ pub fn find(
         refuse_input(out, logs.map(PathBuf::as_path))?;
     }
     warn(&args.vehicle, &vehicle);
-    // What would fail after the work is tried before it.
+    // Errors that would come after the work are found before it.
     let proposing = match (&args.next_flight, &args.config) {
         (None, None) => None,
         _ => Some(config::load(args.config.as_deref(), vec![])?.settings),
     };
     create_report_folder(args.report.as_deref())?;
-    let mut paths = args.logs.clone();
-    for path in &args.holdout {
-        if !paths.contains(path) {
-            paths.push(path.clone());
-        }
-    }
-    paths.retain(|path| !args.new.contains(path));
-    let old = paths.len();
-    paths.extend(args.new.iter().cloned());
-    let read = audited(&paths, args.mapping.as_deref(), &vehicle);
-    let (mut fitted, mut held_out, mut new) = (Vec::new(), Vec::new(), Vec::new());
-    let mut logs = Vec::new();
-    for (index, (path, log)) in paths.iter().zip(read).enumerate() {
-        match log.flight {
-            Ok(flight) if index >= old => new.push(flight),
-            Ok(flight) if args.holdout.contains(path) => held_out.push(flight),
-            Ok(flight) => fitted.push(flight),
-            Err(error) => {
-                print_status(format_args!("{}: left out: {}", path.display(), in_words(&error)))
-            }
-        }
-        logs.extend(log.audit);
-    }
+    let paths = paths(args);
+    let Sorted { mut fitted, mut held_out, mut new, logs } = sorted(args, &paths, &vehicle);
     if fitted.is_empty() {
         fitted.append(&mut new);
     }
@@ -185,7 +205,7 @@ impl Finding {
     /// The answer as `--json` prints it.
     ///
     /// # Errors
-    /// None that is known: of writing JSON.
+    /// Of writing JSON; none is known.
     pub fn to_json(&self) -> anyhow::Result<String> {
         serde_json::to_string_pretty(&self.answer_document()).context("the answer")
     }
@@ -202,19 +222,19 @@ impl Finding {
         report(&self.answer)
     }
 
-    /// An effects file of the law and what acts beside it, where a law is named.
+    /// An effects file with the named law and the effects beside it; `None` without a law.
     ///
     /// # Errors
-    /// None that is known: of writing TOML.
+    /// Of writing TOML; none is known.
     pub fn law(&self) -> anyhow::Result<Option<String>> {
         let is_named = self.answer.law.as_ref().is_some_and(|law| law.named);
         is_named.then(|| toml::to_string(&self.effects).context("the law")).transpose()
     }
 
-    /// The vehicle file with the effects that were found, in the form of a file named `out`.
+    /// The vehicle file with the effects found, in the form of a file named `out`.
     ///
     /// # Errors
-    /// A vehicle file that is no longer there, or cannot be written in this form.
+    /// The vehicle file is gone, or cannot be written in this form.
     pub fn improved(&self, out: &Path) -> anyhow::Result<String> {
         let Self { args, vehicle, answer, effects, .. } = self;
         let text = vehicle::read(&args.vehicle)
@@ -232,7 +252,7 @@ impl Finding {
         Told { schema: "downwash.diagnose", schema_version: 2, answer: &self.answer }
     }
 
-    /// Writes what was asked for, and prints the answer.
+    /// Writes the requested files, and prints the answer.
     fn print(&self) -> anyhow::Result<Exit> {
         let Self { args, answer, .. } = self;
         if let Some(folder) = &args.report {
@@ -264,7 +284,7 @@ impl Finding {
     }
 }
 
-/// The flight that would tell what the logs leave open.
+/// The flight that would decide what the logs leave open.
 fn propose(
     args: &DiagnoseArgs,
     settings: &crate::config::Settings,
@@ -283,15 +303,15 @@ fn propose(
     next_flight(&proposal, &diagnosis.open).or_exit(Exit::Usage)
 }
 
-/// A log with what the audit found in it.
+/// A log and its audit.
 pub(super) struct AuditedLog {
-    /// Ready for the diagnosis, or why not.
+    /// The flight, ready for the diagnosis, or why it is not.
     pub flight: anyhow::Result<PreparedFlight>,
     pub audit: Option<LogAnswer>,
 }
 
-/// Reads logs and audits them together. A log at fault is left out, and of others the times that
-/// cannot be used.
+/// Reads logs and audits them together. Leaves out faulty logs, and the unusable times of the
+/// others.
 pub(super) fn audited(
     paths: &[PathBuf],
     mapping: Option<&Path>,
@@ -343,17 +363,17 @@ fn prepare(
         return Err(anyhow!("{fault}"));
     }
     let flight = PreparedFlight::new(flight, vehicle)?;
-    // Setpoints may pause where the outputs drive the plant.
+    // Setpoints may pause if the outputs drive the plant.
     let concerns = |span: &&UnusableSpan| span.stream != "setpoint" || flight.channels.setpoint;
     let times = audit.unusable.iter().filter(concerns).map(|span| span.from_s..span.to_s);
     let times: Vec<_> = times.collect();
     Ok(flight.excluding(&times)?)
 }
 
-/// Flights to fit and one held out: the last, or the second part of a single one.
+/// The flights to fit and the held-out one: the last flight, or the second part of a single one.
 ///
 /// # Errors
-/// A single flight that is too short for two parts, or none.
+/// No flight, or a single one that is too short for two parts.
 pub(super) fn parted(
     mut flights: Vec<PreparedFlight>,
 ) -> anyhow::Result<(Vec<PreparedFlight>, Vec<PreparedFlight>)> {

@@ -16,7 +16,7 @@ use super::{Exit, ExitContext, print_json, print_status, print_text};
 use crate::cli::DoctorArgs;
 use crate::link::silence::Silence;
 
-/// How long is listened, s: AUTOPILOT_VERSION is waited for, then parameters, then rates.
+/// Listening time, s: for AUTOPILOT_VERSION, then parameters, then rates.
 const SECONDS: f64 = 8.0;
 const STEP: Duration = Duration::from_millis(250);
 

@@ -54,7 +54,7 @@ pub(super) struct ExamSummary<'a> {
     schema_version: u32,
     seed: u64,
     commitment: &'a str,
-    /// Cases that were asked for and were not diagnosed.
+    /// Requested cases that were not diagnosed.
     left_out: usize,
     /// Wall time of the flights, and of the diagnoses, s.
     wall_s: [f64; 2],

@@ -1,4 +1,5 @@
-//! `downwash diagnose --fleet`: many vehicles of a type, what they share and what single ones have.
+//! `downwash diagnose --fleet`: many vehicles of a type: the effects that they share, and those of
+//! single ones.
 
 mod row;
 mod vehicles;
@@ -39,9 +40,9 @@ use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::pipeline::diagnose;
 use crate::report::fleet::html;
 
-/// Vehicles by which the scale of the file's tolerances is found, at most.
+/// Largest number of vehicles from which the scale of the file's tolerances is found.
 const SAMPLE: usize = 6;
-/// Twins of a vehicle, at most: over the fleet there are many.
+/// Largest number of twins of a vehicle: the fleet as a whole has many.
 const TWINS_MAX: u32 = 8;
 /// Stages: the scale of the tolerances, surveys beside ever more effects of the type, the vehicles' diagnoses.
 const SCALES: usize = 0;
@@ -71,7 +72,7 @@ struct Read {
     given: Given,
     flights: Vec<PreparedFlight>,
     faults: Vec<String>,
-    /// Why there is no flight.
+    /// Why it has no flight.
     reasons: Vec<String>,
 }
 
@@ -99,12 +100,11 @@ pub(super) fn run(
     }
 }
 
-/// Diagnoses a fleet; none where `stop` was set meanwhile. `progress` is shown the name of a stage, the
-/// vehicles that are done and how many there are.
+/// Diagnoses a fleet; `None` if `stop` was set meanwhile. `progress` receives the name of the
+/// stage, the number of vehicles done and the number of all.
 ///
 /// # Errors
-/// Files that cannot be read, a folder of rows of something else, or no vehicle whose flights hold
-/// anything.
+/// Files that cannot be read, a folder of other rows, or no vehicle with usable flights.
 pub fn find(
     args: &DiagnoseArgs,
     source: &Path,
@@ -149,7 +149,7 @@ pub fn find(
     work.find()
 }
 
-/// What the rows follow from.
+/// Everything on which the rows depend.
 fn fingerprint(
     args: &DiagnoseArgs,
     vehicle: &VehicleParams,
@@ -185,7 +185,7 @@ fn read_one(given: Given, args: &DiagnoseArgs, vehicle: &VehicleParams) -> Read 
     read
 }
 
-/// A fleet in work.
+/// A fleet during its diagnosis.
 struct Work<'a> {
     args: &'a DiagnoseArgs,
     vehicle: &'a VehicleParams,
@@ -202,7 +202,7 @@ impl Work<'_> {
         let usable: Vec<usize> =
             (0..self.read.len()).filter(|v| !self.read[*v].flights.is_empty()).collect();
         if usable.is_empty() {
-            // Of many, a few say what is wrong.
+            // A few of many suffice to show what is wrong.
             let reasons = self.read.iter().flat_map(|read| &read.reasons).map(String::as_str);
             let reasons: Vec<&str> = reasons.take(3).collect();
             return Err(anyhow!("no vehicle has a log that can be used: {}", reasons.join("; ")))
@@ -294,7 +294,7 @@ impl Work<'_> {
         Ok(Some(best.map_or(1.0, |best| best[0])))
     }
 
-    /// What each vehicle has beyond its type.
+    /// Diagnoses what each vehicle has beyond its type.
     fn own(&self, usable: &[usize], fleet: &Fleet) -> anyhow::Result<Option<Vec<VehicleAnswer>>> {
         let mut of_type = self.vehicle.clone();
         let effects = effects_of(self.vehicle, &fleet.shared);
@@ -321,8 +321,7 @@ impl Work<'_> {
         Ok(Some(answers.collect()))
     }
 
-    /// Does a stage of these vehicles, those side by side of which no row is there. None where it was
-    /// broken off.
+    /// Runs a stage for these vehicles, in parallel for those without a row. `None` if interrupted.
     fn stage(
         &self,
         stage: usize,
@@ -341,7 +340,7 @@ impl Work<'_> {
                     None if self.stop.load(Ordering::Relaxed) => return Ok(None),
                     None => {
                         let done = alone(|| work(*vehicle));
-                        // What was broken off says nothing.
+                        // An interrupted stage has no result.
                         if self.stop.load(Ordering::Relaxed) {
                             return Ok(None);
                         }
@@ -365,7 +364,7 @@ impl FleetFinding {
         Told { schema: "downwash.diagnose.fleet", schema_version: 1, answer: &self.answer }
     }
 
-    /// The vehicle file of the type with what all share.
+    /// The vehicle file of the type, with the shared effects.
     fn improved(&self, args: &DiagnoseArgs, out: &Path) -> anyhow::Result<String> {
         let text = vehicle::read(&args.vehicle)
             .with_context(|| format!("cannot read {}", args.vehicle.display()))

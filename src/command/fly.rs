@@ -143,7 +143,7 @@ fn check(
 ) -> anyhow::Result<Exit> {
     settings.offboard.supervisor.ready_timeout_s = CHECK_LIMIT_S;
     let clock = HostClock::start();
-    // A log begins with a flight, and there is none.
+    // A log begins with a flight, and a check flies none.
     let none = |_| {
         Err(LogError::Create { path: PathBuf::new(), source: io::ErrorKind::Unsupported.into() })
     };
@@ -174,7 +174,7 @@ fn learned(
     lap_course(&args.learning, lap, &plan_model, vehicle, config, Clock::Wall)
 }
 
-/// The trajectory as a goal that is planned to in flight, and that its file moves.
+/// The trajectory as a goal that is replanned in flight and that changes of its file move.
 fn replanned(
     args: &FlyArgs,
     vehicle: &VehicleFile,
@@ -207,7 +207,7 @@ pub(super) struct Flown {
     pub log: Option<PathBuf>,
 }
 
-/// What one flight on a link is made of.
+/// The parts of one flight on a link.
 pub(super) struct Run {
     pub settings: StationSettings,
     pub endpoint: Endpoint,
@@ -243,7 +243,7 @@ impl Run {
                     "{error}; {} holds what was written until then",
                     path.display()
                 ));
-                // A flight without its log did not go well.
+                // A flight without its log is no success.
                 let exit = if exit == Exit::Ok { Exit::Failure } else { exit };
                 Ok(Flown { end, exit, log: None })
             }
@@ -251,8 +251,8 @@ impl Run {
     }
 }
 
-/// Shows the status and waits for the end. The first Ctrl-C or SIGTERM asks for landing, the
-/// second drops the stream.
+/// Shows the status and waits for the end. The first Ctrl-C or SIGTERM requests a landing, the
+/// second ends the stream.
 pub(super) fn watch(
     running: Running,
     clock: HostClock,
@@ -283,7 +283,7 @@ pub(super) fn system_flag(system: Option<u8>) -> Option<(&'static str, &'static 
     system.map(|id| ("--system", "link.vehicle_system", toml::Value::Integer(id.into())))
 }
 
-/// Says what a telemetry log lacks.
+/// Reports frames that a telemetry log lacks.
 pub(super) fn print_tlog_loss(tlog: Option<io::Result<u64>>) {
     match tlog {
         None | Some(Ok(0)) => {}
@@ -294,8 +294,8 @@ pub(super) fn print_tlog_loss(tlog: Option<io::Result<u64>>) {
     }
 }
 
-/// Opens the .tlog that every byte of the link goes to: beside one that is there already; a device
-/// or a pipe is taken as it is.
+/// Opens the .tlog for every byte of the link. An existing log is kept, and the new one is beside
+/// it; a device or a pipe is written to as it is.
 pub(super) fn tee(path: &Path) -> anyhow::Result<TeeThread> {
     let created = match is_special(path) {
         true => File::create(path).map(|file| (file, path.to_owned())),

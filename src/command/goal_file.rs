@@ -1,4 +1,5 @@
-//! The trajectory's file as the goal of a flight: what it says anew is followed from then on.
+//! The trajectory's file as the goal of a flight: from a change of the file on, the flight follows
+//! the new content.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,15 +15,14 @@ use crate::plan::{FlightEnvelope, Trajectory};
 /// Time between two reads of the file.
 const PERIOD: Duration = Duration::from_millis(100);
 
-/// Reads the file in a thread of its own until it is dropped.
+/// Reads the file in its own thread until dropped.
 pub(super) struct GoalFile {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl GoalFile {
-    /// Moves `goal` to what the file at `path` says whenever it changes to a trajectory within the
-    /// envelope.
+    /// Moves `goal` whenever the file at `path` changes to a trajectory within the envelope.
     pub fn watch(
         path: &Path,
         goal: Goal,
@@ -60,7 +60,7 @@ fn modified(path: &PathBuf) -> Option<SystemTime> {
     std::fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
 }
 
-/// A file that is being written, or asks for too much, changes nothing.
+/// A file that is incomplete, or outside the envelope, changes nothing.
 fn take(path: &Path, goal: &Goal, envelope: &FlightEnvelope, gravity: f64) {
     match Trajectory::load(path) {
         Err(error) => tracing::warn!("keeping the present goal: {error}"),

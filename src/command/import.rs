@@ -22,12 +22,12 @@ pub(super) struct Summary {
     format: &'static str,
     sha256: String,
     clock: &'static str,
-    /// Least downlink delay that was assumed, s.
+    /// The assumed least delay of the downlink, s.
     clock_delay_s: Option<f64>,
     motor_unit: &'static str,
     motor_source: &'static str,
     setpoint_source: &'static str,
-    /// `T0` to `T3`; none without a pose.
+    /// `T0` to `T3`; null without a pose.
     tier: Option<Tier>,
     has_vehicle_file: bool,
     vehicle: VehicleFacts,
@@ -68,11 +68,11 @@ impl StreamSummary {
     }
 }
 
-/// What is to be imported, and how.
+/// The file to import, and how.
 pub(super) struct Import<'a> {
     pub file: &'a Path,
     pub choice: Choice<'a>,
-    /// Only a mapping file is printed where there is no output.
+    /// Without an output, only a mapping file is printed.
     pub out: Option<&'a Path>,
     pub json: bool,
 }
@@ -96,7 +96,7 @@ pub(super) fn run(import: Import<'_>) -> anyhow::Result<Exit> {
     Ok(Exit::Ok)
 }
 
-/// Says on stderr what damage took of the file, and what is left.
+/// Reports on stderr what damage destroyed of the file, and what is left.
 fn print_losses(flight: &Flight) {
     let file = flight.origin.path.display();
     for loss in &flight.losses {
@@ -211,7 +211,7 @@ fn text(summary: &Summary) -> String {
     lines.join("\n") + "\n"
 }
 
-/// What the log says about its vehicle.
+/// What the log states about its vehicle.
 fn vehicle(facts: &VehicleFacts) -> Vec<String> {
     let mut lines = Vec::new();
     if let Some(autopilot) = &facts.autopilot {

@@ -1,4 +1,4 @@
-//! The user's vehicle file with what a diagnosis found: everything else in it stays as it was
+//! The user's vehicle file with the findings of a diagnosis: everything else in it stays as
 //! written.
 
 use std::fmt;
@@ -16,11 +16,11 @@ use vehicle::effects::EffectSet;
 use crate::diagnose::answer::Answer;
 use crate::log::name::date;
 
-/// Where a vehicle file holds effects, and where its numbers come from.
+/// The tables of a vehicle file for effects and for the sources of its numbers.
 const EFFECTS: &str = "modelled_effects";
 const PROVENANCE: &str = "provenance";
 
-/// How a vehicle file is written.
+/// The format of a vehicle file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Form {
     Toml,
@@ -28,7 +28,7 @@ pub(super) enum Form {
 }
 
 impl Form {
-    /// The form of a file by its name, else by its text, as [`VehicleParams::load`] reads it.
+    /// The format of a file by its name, else by its text, as [`VehicleParams::load`] decides it.
     pub fn of(path: &Path, text: &str) -> Self {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("toml") => Self::Toml,
@@ -39,14 +39,14 @@ impl Form {
     }
 }
 
-/// What is added to a vehicle file: effects with their parameters, and where they come from.
+/// The additions to a vehicle file: effects with their parameters, and their provenance.
 pub(super) struct Additions {
     effects: Map<String, Value>,
     provenance: Map<String, Value>,
 }
 
 impl Additions {
-    /// Effects by themselves.
+    /// Effects without provenance.
     pub fn of_effects(effects: &EffectSet) -> anyhow::Result<Self> {
         let Value::Object(effects) = serde_json::to_value(effects).context("the effects")? else {
             return Err(anyhow!("the effects are not a table"));
@@ -54,7 +54,7 @@ impl Additions {
         Ok(Self { effects, provenance: Map::new() })
     }
 
-    /// The named effects of an answer that was found now from `logs`, by their names.
+    /// The named effects of an answer from `logs`, with their provenance.
     pub fn new(effects: &EffectSet, answer: &Answer, logs: &[String]) -> anyhow::Result<Self> {
         let named = answer.named().map(|effect| {
             let about = json!({
@@ -67,7 +67,7 @@ impl Additions {
         Self::found(effects, named)
     }
 
-    /// Effects that were found now, with what is to be said of each, by its id.
+    /// Effects found now; `about` has the provenance of each, by its id.
     pub fn found(
         effects: &EffectSet,
         about: impl Iterator<Item = (String, Value)>,
@@ -89,7 +89,7 @@ impl Additions {
         Ok(Self { effects, provenance })
     }
 
-    /// The file `text` of `vehicle` with the additions, in the form of `out`.
+    /// The file `text` of `vehicle` with the additions, in the format of `out`.
     pub fn to_file(
         &self,
         text: &str,
@@ -111,7 +111,7 @@ impl Additions {
             Form::Toml => self.to_toml(&text)?,
             Form::Json => self.to_json(&text)?,
         };
-        // Reading TOML makes all ends of lines alike.
+        // Reading TOML makes all line ends the same.
         Ok(if text.contains("\r\n") {
             added.replace("\r\n", "\n").replace('\n', "\r\n")
         } else {
@@ -155,7 +155,7 @@ impl Additions {
     }
 }
 
-/// Sets a key of a table, in place where it is there: its comments stay.
+/// Sets a key of a table. An existing key keeps its place and its comments.
 fn set(table: &mut dyn TableLike, key: &str, value: &Value, inline: bool) {
     let there = table.get_mut(key).filter(|item| item.is_table_like());
     match (there.and_then(Item::as_table_like_mut), value) {
@@ -183,7 +183,7 @@ fn set(table: &mut dyn TableLike, key: &str, value: &Value, inline: bool) {
 
 fn toml_value(value: &Value) -> toml_edit::Value {
     match value {
-        // TOML has no null; nothing that is added is one.
+        // TOML has no null, and no addition is null.
         Value::Null => false.into(),
         Value::Bool(value) => (*value).into(),
         Value::Number(number) => match number.as_i64() {
@@ -199,14 +199,14 @@ fn toml_value(value: &Value) -> toml_edit::Value {
     }
 }
 
-/// What a JSON text indents its first key by; two spaces where it is not on a line of its own.
+/// The indentation of a JSON text's first key; two spaces if the key is not on its own line.
 fn indent_of(text: &str) -> &str {
     let first = text.trim_start().strip_prefix('{').unwrap_or_default();
     let blank = &first[..first.len() - first.trim_start().len()];
     blank.rsplit_once('\n').map_or("  ", |(_, indent)| indent)
 }
 
-/// A JSON object whose keys keep their order, and whose values their text.
+/// A JSON object that keeps the order of its keys and the text of its values.
 struct Ordered(Vec<(String, Box<RawValue>)>);
 
 impl Ordered {
@@ -223,7 +223,7 @@ impl Ordered {
         }
     }
 
-    /// The object as text, so many levels deep.
+    /// The object as text, at this depth of nesting.
     fn text(&self, indent: &str, depth: usize) -> String {
         let pad = indent.repeat(depth);
         let entries: Vec<String> = self
@@ -323,7 +323,7 @@ mod tests {
             "{out}"
         );
         assert!(out.contains("tau_s = 5.0e-2\n"), "{out}");
-        // Written inline, it stays inline.
+        // An inline table stays inline.
         let rest = TOML.replace("[modelled_effects]\n", "");
         let text =
             format!("modelled_effects = {{ rotor_drag = {{ d_xy = 0.5, d_z = 1e-3 }} }}\n{rest}");

@@ -17,13 +17,13 @@ use crate::clock::HostTime;
 use crate::link::budget::message_name;
 use crate::link::session::Delivery;
 
-/// How long is listened where nobody watches, s.
+/// Listening time without a terminal, s.
 const SECONDS: f64 = 8.0;
-/// The table is drawn anew this often.
+/// Period at which the table is drawn.
 const REDRAW: Duration = Duration::from_millis(500);
-/// Rates are means over at most this time, s.
+/// Longest time over which rates are averaged, s.
 const RATE_SPAN_S: f64 = 4.0;
-/// Characters of a value in the table.
+/// Longest value in the table, characters.
 const VALUE_WIDTH: usize = 100;
 
 /// The JSON of `inspect`.
@@ -44,16 +44,16 @@ struct Row {
     name: String,
     count: u64,
     rate_hz: f64,
-    /// Of the newest frame, bytes on the wire.
+    /// Size of the newest frame on the wire, bytes.
     frame_bytes: usize,
     age_s: f64,
     value: String,
 }
 
-/// What came of one message.
+/// The arrivals of one message.
 struct Seen {
     count: u64,
-    /// Arrivals within the span of the rate.
+    /// Arrivals within the averaging time.
     arrivals: Vec<HostTime>,
     frame: Vec<u8>,
 }
@@ -99,7 +99,7 @@ pub(super) fn run(args: &ListenArgs) -> anyhow::Result<Exit> {
             return Ok(if is_silent { Exit::Link } else { Exit::Ok });
         }
         if is_live {
-            // From the top, over what was there.
+            // Draws from the top, over the last table.
             print_text(&format!("\x1b[H\x1b[2J{}{}\n", text(&rows), listener.endpoint))?;
         }
         let step = if is_live { REDRAW } else { Duration::from_secs_f64(left_s) };

@@ -12,7 +12,7 @@ use signal_hook::iterator::{Handle, Signals};
 use super::{Exit, print_status};
 use crate::log::partial;
 
-/// How long a command that looks for the end may take to keep what it has done.
+/// Time that a command may take to keep its work after a signal.
 const GRACE: Duration = Duration::from_millis(1200);
 
 /// Whether the end of the command is requested.
@@ -23,9 +23,9 @@ pub(super) struct Interruption {
 }
 
 impl Interruption {
-    /// From now on the first signal ends the program with [`Exit::Interrupted`]: at once, or, of a
-    /// command that looks for it by [`flag`](Self::flag), after [`GRACE`] at the latest. The
-    /// second one ends it at once. Files that are not complete go.
+    /// From now on the first signal ends the program with [`Exit::Interrupted`]: at once, or after
+    /// at most [`GRACE`] if the command checks [`flag`](Self::flag). The second signal ends it at
+    /// once. Incomplete files are removed.
     pub fn watch() -> anyhow::Result<Self> {
         let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot watch for Ctrl-C")?;
         let (requested, looked_for) = (Arc::default(), Arc::default());
@@ -58,13 +58,13 @@ impl Interruption {
         Ok(this)
     }
 
-    /// Set by the first signal. Who takes it looks at it often, and ends the command soon.
+    /// Set by the first signal. The caller must check it often, and end the command soon after.
     pub fn flag(&self) -> Arc<AtomicBool> {
         self.looked_for.store(true, Ordering::Relaxed);
         Arc::clone(&self.requested)
     }
 
-    /// Leaves the signals from now on to who watches them.
+    /// From now on leaves the signals to whoever watches them.
     pub fn hand_over(self) {
         self.signals.close();
     }

@@ -16,18 +16,18 @@ use crate::link::request::{Outcome, Request};
 use crate::link::session::{Event, Session, Settings};
 use crate::parameters::{Autopilot, Parameters};
 
-/// Requests under way at once.
+/// Number of requests in progress at once.
 const AT_ONCE: usize = 16;
 /// Wait for a vehicle.
 const SEARCH: Duration = Duration::from_secs(20);
-/// After this time the user reads what the command waits for.
+/// Time after which a message says what the command waits for.
 const WAIT_REPORTED_AFTER: Duration = Duration::from_secs(3);
-/// All of it.
+/// Time limit of the whole.
 const LIMIT: Duration = Duration::from_secs(120);
-/// The longest sleep between two looks at the clock.
+/// Longest wait between two checks of the clock.
 const TICK: Duration = Duration::from_millis(50);
 
-/// Reads the parameters that say what the vehicle at `endpoint` is.
+/// Reads the parameters that describe the vehicle at `endpoint`.
 ///
 /// # Errors
 /// [`Exit::Link`] if no vehicle is heard or it answers nothing, [`Exit::Usage`] if it is neither
@@ -38,7 +38,7 @@ pub(super) fn read(endpoint: Endpoint, system: Option<u8>) -> anyhow::Result<Par
     let clock = HostClock::start();
     let settings = Settings {
         vehicle_system: system,
-        // Its streams stay as they are.
+        // Requests no streams, so that the vehicle's stay unchanged.
         telemetry: Some(Vec::new()),
         baud: baud(&endpoint),
         ..Settings::new(thrust)
@@ -59,7 +59,7 @@ struct Reading {
     session: Session,
     connection: Connection,
     clock: HostClock,
-    /// Names that are still to be asked for, last first.
+    /// Names still to request, in reverse order.
     requested: Vec<String>,
     under_way: usize,
     found: Parameters,

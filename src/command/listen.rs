@@ -1,4 +1,4 @@
-//! Listens on a link for a while: what `doctor` and `inspect` have in common.
+//! Listens on a link for a while, for the commands that fly nothing.
 
 use std::future::Future;
 use std::time::{Duration, Instant};
@@ -24,7 +24,7 @@ use crate::link::profile::MessageRate;
 use crate::link::session::{Delivery, Session, Settings};
 use crate::link::signing::SigningSettings;
 
-/// A session that flies nothing, over a connection.
+/// A session that flies nothing, and its connection.
 pub(super) struct Listener {
     pub session: Session,
     pub endpoint: Endpoint,
@@ -34,13 +34,13 @@ pub(super) struct Listener {
     runtime: Runtime,
     buffer: Vec<u8>,
     failure: Option<String>,
-    /// Keeps the stamps of what this signs.
+    /// Stores the stamps of signed frames.
     _signing: Option<SigningState>,
 }
 
 impl Listener {
-    /// Opens the link of the flags or of the configuration. Messages and rates are asked for as a
-    /// flight does, or not at all.
+    /// Opens the link of the flags or of the configuration. With `is_requesting`, requests messages
+    /// and rates as a flight does; otherwise requests none.
     pub fn open(args: &ListenArgs, is_requesting: bool) -> anyhow::Result<Self> {
         let state = SigningState::open(&Self::config(args)?.settings.link.signing)?;
         let listener =
@@ -48,8 +48,8 @@ impl Listener {
         Ok(Self { _signing: state, ..listener })
     }
 
-    /// One that asks for nothing, as another system than the one that flies, and tells the vehicle that
-    /// asks for the time its own.
+    /// Opens the link to request nothing, with other ids than the program that flies. TIMESYNC
+    /// requests are answered in the vehicle's own time.
     pub fn beside(args: &ListenArgs, system: u8, component: u8) -> anyhow::Result<Self> {
         let state = SigningState::open(&Self::config(args)?.settings.link.signing)?;
         let signing = state.as_ref().map(SigningState::settings);
@@ -61,7 +61,7 @@ impl Listener {
         Ok(Self { _signing: state, ..listener })
     }
 
-    /// The configuration with the flags.
+    /// The configuration, with the flags applied.
     pub fn config(args: &ListenArgs) -> anyhow::Result<Config> {
         let mut flags = Vec::new();
         if let Some(url) = &args.connect {
@@ -71,7 +71,7 @@ impl Listener {
         config::load(args.config.as_deref(), flags)
     }
 
-    /// The same as [`open`](Self::open) with another key, or none.
+    /// As [`open`](Self::open), with this key or none.
     pub fn signed(
         args: &ListenArgs,
         is_requesting: bool,
@@ -89,7 +89,7 @@ impl Listener {
         let config = Self::config(args)?;
         let settings = &config.settings;
         let endpoint = endpoint(&required(&settings.connect, "--connect", "connect")?)?;
-        // No setpoint is sent, so that what a thrust means does not matter.
+        // No setpoint is sent, so the thrust map does not matter.
         let thrust = ThrustMap::linear(1.0)?;
         let link = &settings.link;
         let baud = match &endpoint {
@@ -135,7 +135,8 @@ impl Listener {
         }
     }
 
-    /// Waits once, for at most `limit`: for the vehicle, or for `other`, whose output it gives.
+    /// Waits once, for at most `limit`, for the vehicle or for `other`; returns the output of
+    /// `other`.
     pub fn look<T>(
         &mut self,
         limit: Duration,
@@ -177,13 +178,13 @@ impl Listener {
         output
     }
 
-    /// Sends what the session has for the vehicle.
+    /// Sends the session's queued frames.
     pub fn flush(&mut self) {
         let Self { session, connection, .. } = self;
         session.transmit(|to, frame| connection.send(to, frame));
     }
 
-    /// Does what needs the runtime of the link around it, such as opening a socket.
+    /// Runs work that needs the link's runtime, such as opening a socket.
     pub fn inside<T>(&self, work: impl FnOnce() -> T) -> T {
         let _inside = self.runtime.enter();
         work()

@@ -1,4 +1,4 @@
-//! `downwash log`: what is in flight logs, and reports on them.
+//! `downwash log`: the content of flight logs, and reports on them.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -53,7 +53,7 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
     }
 }
 
-/// A log by its name, several by their count.
+/// The name of a log, or the number of several.
 fn counted(logs: &[PathBuf]) -> String {
     match logs {
         [log] => log.display().to_string(),
@@ -98,7 +98,7 @@ fn report(
     Ok(Exit::Ok)
 }
 
-/// Opens a log; its errors name the file.
+/// Opens a log; errors name the file.
 fn open(file: &Path) -> anyhow::Result<LogReader<BufReader<File>>> {
     let reader = LogReader::open(file);
     match reader {
@@ -131,7 +131,8 @@ fn export(
             rows.with_context(name).or_exit(Exit::Usage).and_then(|_| sink.finish())
         }
         (None, Some(folder)) => {
-            // The files have names of topics: the log can only be one of them if it is named so.
+            // The files are named after topics: the log can be one of them only if it has such a
+            // name.
             let is_named_so =
                 file.extension().is_some_and(|e| ["csv", "jsonl", "part"].iter().any(|x| e == *x));
             if let Some(name) = file.file_name().filter(|_| is_named_so) {
@@ -148,7 +149,7 @@ fn export(
             return Err(anyhow!("nothing to export: {choice}")).or_exit(Exit::Usage);
         }
     };
-    // Also where the export failed: the topic may have been in the damaged part.
+    // Also after a failed export: the topic may be in the damaged part.
     let (file, ending) = (file.display(), reader.ending());
     for damage in &ending.damages {
         print_status(format_args!("{file}: damaged, rows left out: {damage}"));

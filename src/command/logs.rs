@@ -31,8 +31,8 @@ impl Logs {
         windows: &WindowSettings,
         step: impl FnMut(&Path) + Send,
     ) -> Self {
-        // In one order, whatever that of the arguments: flights of one kind follow one another, and
-        // of a log that is there twice the first is taken.
+        // In one order, whatever the order of the arguments: flights of one kind follow one
+        // another, and the first of two identical logs is used.
         let mut paths: Vec<&PathBuf> = paths.iter().collect();
         paths.sort_by_key(|path| (path.file_stem(), *path));
         let step = Mutex::new(step);
@@ -67,8 +67,8 @@ impl Logs {
         logs
     }
 
-    /// Observes the flights by other windows; `step` is called for each file. Nothing is read again,
-    /// and what was left out stays left out: that is judged by the first windows.
+    /// Observes the flights by other windows; `step` is called for each file. Reads nothing again.
+    /// What the first windows left out stays left out.
     pub fn observe(
         &mut self,
         vehicle: &VehicleParams,
@@ -85,8 +85,8 @@ impl Logs {
     }
 }
 
-/// Reads a flight, by the mapping if it is a table; one of another vehicle, by the file inside its
-/// log, is refused.
+/// Reads a flight, by the mapping if it is a table. Refuses a log whose embedded vehicle file is of
+/// another vehicle.
 pub(super) fn open_for(
     path: &Path,
     mapping: Option<&Path>,
@@ -108,8 +108,7 @@ pub(super) fn open_for(
     Ok(flight)
 }
 
-/// Refuses a log whose autopilot states other motors in the order of its outputs than the vehicle
-/// file.
+/// Refuses a log whose autopilot states another order of motors than the vehicle file.
 fn check_rotor_order(flight: &Flight, vehicle: &VehicleParams) -> anyhow::Result<()> {
     let Ok(stated) = <[RotorFact; 4]>::try_from(flight.facts.rotors.clone()) else {
         return Ok(());
@@ -131,8 +130,8 @@ fn check_rotor_order(flight: &Flight, vehicle: &VehicleParams) -> anyhow::Result
     )
 }
 
-/// Reads and observes a flight. One whose data are at fault is refused; times of it that the audit
-/// calls unusable are cut out.
+/// Reads and observes a flight. Refuses one with faulty data, and cuts out the times that the audit
+/// calls unusable.
 fn observe(
     path: &Path,
     mapping: Option<&Path>,
@@ -142,7 +141,7 @@ fn observe(
 ) -> anyhow::Result<ObservedFlight> {
     let flight = open_for(path, mapping, vehicle)?;
     let audit = Audit::of(&flight);
-    // Too little to learn from is said before what may be wrong with it.
+    // Too little data is reported before what may be wrong with it.
     let observed = ObservedFlight::new(flight, vehicle, onboard, windows, &audit.cuts())?;
     if let Some(fault) = audit.fault_of_data() {
         return Err(anyhow!("{fault}"));
@@ -151,7 +150,7 @@ fn observe(
     Ok(observed)
 }
 
-/// Files for an error: the first few, and how many more.
+/// The names of files for an error: the first few, and the number of the others.
 pub(super) fn listed(files: &[PathBuf]) -> String {
     const NAMED: usize = 3;
     let named: Vec<String> =

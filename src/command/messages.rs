@@ -9,9 +9,9 @@ use tracing_subscriber::fmt::MakeWriter;
 
 use super::status_line;
 
-/// Messages that may wait to be printed; those beyond are dropped.
+/// Number of messages that may wait to be printed; further ones are dropped.
 const QUEUE_LEN: usize = 1024;
-/// At the end, time to print what waits.
+/// Time at the end to print waiting messages.
 const FLUSH_LIMIT: Duration = Duration::from_millis(500);
 
 enum Item {
@@ -19,8 +19,8 @@ enum Item {
     Flush(SyncSender<()>),
 }
 
-/// The way to stderr for `tracing`. A thread of its own prints, so that a terminal that is stopped
-/// by Ctrl-S, or a pipe that nobody reads, does not hold up the control loop.
+/// The writer of `tracing` to stderr. Its own thread prints, so that a terminal stopped by Ctrl-S,
+/// or a pipe that nobody reads, does not block the control loop.
 #[derive(Clone)]
 pub struct Messages {
     queue: SyncSender<Item>,
@@ -30,14 +30,14 @@ impl Messages {
     /// Starts the thread that prints.
     ///
     /// # Errors
-    /// If the system gives no thread.
+    /// If the system provides no thread.
     pub fn start() -> io::Result<Self> {
         let (queue, items) = sync_channel(QUEUE_LEN);
         thread::Builder::new().name("messages".into()).spawn(move || print(&items))?;
         Ok(Self { queue })
     }
 
-    /// Waits until all messages so far are printed, though not for long.
+    /// Waits until all messages so far are printed, for a limited time.
     pub fn flush(&self) {
         let (done, wait) = sync_channel(1);
         if self.queue.try_send(Item::Flush(done)).is_ok() {
@@ -50,7 +50,7 @@ impl Messages {
 fn print(items: &Receiver<Item>) {
     for item in items {
         match item {
-            // Nobody to tell when stderr is gone.
+            // A write error means that stderr is gone: nothing is left to report to.
             Item::Text(text) => drop(status_line::print_above(&text)),
             Item::Flush(done) => drop(done.try_send(())),
         }

@@ -22,6 +22,7 @@ use crate::cli::{ListenArgs, MocapArgs, UpChoice};
 use crate::clock::HostTime;
 use crate::config::Config;
 use crate::link::external_pose::{ExternalPose, PoseForm};
+use crate::link::profile::ARDUPILOT;
 use crate::link::session::{Delivery, Session};
 use crate::link::silence::Silence;
 use crate::mocap::bridge::{Bridge, Pose};
@@ -30,17 +31,15 @@ use crate::mocap::settings::MocapSettings;
 use crate::mocap::stream;
 use message::Inbound;
 
-/// One look at all there is takes this long at most.
+/// Longest wait for the next input.
 const LOOK: Duration = Duration::from_millis(20);
-/// What is waited for is said after this long, and then every so often.
+/// Time until the first message on what the command waits for, and between further ones.
 const FIRST_REPORT_AFTER: Duration = Duration::from_secs(2);
 const NEXT_REPORT_AFTER: Duration = Duration::from_secs(10);
-/// A server of NatNet is asked, or told to go on, this often.
+/// Period of requests and keep-alive messages to a NatNet server.
 const KEEP_ALIVE: Duration = Duration::from_secs(1);
-/// A vehicle that has said nothing of its motors for this long may be armed.
+/// Time after which a report that the motors are off no longer counts.
 const ARMED_KNOWN: Duration = Duration::from_secs(3);
-/// MAV_AUTOPILOT_ARDUPILOTMEGA.
-const ARDUPILOT: u8 = 3;
 
 pub(super) fn run(args: &MocapArgs, preparation: Interruption) -> anyhow::Result<Exit> {
     let room: Room = args.room.parse::<Room>().or_exit(Exit::Usage)?;
@@ -132,6 +131,13 @@ fn check(args: &MocapArgs, config: &Config) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// A time without poses for the vehicle.
+struct Wait {
+    since: HostTime,
+    /// When the newest message on it was printed.
+    reported: Option<HostTime>,
+}
+
 /// The bridge between its two sockets.
 struct Line {
     room: Room,
@@ -145,12 +151,11 @@ struct Line {
     buffer: Vec<u8>,
     started: HostTime,
     requested_at: Option<HostTime>,
-    /// What the last HEARTBEAT said of the motors.
+    /// Whether the motors run, and when the last HEARTBEAT reported it.
     armed: Option<(HostTime, bool)>,
-    /// What is waited for, since when, and when it was reported.
-    waiting: Option<(String, HostTime, Option<HostTime>)>,
+    waiting: Option<Wait>,
     sent: u64,
-    /// Poses that no vehicle was there to take, or whose clock is not known.
+    /// Number of poses without a vehicle, or without its clock.
     unsent: u64,
     is_vehicle_known: bool,
 }
@@ -203,7 +208,7 @@ impl Line {
         self.listener.clock.now()
     }
 
-    /// Waits for what comes next, from either side, and does what follows from it.
+    /// Waits for the next input from either side, and handles it.
     fn turn(&mut self) -> anyhow::Result<()> {
         self.request_stream();
         let Self { listener, socket, buffer, armed, .. } = self;
@@ -229,7 +234,7 @@ impl Line {
 
     fn take(&mut self, now: HostTime, length: usize) {
         let datagram = self.buffer.get(..length).unwrap_or_default();
-        // A vehicle of which nothing is known counts as armed: less is believed then.
+        // A vehicle in an unknown state counts as armed, which makes the bridge stricter.
         let is_armed =
             self.armed.is_none_or(|(at, is_armed)| is_armed || now.since(at) > ARMED_KNOWN);
         let mut poses = Vec::new();
@@ -278,7 +283,7 @@ impl Line {
         }
     }
 
-    /// Says whom it found, and refuses what that vehicle does not take.
+    /// Reports the vehicle, and refuses a form of poses that it does not accept.
     fn look_at_vehicle(&mut self) -> anyhow::Result<()> {
         let Some(vehicle) = self.listener.session.vehicle() else { return Ok(()) };
         if self.is_vehicle_known {
@@ -300,14 +305,14 @@ impl Line {
         let now = self.now();
         let Some(server) = self.server else { return };
         if self.requested_at.is_none_or(|at| now.since(at) >= KEEP_ALIVE) {
-            // Whoever does not answer is asked again.
+            // A server that does not answer gets another request.
             let _ = self.socket.try_send_to(&natnet::connect(), server);
             let _ = self.socket.try_send_to(&natnet::keep_alive(), server);
             self.requested_at = Some(now);
         }
     }
 
-    /// What keeps poses from the vehicle now.
+    /// The present reason why the vehicle gets no poses.
     fn waits_for(&self, now: HostTime) -> Option<String> {
         let session = &self.listener.session;
         let is_live = session.last_received().is_some_and(|at| now.since(at) < FIRST_REPORT_AFTER);
@@ -328,14 +333,14 @@ impl Line {
             self.waiting = None;
             return;
         };
-        let (_, since, reported) = self.waiting.get_or_insert_with(|| (text.clone(), now, None));
-        let is_due = match reported {
-            None => now.since(*since) >= FIRST_REPORT_AFTER,
-            Some(at) => now.since(*at) >= NEXT_REPORT_AFTER,
+        let wait = self.waiting.get_or_insert(Wait { since: now, reported: None });
+        let is_due = match wait.reported {
+            None => now.since(wait.since) >= FIRST_REPORT_AFTER,
+            Some(at) => now.since(at) >= NEXT_REPORT_AFTER,
         };
         if is_due {
             print_status(format_args!("{text}"));
-            *reported = Some(now);
+            wait.reported = Some(now);
         }
     }
 
@@ -357,7 +362,7 @@ impl Line {
 /// The length of the next datagram, into `buffer`.
 async fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> usize {
     loop {
-        // An error is of an earlier datagram that nobody took.
+        // The error belongs to an earlier datagram that nobody received.
         if let Ok((length, _)) = socket.recv_from(buffer).await {
             return length;
         }

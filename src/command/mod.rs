@@ -89,10 +89,11 @@ pub use train::{Learning, Resume, Trained, learn};
 pub use vehicle::{Made, make};
 pub use vehicle_file::VehicleFile;
 
-/// Where this program lies, where that is not its process's own file.
+/// The path of this program, if it is not the process's own executable.
 static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
 
-/// Says which file starts this program, where another program uses its functions; the first word counts.
+/// Sets the file that starts this program, for another program that uses its functions. Only the
+/// first call counts.
 pub fn set_program(program: PathBuf) {
     PROGRAM.get_or_init(|| program);
 }
@@ -105,8 +106,8 @@ fn program() -> anyhow::Result<PathBuf> {
     }
 }
 
-/// The whole program, for these arguments, the first of them its name. Help, the version and wrong
-/// flags end the process. `program` is the file to start it by, where another program runs it.
+/// The whole program, for these arguments, the first of which is its name. Help, the version and
+/// wrong flags end the process. `program` is the file that starts it, if another program runs it.
 pub fn main(program: Option<PathBuf>, args: impl IntoIterator<Item = OsString>) -> Exit {
     if let Some(program) = program {
         set_program(program);
@@ -119,9 +120,9 @@ pub fn main(program: Option<PathBuf>, args: impl IntoIterator<Item = OsString>) 
             return Exit::Failure;
         }
     };
-    // A flight prints what happens; other commands only what is wrong.
+    // A flight prints events; other commands print only warnings.
     let is_flight = matches!(cli.command, Command::Fly(_) | Command::Daemon(_));
-    // Thousands of stations that others judge say nothing themselves.
+    // The stations of a campaign print nothing: there are thousands, and a judge reports on them.
     let is_judged = matches!(cli.command, Command::Campaign(_)) && cli.verbose == 0;
     let level = if is_judged {
         "off"
@@ -152,10 +153,10 @@ pub fn main(program: Option<PathBuf>, args: impl IntoIterator<Item = OsString>) 
 /// Runs the command.
 ///
 /// # Errors
-/// What failed, with context; [`exit_of`] finds the exit code in it.
+/// The error with its context; [`exit_of`] finds the exit code in it.
 fn run(cli: Cli) -> anyhow::Result<Exit> {
     match cli.command {
-        // These fly a vehicle, or are one, and end as that allows.
+        // These fly or simulate a vehicle, and handle signals themselves.
         Command::Fly(args) => fly::run(&args, Interruption::watch()?),
         Command::Collect(args) => collect::run(&args, Interruption::watch()?),
         Command::Daemon(args) => daemon::run(&args, Interruption::watch()?),
@@ -253,8 +254,8 @@ impl<T, E: Into<anyhow::Error>> ExitContext<T> for Result<T, E> {
     }
 }
 
-/// An error with its causes. What one says that its neighbour says too, is said once: many errors
-/// name their cause, or their file, themselves.
+/// An error with its causes. A text that two neighbours contain appears once: many errors name
+/// their cause or their file themselves.
 pub fn in_words(error: &anyhow::Error) -> String {
     let mut causes: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {
@@ -272,14 +273,14 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
     error.downcast_ref::<Failed>().map_or(Exit::Failure, |failed| failed.exit)
 }
 
-/// Ends a command that only reads when the reader of its output goes away, as `head` does. A
-/// flight must go on without its audience, so commands that fly do not call this.
+/// Ends a command when the reader of its output goes away, as `head` does. A flight must go on
+/// without a reader, so commands that fly do not call this.
 fn end_on_broken_pipe() {
     // SAFETY: restores the system's default action; no handler of ours is involved.
     unsafe { libc::signal(libc::SIGPIPE, libc::SIG_DFL) };
 }
 
-/// Writes a line to stderr, and goes on where nobody reads it.
+/// Writes a line to stderr, and ignores a missing reader.
 fn print_status(line: std::fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr(), "{line}");
 }
@@ -296,7 +297,7 @@ fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
     writeln!(out).context("standard output")
 }
 
-/// Writes a file whole or not at all; into what is no regular file, such as a pipe, as it is.
+/// Writes a regular file whole or not at all. Writes to anything else, such as a pipe, directly.
 fn write_file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let write = || {
         let mut file = PartialFile::create(path)?;

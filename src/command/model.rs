@@ -1,4 +1,4 @@
-//! `downwash model`: what is in a model file, how good it is, what it predicts.
+//! `downwash model`: the content of a model file, its errors, and its predictions.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -25,9 +25,9 @@ use crate::learn::summary::{MultiStepSummary, RefusedLog, TrainingSummary};
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::onnx;
 
-/// Samples a second of the grid of a log that is no table.
+/// Rate of the grid for a log that is no table, Hz.
 const SAMPLE_RATE_HZ: f64 = 100.0;
-/// Longest horizon, s: open loop says nothing beyond.
+/// Longest horizon, s: beyond it, open loop means nothing.
 const HORIZON_MAX_S: f64 = 30.0;
 
 pub(super) fn run(command: ModelCommand) -> anyhow::Result<Exit> {
@@ -70,7 +70,7 @@ fn load(path: &Path, vehicle: Option<&Path>) -> anyhow::Result<ModelFile> {
     Ok(file)
 }
 
-/// What is in a model file: the JSON of `model info`.
+/// The content of a model file: the JSON of `model info`.
 #[derive(JsonSchema, Serialize)]
 pub struct Info<'a> {
     schema: &'static str,
@@ -85,7 +85,7 @@ pub struct Info<'a> {
 }
 
 impl<'a> Info<'a> {
-    /// Of this file.
+    /// SHA-256 of this file.
     pub fn of(file: &'a ModelFile) -> Self {
         Self {
             schema: "downwash.model_info",
@@ -113,7 +113,7 @@ fn info(path: &Path, json: bool) -> anyhow::Result<Exit> {
     Ok(Exit::Ok)
 }
 
-/// How a model does on logs: the JSON of `model eval`.
+/// The errors of a model on logs: the JSON of `model eval`.
 #[derive(JsonSchema, Serialize)]
 pub struct EvaluationSummary {
     schema: &'static str,
@@ -129,7 +129,7 @@ pub struct EvaluationSummary {
 /// Judges the model file at `path` on logs of its vehicle.
 ///
 /// # Errors
-/// Logs of which none can be used.
+/// No log is usable.
 pub fn evaluated(
     path: &Path,
     logs: &[PathBuf],
@@ -182,7 +182,7 @@ fn eval(
     Ok(Exit::Ok)
 }
 
-/// The windows that the model was trained with.
+/// The windows with which the model was trained.
 fn windows_of(file: &ModelFile) -> WindowSettings {
     let half = file.training.pointer("/settings/window_half_s").and_then(|v| v.as_f64());
     let default = WindowSettings::default();
@@ -276,7 +276,7 @@ fn rows(
     text
 }
 
-/// Instants from which is predicted, with their numbers: the rows of a table, else a 100 Hz grid
+/// The starts of the predictions, with their numbers: the rows of a table, or else a 100 Hz grid
 /// over the flight's unbroken parts.
 struct Samples {
     times: Vec<(usize, f64)>,
@@ -298,9 +298,9 @@ impl Samples {
         Self { times: times.collect() }
     }
 
-    /// Times from a sample to the next `steps` after it. A horizon ends where the recording does,
-    /// or where open loop says nothing more; on the grid also where the recording pauses, while the
-    /// rows of a table are counted on.
+    /// Times from a sample to the next `steps` after it. A horizon ends with the recording, or
+    /// where open loop means nothing. On the grid, it also ends where the recording pauses; the
+    /// rows of a table count on.
     fn ahead(&self, start: usize, steps: usize) -> Vec<f64> {
         let Some(((number, time), later)) = self.times.get(start..).and_then(<[_]>::split_first)
         else {
@@ -320,7 +320,7 @@ impl Samples {
     }
 }
 
-/// What a training found, for people.
+/// The results of a training, for people.
 pub(super) fn summary_in_words(summary: &TrainingSummary) -> String {
     let [training, validation, test] = summary.data.rows;
     let seconds: f64 = summary.data.logs.iter().map(|log| log.usable_s).sum();
@@ -359,7 +359,7 @@ pub(super) fn summary_in_words(summary: &TrainingSummary) -> String {
     text + &best_in_words(standing(summary).best, summary.preferred)
 }
 
-/// How the model stands that is taken where none is asked for.
+/// How the default model compares.
 fn best_in_words(best: Best, preferred: ModelKind) -> String {
     let reason = best.reason().unwrap_or_default();
     let preferred = preferred.name();

@@ -27,10 +27,10 @@ pub(super) struct OnsetAnswer {
     schema: &'static str,
     schema_version: u32,
     vehicle: String,
-    /// Evidence from which on the detector reports a change, nats.
+    /// Least evidence for which the detector reports a change, nats.
     bound: f64,
     flights: Vec<FlightAnswer>,
-    /// What changed between flights, in the order that they were given in.
+    /// Changes between flights, in the order of the arguments.
     steps: Vec<Step>,
 }
 
@@ -38,13 +38,13 @@ pub(super) struct OnsetAnswer {
 #[derive(JsonSchema, Serialize)]
 pub(super) struct FlightAnswer {
     log: String,
-    /// Airborne time that was examined, s.
+    /// Examined airborne time, s.
     seconds: f64,
-    /// What changed in it, in the order of time.
+    /// Changes in it, in the order of time.
     changes: Vec<Change>,
 }
 
-/// What changed, with what it was seen by.
+/// The changes, and the samples that show them.
 pub struct Changes {
     answer: OnsetAnswer,
     seen: Vec<Seen>,
@@ -71,10 +71,10 @@ pub(super) fn run(args: &OnsetArgs) -> anyhow::Result<Exit> {
     Ok(if args.fail_on_change && has_changed { Exit::Check } else { Exit::Ok })
 }
 
-/// When something of the vehicle changed, within flights and between them.
+/// Finds when something of the vehicle changed, within flights and between them.
 ///
 /// # Errors
-/// Files that cannot be read, or logs that hold nothing to compare with.
+/// Files that cannot be read, or logs without data to compare with.
 pub fn changed(args: &OnsetArgs) -> anyhow::Result<Changes> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     warn(&args.vehicle, &vehicle);
@@ -96,7 +96,7 @@ pub fn changed(args: &OnsetArgs) -> anyhow::Result<Changes> {
     let seen: Result<Vec<Seen>, _> =
         flights.par_iter().map(|(_, flight)| changes(flight, &vehicle, settings)).collect();
     let seen = seen.or_exit(Exit::Usage)?;
-    // A flight too short to examine says nothing of the vehicle.
+    // A flight too short to examine shows nothing of the vehicle.
     let dated: Vec<_> = seen.iter().map(|seen| of_flight(&seen.present)).collect();
     let known: Vec<usize> = (0..dated.len()).filter(|index| dated[*index].is_some()).collect();
     let values: Vec<_> = dated.into_iter().flatten().collect();
@@ -125,7 +125,7 @@ impl Changes {
     /// The answer as `--json` prints it.
     ///
     /// # Errors
-    /// None that is known: of writing JSON.
+    /// Of writing JSON; none is known.
     pub fn to_json(&self) -> anyhow::Result<String> {
         serde_json::to_string(&self.answer).context("the answer")
     }

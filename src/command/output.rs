@@ -1,4 +1,4 @@
-//! Where results go, and where they must not.
+//! Outputs: files and stdout, and the check that none overwrites an input.
 
 use std::fs;
 use std::io::{self, BufWriter, StdoutLock, Write};
@@ -12,7 +12,7 @@ use super::{Exit, ExitContext};
 use crate::log::descriptor::hex;
 use crate::log::partial::{PartialFile, partial_path};
 
-/// Refuses an output that is one of the files to read, which writing would destroy.
+/// Refuses an output that is also an input, which writing would destroy.
 pub(super) fn refuse_input<'a>(
     out: &Path,
     inputs: impl IntoIterator<Item = &'a Path>,
@@ -29,7 +29,7 @@ pub(super) fn refuse_input<'a>(
     Ok(())
 }
 
-/// Whether both are one file that exists.
+/// Whether both name one existing file.
 fn is_same_file(a: &Path, b: &Path) -> bool {
     match (a.canonicalize(), b.canonicalize()) {
         (Ok(a), Ok(b)) => a == b,
@@ -37,7 +37,7 @@ fn is_same_file(a: &Path, b: &Path) -> bool {
     }
 }
 
-/// Makes the folder of `--report`, where one is asked for: before the work, not after it.
+/// Makes the folder for `--report`. Called before the work, so that an error costs no work.
 pub(super) fn create_report_folder(folder: Option<&Path>) -> anyhow::Result<()> {
     let Some(folder) = folder else { return Ok(()) };
     fs::create_dir_all(folder)
@@ -50,7 +50,7 @@ pub(super) fn sha256(bytes: impl AsRef<[u8]>) -> String {
     hex(&Sha256::digest(bytes))
 }
 
-/// Where rows go: a file that takes its name once it is complete, or stdout.
+/// The output of rows: a file that gets its name once it is complete, or stdout.
 pub(super) enum Output {
     File(PathBuf, PartialFile),
     Stdout(BufWriter<StdoutLock<'static>>),
@@ -67,7 +67,7 @@ impl Output {
         Ok(Self::File(path.to_owned(), file))
     }
 
-    /// Ends the rows: a file that is not finished is not there.
+    /// Completes the output. Without this call, no file appears.
     pub fn finish(self) -> anyhow::Result<()> {
         match self {
             Self::File(path, file) => {

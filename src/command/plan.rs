@@ -1,7 +1,8 @@
-//! `downwash plan`: a feasible reference near a desired trajectory, through a model; or the fastest
-//! way through a course.
+//! `downwash plan`: a feasible reference near a desired trajectory, by a model; or the fastest way
+//! through a course.
 
 mod fastest;
+mod summary;
 mod tubed;
 
 use std::cell::Cell;
@@ -12,13 +13,13 @@ use std::time::Instant;
 
 use anyhow::{Context, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
-use schemars::JsonSchema;
-use serde::Serialize;
 use vehicle::VehicleParams;
 use vehicle::effects::BatterySag;
 
 pub use self::fastest::Fastest;
-use self::tubed::{ChosenTube, TubeOfPlan};
+pub(super) use self::summary::PlanSummary;
+use self::summary::Searched;
+use self::tubed::ChosenTube;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::sent_thrust::behind_the_map;
 use super::vehicle_file::VehicleFile;
@@ -33,22 +34,21 @@ use crate::model::actuation::Actuation;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 use crate::offboard::EffectiveVehicle;
-use crate::plan::iterate::Violation;
 use crate::plan::planned::{Answer, Found, Plan, PlannedThrough};
 use crate::plan::planner::{PlannedVehicle, Planner};
 use crate::plan::scp::{Record, Status};
 use crate::plan::time_optimal::{Stop, Task};
-use crate::plan::{Feasibility, TimeLimit, Trajectory, TrajectoryFile};
+use crate::plan::{TimeLimit, Trajectory, TrajectoryFile};
 use crate::report::plan as page;
 
 /// Kind of the model that is the vehicle file's own physics.
 const NOMINAL: &str = "nominal";
 
-/// A model to plan through, with what a plan says about it.
+/// A model to plan with, and what a plan's file states about it.
 pub struct PlanModel {
     model: Arc<dyn Model>,
     note: PlannedThrough,
-    /// Delay and lag from a setpoint to what acts, s.
+    /// Delay and lag from a setpoint to its effect, s.
     delay_s: f64,
     lag_s: f64,
     voltage_exponent: f64,
@@ -58,7 +58,7 @@ impl PlanModel {
     /// The vehicle file's own physics.
     ///
     /// # Errors
-    /// A vehicle whose effects make no vehicle.
+    /// The vehicle with its effects is invalid.
     pub fn nominal(vehicle: &VehicleParams) -> anyhow::Result<Self> {
         let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
         let model =
@@ -75,10 +75,10 @@ impl PlanModel {
         })
     }
 
-    /// One of a model file's models; `sha256` is that of the file.
+    /// One of a model file's models; `sha256` is the file's.
     ///
     /// # Errors
-    /// A model that the file does not hold whole.
+    /// The file lacks a part of the model.
     pub fn learned(file: &ModelFile, kind: ModelKind, sha256: &str) -> anyhow::Result<Self> {
         let model = file.model(kind).or_exit(Exit::Usage)?.into();
         let note = PlannedThrough { kind: kind.name().to_owned(), sha256: Some(sha256.to_owned()) };
@@ -111,7 +111,7 @@ impl PlanModel {
     }
 }
 
-/// The model of a file, else the vehicle's own physics.
+/// The model of a file; without a file, the vehicle's own physics.
 pub(super) fn model_for(
     vehicle: &VehicleParams,
     model: Option<&Path>,
@@ -132,7 +132,7 @@ pub fn sha256_of(path: &Path) -> anyhow::Result<String> {
     Ok(sha256(bytes))
 }
 
-/// What plans for a vehicle, and how the vehicle answers the plans' inputs.
+/// The planner for a vehicle, and the vehicle's response to the plans' inputs.
 pub(super) fn planner(
     vehicle: &VehicleParams,
     plan_model: &PlanModel,
@@ -169,10 +169,10 @@ pub(super) fn planner(
     Ok((planner, answer))
 }
 
-/// Plans a trajectory for a vehicle. `watch` is shown the subproblems, and ends the search.
+/// Plans a trajectory for a vehicle. `watch` receives the subproblems, and can end the search.
 ///
 /// # Errors
-/// A vehicle without an on-board loop, or a trajectory that cannot be planned for.
+/// The vehicle has no known on-board loop, or the trajectory cannot be planned.
 pub fn plan_trajectory(
     trajectory: &Trajectory,
     vehicle: &VehicleParams,
@@ -217,7 +217,7 @@ fn plan_within(
 /// Plans the fastest way through a course for a vehicle, by its own physics.
 ///
 /// # Errors
-/// A vehicle without an on-board loop, or a course that no way leads through.
+/// The vehicle has no known on-board loop, or no way leads through the course.
 pub fn plan_fastest(
     task: &Task,
     vehicle: &VehicleParams,
@@ -227,70 +227,12 @@ pub fn plan_fastest(
     fastest::plan(task, vehicle, config, stop)
 }
 
-/// The JSON of `plan`.
-#[derive(JsonSchema, Serialize)]
-pub(super) struct PlanSummary<'a> {
-    schema: &'static str,
-    schema_version: u32,
-    trajectory: &'a str,
-    vehicle: &'a str,
-    model: &'a PlannedThrough,
-    status: Status,
-    /// Why it may not be flown; null where it may.
-    not_flyable: Option<String>,
-    cost: f64,
-    violation: Violation,
-    subproblems: usize,
-    periods: usize,
-    seconds: f64,
-    wall_s: f64,
-    /// Distance between planned and desired positions, m.
-    position_rms_m: f64,
-    position_max_m: f64,
-    feasibility: Option<Feasibility>,
-    /// Of a plan that takes the least time; null of others.
-    time_optimal: Option<Fastest>,
-    /// The tube; null for a plan without one.
-    tube: Option<TubeOfPlan>,
-    plan: &'a Path,
-}
-
-impl PlanSummary<'_> {
-    /// For people.
-    fn in_words(&self, plan: &Plan) -> String {
-        let wish = match &self.time_optimal {
-            Some(fastest) => fastest.in_words(),
-            None => format!(
-                "from the desired position {:.3} m RMS, {:.3} m at most\n",
-                self.position_rms_m, self.position_max_m
-            ),
-        };
-        let tube = self.tube.as_ref().map_or(String::new(), TubeOfPlan::in_words);
-        format!(
-            "plan        {:.2} s through the {} model: {}\n\
-             cost        {:.4} after {} subproblems in {:.2} s\n\
-             violation   dynamics {:.1e}, bounds {:.1e}\n\
-             {wish}{tube}\
-             plan        {}\n",
-            self.seconds,
-            plan.model.kind,
-            plan.status.in_words(),
-            plan.cost,
-            self.subproblems,
-            self.wall_s,
-            plan.violation.defect,
-            plan.violation.overrun,
-            self.plan.display()
-        )
-    }
-}
-
-/// Shares of the time limit after which the search for the fastest way ends, and what closes it.
+/// Share of the time limit after which the search for the fastest way ends.
 pub const SEARCH_SHARE: f64 = 0.6;
-/// The latter.
+/// Share of the time limit after which the closing part of that search ends.
 pub const CLOSING_SHARE: f64 = 0.9;
 
-/// Looks at the clock and at Ctrl-C between subproblems, and shows how far a search is.
+/// Checks the clock and Ctrl-C between subproblems, and shows the progress of a search.
 struct Watch {
     began: Instant,
     limit: TimeLimit,
@@ -322,7 +264,7 @@ impl Watch {
         is_spent
     }
 
-    /// Whether the search is to end before its next subproblem.
+    /// Whether the search must end before its next subproblem.
     fn is_over(&self, records: &[Record]) -> bool {
         self.bar.set_position(records.len() as u64);
         if let Some(record) = records.last() {
@@ -331,6 +273,79 @@ impl Watch {
         self.is_late.set(self.limit.is_over(self.began.elapsed()));
         self.interrupted.load(Ordering::Relaxed) || self.is_late.get()
     }
+}
+
+/// The vehicle of the flags, of the model file, or the built-in one.
+fn vehicle_of(args: &PlanArgs) -> anyhow::Result<VehicleParams> {
+    Ok(match (&args.vehicle, &args.model) {
+        (Some(path), _) => {
+            let vehicle = VehicleParams::load(path).or_exit(Exit::Usage)?;
+            refuse_grounded(&path.display().to_string(), &vehicle)?;
+            vehicle
+        }
+        (None, Some(model)) => ModelFile::load(model).or_exit(Exit::Usage)?.vehicle,
+        (None, None) => VehicleFile::built_in()?.params,
+    })
+}
+
+/// Plans near a desired trajectory, with a tube if the flags name one.
+fn search_near(
+    trajectory: &Trajectory,
+    args: &PlanArgs,
+    vehicle: &VehicleParams,
+    config: &Config,
+    watch: &Watch,
+) -> anyhow::Result<Plan> {
+    let plan_model = model_for(vehicle, args.model.as_deref(), args.kind)?;
+    print_status(format_args!(
+        "planning {} ({:.1} s) through the {} model",
+        trajectory.name(),
+        trajectory.duration(),
+        plan_model.note.kind
+    ));
+    let load = |path| ChosenTube::load(path, args.confidence, args.keep_out_confidence);
+    let tube = args.tube.as_deref().map(load).transpose()?;
+    if let Some(tube) = &tube {
+        tube.check(vehicle, &plan_model.note)?;
+    }
+    let watched = |records: &[Record]| watch.is_over(records);
+    plan_within(trajectory, vehicle, &plan_model, config, tube.as_ref(), &watched)
+}
+
+/// Plans the fastest way through a course, without a tube and by the vehicle file's physics.
+fn search_fastest(
+    task: &Task,
+    args: &PlanArgs,
+    vehicle: &VehicleParams,
+    config: &Config,
+    watch: &Watch,
+) -> anyhow::Result<(Plan, Fastest)> {
+    if let Some(tube) = &args.tube {
+        return Err(anyhow!(
+            "{}: a fastest flight cannot have a tube; omit --tube {}, or plan a trajectory with \
+             times",
+            args.trajectory.display(),
+            tube.display()
+        ))
+        .or_exit(Exit::Usage);
+    }
+    if let Some(model) = &args.model {
+        return Err(anyhow!(
+            "{}: a fastest plan uses the vehicle file's own physics; omit --model {}",
+            args.trajectory.display(),
+            model.display()
+        ))
+        .or_exit(Exit::Usage);
+    }
+    print_status(format_args!(
+        "planning the fastest trajectory through {} passages",
+        task.passages.len()
+    ));
+    let stop = Stop {
+        search: &|records| watch.is_over(records) || watch.is_spent(SEARCH_SHARE),
+        closing: &|_| watch.is_spent(CLOSING_SHARE),
+    };
+    fastest::plan(task, vehicle, config, stop)
 }
 
 pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
@@ -344,63 +359,14 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
     if let Some(limit) = args.time_limit {
         config.settings.plan.time_limit_s = limit;
     }
-    let vehicle = match (&args.vehicle, &args.model) {
-        (Some(path), _) => {
-            let vehicle = VehicleParams::load(path).or_exit(Exit::Usage)?;
-            refuse_grounded(&path.display().to_string(), &vehicle)?;
-            vehicle
-        }
-        (None, Some(model)) => ModelFile::load(model).or_exit(Exit::Usage)?.vehicle,
-        (None, None) => VehicleFile::built_in()?.params,
-    };
+    let vehicle = vehicle_of(args)?;
     let watch = Watch::begin(&config, interruption);
     let (plan, fastest) = match TrajectoryFile::load(&args.trajectory).or_exit(Exit::Usage)? {
         TrajectoryFile::Desired(trajectory) => {
-            let plan_model = model_for(&vehicle, args.model.as_deref(), args.kind)?;
-            print_status(format_args!(
-                "planning {} ({:.1} s) through the {} model",
-                trajectory.name(),
-                trajectory.duration(),
-                plan_model.note.kind
-            ));
-            let tube = args.tube.as_deref();
-            let load = |path| ChosenTube::load(path, args.confidence, args.keep_out_confidence);
-            let tube = tube.map(load).transpose()?;
-            if let Some(tube) = &tube {
-                tube.check(&vehicle, &plan_model.note)?;
-            }
-            let watched = |records: &[Record]| watch.is_over(records);
-            let plan =
-                plan_within(&trajectory, &vehicle, &plan_model, &config, tube.as_ref(), &watched)?;
-            (plan, None)
+            (search_near(&trajectory, args, &vehicle, &config, &watch)?, None)
         }
         TrajectoryFile::Task(task) => {
-            if let Some(tube) = &args.tube {
-                return Err(anyhow!(
-                    "{}: a fastest flight cannot have a tube; omit --tube {}, or plan a trajectory with \
-                     times",
-                    args.trajectory.display(),
-                    tube.display()
-                ))
-                .or_exit(Exit::Usage);
-            }
-            if let Some(model) = &args.model {
-                return Err(anyhow!(
-                    "{}: a fastest plan uses the vehicle file's own physics; omit --model {}",
-                    args.trajectory.display(),
-                    model.display()
-                ))
-                .or_exit(Exit::Usage);
-            }
-            print_status(format_args!(
-                "planning the fastest trajectory through {} passages",
-                task.passages.len()
-            ));
-            let stop = Stop {
-                search: &|records| watch.is_over(records) || watch.is_spent(SEARCH_SHARE),
-                closing: &|_| watch.is_spent(CLOSING_SHARE),
-            };
-            let (plan, fastest) = fastest::plan(&task, &vehicle, &config, stop)?;
+            let (plan, fastest) = search_fastest(&task, args, &vehicle, &config, &watch)?;
             (plan, Some(fastest))
         }
     };
@@ -408,41 +374,11 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
     let (interrupted, is_late) = (Arc::clone(&watch.interrupted), watch.is_late.get());
     let wall_s = watch.began.elapsed().as_secs_f64();
 
-    let flyable = plan.check_flyable();
-    let effective = EffectiveVehicle::new(&vehicle).or_exit(Exit::Usage)?;
-    let demands = config.settings.envelope.check_plan(
-        &plan,
-        effective.hover.mass_kg,
-        effective.hover.gravity,
-    );
+    let EffectiveVehicle { hover, .. } = EffectiveVehicle::new(&vehicle).or_exit(Exit::Usage)?;
+    let demands = config.settings.envelope.check_plan(&plan, hover.mass_kg, hover.gravity);
     write_file(&args.out, plan.to_json().context("the plan")?.as_bytes())?;
-    let distances = plan.distances();
-    let count = distances.len() as f64;
-    let summary = PlanSummary {
-        schema: "downwash.plan.summary",
-        schema_version: 1,
-        trajectory: &plan.trajectory,
-        vehicle: &plan.vehicle,
-        model: &plan.model,
-        status: plan.status,
-        not_flyable: match (&flyable, &demands) {
-            (Err(reason), _) => Some(reason.to_string()),
-            (_, Err(reason)) => Some(reason.to_string()),
-            _ => None,
-        },
-        cost: plan.cost,
-        violation: plan.violation,
-        subproblems: plan.records.len(),
-        periods: plan.inputs.len(),
-        seconds: plan.duration(),
-        wall_s,
-        position_rms_m: (distances.iter().map(|d| d * d).sum::<f64>() / count).sqrt(),
-        position_max_m: distances.iter().copied().fold(0.0, f64::max),
-        feasibility: demands.ok(),
-        time_optimal: fastest,
-        tube: plan.tube.as_ref().map(TubeOfPlan::from),
-        plan: &args.out,
-    };
+    let searched = Searched { plan: &plan, fastest, wall_s };
+    let summary = PlanSummary::new(searched, demands, &args.out);
     if let Some(folder) = &args.report {
         let limits = &config.settings.offboard.limits;
         let html = page::html(&plan, summary.not_flyable.as_deref(), limits);

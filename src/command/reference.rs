@@ -1,4 +1,4 @@
-//! `downwash reference`: pages for looking things up, made from the code that they are about.
+//! `downwash reference`: reference pages, generated from the code that they describe.
 
 mod markdown;
 
@@ -138,7 +138,7 @@ fn trajectories() -> String {
     );
     for family in schema["oneOf"].as_array().into_iter().flatten() {
         let name = family["properties"]["family"]["const"].as_str().unwrap_or_default();
-        // A family whose keys have a type of their own, and one whose keys stand in place.
+        // A family whose keys have their own type, and one whose keys are in place.
         let part = markdown::referred(family).and_then(|part| definitions.get(part));
         let all = keys(part.unwrap_or(family), &definitions);
         let own = all.iter().filter(|key| key.path != "family");

@@ -1,4 +1,4 @@
-//! `downwash replay`: a flight log, played to viewers.
+//! `downwash replay`: plays a flight log to viewers.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -45,7 +45,7 @@ pub(super) fn run(args: &ReplayArgs, preparation: Interruption) -> anyhow::Resul
     }
 }
 
-/// A log of the project's own as it is, another one as `log import` would write it.
+/// A log of this program as it is, or another one as `log import` would write it.
 fn read(path: &Path, mapping: Option<&Path>) -> anyhow::Result<Recording> {
     let named = || path.display().to_string();
     let foreign = match LogReader::open(path) {

@@ -1,5 +1,5 @@
-//! The rows of many flights in a folder: one file a shard, which only grows by whole lines, so that
-//! any worker may die at any time.
+//! The rows of many flights in a folder: one file for each shard, which grows by whole lines only,
+//! so any worker may die at any time.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, OpenOptions};
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::{Exit, print_status};
 use crate::cli::Shard;
 
-/// Says how a run that was interrupted goes on.
+/// Prints how to continue an interrupted run.
 pub fn interrupted(out: &Path) -> Exit {
     print_status(format_args!(
         "run the same command again to continue with the rows in {}",
@@ -23,19 +23,19 @@ pub fn interrupted(out: &Path) -> Exit {
     Exit::Interrupted
 }
 
-/// A row as it lies in a shard's file.
+/// A row of a shard's file.
 pub trait Numbered: Serialize + DeserializeOwned {
     /// Its number among all rows.
     fn number(&self) -> usize;
 }
 
-/// What a folder is of.
+/// The identity of a folder's rows.
 #[derive(Debug, Deserialize, PartialEq, Serialize)]
 pub struct Header {
     pub schema: String,
     pub schema_version: u32,
     pub version: String,
-    /// Of all that the rows follow from.
+    /// Hash of everything on which the rows depend.
     pub manifest_sha256: String,
     pub points: usize,
 }
@@ -47,7 +47,7 @@ pub struct Folder<L> {
 }
 
 impl<L: Numbered> Folder<L> {
-    /// Opens or makes the folder; `file` says in it what the rows are of.
+    /// Opens or makes the folder; `file` identifies its rows.
     pub fn open(path: &Path, file: &str, header: &Header) -> anyhow::Result<Self> {
         fs::create_dir_all(path)
             .with_context(|| format!("cannot create the folder {}", path.display()))?;
@@ -76,7 +76,7 @@ impl<L: Numbered> Folder<L> {
         Ok(Self { path: path.to_owned(), rows: PhantomData })
     }
 
-    /// Writes a file whole, whoever else does the same.
+    /// Writes a file whole, even if other workers write it too.
     pub fn replace(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let unique = format!(".{name}.{}.part", std::process::id());
@@ -85,7 +85,7 @@ impl<L: Numbered> Folder<L> {
         write().with_context(|| format!("cannot write {}", path.display()))
     }
 
-    /// The numbers of the points whose rows are there.
+    /// The numbers of the points that have a row.
     pub fn done(&self) -> anyhow::Result<BTreeSet<usize>> {
         let mut done = BTreeSet::new();
         self.read(|line| {
@@ -103,7 +103,7 @@ impl<L: Numbered> Folder<L> {
         Ok(rows)
     }
 
-    /// Shows every whole line; what a worker left that died in the middle of one is passed over.
+    /// Passes every whole line to `show`; skips the partial line of a worker that died.
     fn read(&self, mut show: impl FnMut(L)) -> anyhow::Result<()> {
         let entries = fs::read_dir(&self.path).with_context(|| self.path.display().to_string())?;
         for entry in entries {
@@ -132,7 +132,7 @@ impl<L: Numbered> Folder<L> {
                 file.seek(SeekFrom::End(-1))?;
                 file.read_exact(&mut last)?;
             }
-            // A worker died in the middle of its line.
+            // A worker died while it wrote a line.
             if last != [b'\n'] {
                 file.write_all(b"\n")?;
             }

@@ -1,4 +1,4 @@
-//! `downwash schema`: JSON Schemas of what the commands print as JSON.
+//! `downwash schema`: JSON Schemas of the commands' JSON output.
 
 use anyhow::anyhow;
 use schemars::generate::SchemaSettings;
@@ -21,16 +21,16 @@ use crate::report::recording::RecordingSummary;
 use crate::report::side_by_side::Comparison;
 use crate::service::ServiceStatus;
 
-/// What a command prints.
+/// The output of a command.
 pub(super) struct Output {
-    /// The value of its `schema`; what bears none is found by its name.
+    /// The value of its key `schema`; output without this key is found by this name.
     name: &'static str,
-    /// What prints it.
+    /// The command that prints it.
     command: &'static str,
     make: fn() -> Schema,
 }
 
-/// All of them, in the order of a table.
+/// All outputs, in the order of the reference.
 pub(super) const OUTPUTS: [Output; 42] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
@@ -125,7 +125,7 @@ fn schema_of<T: JsonSchema>() -> Schema {
     settings.with_transform(NumbersMayBeNull).into_generator().into_root_schema_for::<T>()
 }
 
-/// JSON has no number that is not finite: it is written as null.
+/// JSON has no non-finite numbers; they are written as null.
 #[derive(Clone, Debug)]
 struct NumbersMayBeNull;
 
@@ -134,7 +134,7 @@ impl Transform for NumbersMayBeNull {
         if schema.get("type") == Some(&json!("number")) {
             schema.insert("type".to_owned(), json!(["number", "null"]));
         }
-        // What Rust calls them.
+        // The names that Rust gives them.
         if schema.get("format").is_some() {
             schema.remove("format");
         }

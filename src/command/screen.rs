@@ -44,7 +44,7 @@ impl KeyRequest {
     }
 }
 
-/// The screen, until it is dropped: then the terminal is as it was, and has the messages.
+/// The screen. Dropping it restores the terminal and prints the messages there.
 pub(super) struct Screen {
     terminal: Terminal<CrosstermBackend<Stderr>>,
     scene: Scene,
@@ -52,7 +52,7 @@ pub(super) struct Screen {
 }
 
 impl Screen {
-    /// Takes the terminal.
+    /// Takes over the terminal.
     pub fn start(title: String) -> anyhow::Result<Self> {
         if !(stderr().is_terminal() && stdin().is_terminal()) {
             return Err(anyhow!(
@@ -72,12 +72,13 @@ impl Screen {
         Ok(Self { terminal, scene, title })
     }
 
-    /// What the screen shows, for whoever has news.
+    /// The screen's content, for sources of news.
     pub fn scene(&self) -> Scene {
         self.scene.clone()
     }
 
-    /// Draws, and looks at the keys. A terminal that is gone shows nothing, and the flight goes on.
+    /// Draws the status, and returns a request to stop by key. If the terminal is gone, the flight
+    /// goes on.
     pub fn show(&mut self, status: &Status) -> Option<Stop> {
         let mut stop = None;
         while event::poll(Duration::ZERO).unwrap_or(false) {
@@ -111,16 +112,16 @@ impl Drop for Screen {
     }
 }
 
-/// Gives the terminal back; a second call does nothing.
+/// Restores the terminal; a second call does nothing.
 fn restore() {
     if is_raw_mode_enabled().unwrap_or(false) {
-        // In this order: who sees the screen come back finds the terminal as it was.
+        // In this order, so that raw mode is off by the time the normal screen is back.
         let _ = disable_raw_mode();
         let _ = execute!(stderr(), LeaveAlternateScreen, Show);
     }
 }
 
-/// So that what a panic says is said on the terminal as it was.
+/// Restores the terminal before a panic's message.
 fn restore_on_panic() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {

@@ -1,4 +1,4 @@
-//! From files and settings to what a station needs.
+//! The settings of a station, from files and the configuration.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ pub(super) fn built_in_trajectory() -> anyhow::Result<Trajectory> {
     Ok(Trajectory::parse(text, Path::new("sinusoid-yaw.toml (built in)"))?)
 }
 
-/// What a programme of flights may ask of the vehicle.
+/// The demands that a programme of flights may make on the vehicle.
 pub(super) fn capability(
     params: &VehicleParams,
     settings: &ControlSettings,
@@ -38,7 +38,7 @@ pub(super) fn capability(
     let inertia: [f64; 3] = effective.hover.inertia;
     let bandwidth = match effective.attitude_pd {
         Some(pd) => std::array::from_fn(|axis| (pd.kp[axis] / inertia[axis]).sqrt()),
-        // A loop that is not known is taken to be the slowest of those that are.
+        // An unknown loop counts as the slowest of the known ones.
         None => settings.attitude_response_rad_s.unwrap_or(AttitudeLoop::PX4_RAD_S),
     };
     let [roll, pitch, yaw] = bandwidth;
@@ -65,8 +65,7 @@ pub(super) fn station_settings(
 ) -> anyhow::Result<StationSettings> {
     let settings = &config.settings;
     let effective = EffectiveVehicle::new(&vehicle.params).or_exit(Exit::Usage)?;
-    // The vehicle is not known yet, so neither is its loop; what no feedback can be designed with
-    // is wrong with any.
+    // The vehicle and its loop are not known yet. Settings that fail here fail with every loop.
     Controller::design(&ControlProblem {
         vehicle: &effective.hover,
         actuation: &Actuation::IMMEDIATE,
@@ -93,7 +92,7 @@ pub(super) fn station_settings(
     let mut offboard = settings.offboard.clone();
     offboard.telemetry.rate_hz = settings.control.rate_hz;
     if !settings.plan.keep_out.is_empty() {
-        // A plan that is moved leads through what it was led around.
+        // A moved plan would lead through the regions that it avoids.
         offboard.adjustment.goal_max_m = 0.0;
     }
     Ok(StationSettings {
@@ -120,8 +119,8 @@ pub(super) fn baud(endpoint: &Endpoint) -> Option<u32> {
     }
 }
 
-/// Gain of the daemon's attitude loop, 1/s. Where the on-board loop is known and is slower, the
-/// daemon's is as slow; a quicker one it cannot be, with the link and the feedback's period inside.
+/// Largest gain of the daemon's attitude loop, 1/s: the link and the feedback's period are within
+/// the loop and allow no more. A slower on-board loop gives a smaller gain.
 const RATE_GAIN: f64 = 6.0;
 
 fn form_choice(setting: FormSetting, pd: Option<AttitudePd>) -> FormChoice {
@@ -144,7 +143,7 @@ fn seconds(name: &str, value: f64) -> anyhow::Result<Duration> {
         .or_exit(Exit::Usage)
 }
 
-/// What the log says about the run.
+/// The log's facts about the run.
 pub(super) fn run_info(
     config: &Config,
     vehicle: &VehicleFile,
@@ -169,7 +168,7 @@ pub(super) fn run_info(
     }
 }
 
-/// A setting that must be there, from a flag or the configuration.
+/// A required setting, from a flag or the configuration.
 pub(super) fn required<T: Clone>(value: &Option<T>, flag: &str, key: &str) -> anyhow::Result<T> {
     value
         .clone()

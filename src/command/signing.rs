@@ -1,4 +1,4 @@
-//! `downwash signing`: keys, and vehicles that get one.
+//! `downwash signing`: makes keys, and sends them to vehicles.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -18,10 +18,10 @@ use crate::link::session::Delivery;
 use crate::link::signing::{Ledger, Remembered, SigningSettings};
 use crate::link::silence::Silence;
 
-/// A vehicle is waited for, and its word after a setup.
+/// Wait for a vehicle, and for its reaction to a setup.
 const SEARCH: Duration = Duration::from_secs(10);
 const STEP: Duration = Duration::from_millis(100);
-/// Number of times that the message is sent, for the vehicle acknowledges none.
+/// Number of times that the message is sent, because the vehicle acknowledges none.
 const REPEATS: usize = 2;
 
 pub(super) fn run(command: &SigningCommand) -> anyhow::Result<Exit> {
@@ -100,7 +100,7 @@ fn setup(args: &SetupArgs) -> anyhow::Result<Exit> {
         listener.session.set_up_signing((!args.off).then_some((&new.key, time)));
         listener.listen(STEP, |_, _| {});
     }
-    // Another session, which believes nothing but what it should hear now.
+    // Another session, which accepts only frames under the new key.
     drop(listener);
     let fingerprint = new.key.fingerprint();
     let mut listener = Listener::signed(&listen, false, (!args.off).then_some(new))?;

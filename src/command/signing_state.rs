@@ -1,4 +1,4 @@
-//! The key of a signed link, and the file that keeps its stamps from one run to the next.
+//! The key of a signed link, and the file that keeps its stamps between runs.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};

@@ -29,7 +29,7 @@ use crate::log::record::Record;
 use crate::report::metrics::{Metrics, MetricsGatherer};
 use crate::station::Status;
 
-/// What a simulated flight is made of, as a person writes it.
+/// The inputs of a simulated flight, as a person writes them.
 #[derive(Clone, Debug, Default)]
 pub struct Inputs {
     /// Vehicle file, or the name of a shipped one; none takes the built-in nano quadrotor.
@@ -38,13 +38,13 @@ pub struct Inputs {
     pub trajectory: Option<PathBuf>,
     /// Effects of the simulated vehicle that the controller does not know.
     pub effects: EffectSet,
-    /// Those that set in later.
+    /// Effects that set in later.
     pub onsets: Vec<Onset>,
     /// The simulated vehicle's own configuration.
     pub sitl_config: Option<PathBuf>,
     /// Configuration file.
     pub config: Option<PathBuf>,
-    /// Settings over it, by their dotted paths.
+    /// Settings that override it, by their dotted paths.
     pub settings: BTreeMap<String, Value>,
     /// Seed of noise, delays and gusts.
     pub seed: u64,
@@ -55,13 +55,13 @@ pub struct Inputs {
 pub struct Simulation {
     /// Settings of controller, planner and limits.
     pub config: Config,
-    /// What the controller takes the vehicle for.
+    /// The vehicle as the controller assumes it.
     pub vehicle: VehicleFile,
-    /// What it follows.
+    /// The course to follow.
     pub course: Course,
-    /// What the vehicle is beside its file.
+    /// The true vehicle, as far as it differs from its file.
     pub truth: Truth,
-    /// Settings that were given beside files, for the row.
+    /// Settings besides those of files, for the row.
     pub settings: BTreeMap<String, Value>,
     /// Seed of noise, delays and gusts.
     pub seed: u64,
@@ -85,11 +85,11 @@ pub struct Row {
         with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
     )]
     pub effects: EffectSet,
-    /// Those that set in later, each with its time.
+    /// Effects that set in later, each with its time.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schemars(with = "Vec<serde_json::Value>")]
     pub onsets: Vec<Onset>,
-    /// Settings that were given beside files.
+    /// Settings besides those of files.
     #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
     pub settings: BTreeMap<String, Value>,
     /// Seed of noise, delays and gusts.
@@ -175,10 +175,10 @@ pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
 }
 
 impl Simulation {
-    /// Reads what the flight is made of, and checks that it may be flown.
+    /// Reads the inputs, and checks that the flight is possible.
     ///
     /// # Errors
-    /// A file or setting that is missing or wrong, or a trajectory outside of the envelope.
+    /// A file or setting is missing or wrong, or the trajectory is outside the envelope.
     pub fn load(inputs: &Inputs) -> anyhow::Result<Self> {
         let config = configuration(inputs.config.as_deref(), &inputs.settings)?;
         let vehicle = match &inputs.vehicle {
@@ -205,7 +205,7 @@ impl Simulation {
     /// Flies without a log. `watch` sees the status about every 10 ms of simulated time.
     ///
     /// # Errors
-    /// A vehicle that cannot be simulated, or a flight without an end.
+    /// The vehicle cannot be simulated, or the flight does not end.
     pub fn fly(&self, watch: impl FnMut(&Status)) -> anyhow::Result<(Row, Exit)> {
         self.fly_with(None, |_| None, watch)
     }
@@ -213,7 +213,7 @@ impl Simulation {
     /// Flies, and writes a log into `folder`.
     ///
     /// # Errors
-    /// As [`fly`](Self::fly), and a log that cannot be written.
+    /// As [`fly`](Self::fly), or the log cannot be written.
     pub fn fly_logged(
         &self,
         folder: &Path,
@@ -266,7 +266,7 @@ impl Simulation {
         Ok((Row { log, ..row }, exit))
     }
 
-    /// Flies as fast as time passes, in a live view.
+    /// Flies in real time, in a live view.
     fn fly_seen(
         &self,
         folder: Option<&Path>,
@@ -282,7 +282,7 @@ impl Simulation {
         let on_record = |record: &Record| {
             let more = on_record(record);
             listeners.iter_mut().for_each(|listener| listener.on_record(record));
-            // Of the simulated vehicle there is one every 10 ms.
+            // The simulated vehicle has a status every 10 ms.
             if let Record::Truth { stamp, .. } = record {
                 now.set(stamp.host);
                 let due = began + stamp.host.since(start);
@@ -341,7 +341,7 @@ impl Simulation {
 /// A configuration with settings over its file, by their dotted paths.
 ///
 /// # Errors
-/// A file or setting that is missing, unknown or impossible.
+/// A file or setting is missing, unknown or impossible.
 pub fn configuration(
     file: Option<&Path>,
     settings: &BTreeMap<String, Value>,
@@ -350,7 +350,7 @@ pub fn configuration(
     config::load(file, flags.collect())
 }
 
-/// Reads `KEY=VALUE`, the value as TOML or, where it is none, as a string.
+/// Reads `KEY=VALUE`, the value as TOML if possible, or else as a string.
 fn settings(given: &[String]) -> anyhow::Result<BTreeMap<String, Value>> {
     let setting = |text: &String| {
         let (key, value) = text
@@ -358,7 +358,7 @@ fn settings(given: &[String]) -> anyhow::Result<BTreeMap<String, Value>> {
             .ok_or_else(|| anyhow!("--set: expected KEY=VALUE, found {text:?}"))
             .or_exit(Exit::Usage)?;
         let value = value.trim();
-        // `Value` alone reads a dotted word as a table's header.
+        // Parsing the value alone would read a dotted word as a table's header.
         let read = format!("value = {value}").parse::<Table>().ok();
         let read = read.and_then(|mut table| table.remove("value"));
         Ok((key.trim().to_owned(), read.unwrap_or_else(|| Value::String(value.to_owned()))))
@@ -366,7 +366,7 @@ fn settings(given: &[String]) -> anyhow::Result<BTreeMap<String, Value>> {
     given.iter().map(setting).collect()
 }
 
-/// What stdout shows.
+/// The text for stdout.
 fn text(row: &Row) -> String {
     let metrics = &row.metrics;
     let mut text = format!("flight  {}\n", row.end);

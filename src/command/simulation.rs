@@ -23,23 +23,22 @@ use crate::log::record::Record;
 use crate::station::{End, Station, Status};
 use crate::supervisor::EngagePolicy;
 
-/// Simulated time that connecting, take-off, the approach and landing may take beside the
-/// trajectory, s.
+/// Simulated time for connecting, take-off, the approach and landing, besides the trajectory, s.
 const AROUND_S: f64 = 180.0;
 
-/// What of the simulated vehicle the vehicle file does not say.
+/// The properties of the simulated vehicle that the vehicle file does not state.
 #[derive(Clone, Debug, Default)]
 pub struct Truth {
-    /// Sensors, pack, start.
+    /// Sensors, battery, start.
     pub config: SitlConfig,
     /// Beyond the vehicle file's modelled effects.
     pub effects: EffectSet,
-    /// Those that set in later.
+    /// Effects that set in later.
     pub onsets: Vec<Onset>,
 }
 
 impl Truth {
-    /// From flags: what `--effect` says goes over the file of `--effects`.
+    /// From flags; `--effect` overrides the file of `--effects`.
     pub(super) fn load(args: &SimulationArgs, vehicle: &VehicleParams) -> anyhow::Result<Self> {
         let config = match &args.sitl_config {
             Some(path) => SitlConfig::load(path).or_exit(Exit::Usage)?,
@@ -52,8 +51,8 @@ impl Truth {
         Ok(truth)
     }
 
-    /// Warns of effects that do nothing to `vehicle`. One that the physics refuses is refused where
-    /// it is flown.
+    /// Warns of effects that do nothing to `vehicle`. The flight reports an effect that the physics
+    /// refuses.
     pub(super) fn warn(&self, vehicle: &VehicleParams) {
         let physics = Physics::new(vehicle, &self.effects).ok();
         if let Some(remark) = physics.and_then(|physics| physics.unfelt(&self.effects)) {
@@ -61,7 +60,7 @@ impl Truth {
         }
     }
 
-    /// What sets in later, on one line; empty for nothing.
+    /// The effects that set in later, on one line; empty without any.
     pub(super) fn onsets_text(&self) -> anyhow::Result<String> {
         if self.onsets.is_empty() {
             return Ok(String::new());
@@ -78,20 +77,20 @@ impl Truth {
 /// One flight to simulate.
 pub(super) struct SimulatedFlight<'a> {
     pub config: &'a Config,
-    /// What the daemon takes the vehicle for.
+    /// The vehicle as the daemon assumes it.
     pub vehicle: &'a VehicleFile,
-    /// What its firmware takes it for, and what the truth is put over.
+    /// The vehicle as its firmware assumes it; the truth is added to it.
     pub airframe: &'a VehicleParams,
     pub truth: &'a Truth,
     pub course: &'a Course,
-    /// What the run is called in the log and in its file's name.
+    /// The name of the run, in the log and in its file name.
     pub run: &'a str,
     pub seed: u64,
     /// More for the log's metadata.
     pub extra: BTreeMap<String, String>,
 }
 
-/// How a simulated flight went.
+/// The result of a simulated flight.
 pub(super) struct Simulated {
     pub end: End,
     pub log: PathBuf,
@@ -143,8 +142,8 @@ impl SimulatedFlight<'_> {
         Ok(Simulated { end, log, simulated_s })
     }
 
-    /// Flies without a log; `record` sees what would be logged. How it ended, and the simulated
-    /// time, s.
+    /// Flies without a log; `record` receives what a log would hold. Returns how the flight ended,
+    /// and the simulated time, s.
     pub fn fly_unlogged(
         &self,
         record: impl FnMut(Record),

@@ -17,11 +17,11 @@ use crate::lockstep;
 use crate::log::sink::Listener;
 use crate::view::{CoursePath, LiveFeed, LiveView, ViewSettings};
 
-/// The view sees the vehicle this often.
+/// Period at which the view receives the vehicle's state.
 const VIEW_PERIOD: Duration = Duration::from_millis(20);
 
 pub(super) fn run(args: &SimulatorArgs) -> anyhow::Result<Exit> {
-    // For what it says of numbers that do not fit each other.
+    // Reads the file for the warnings about numbers that do not fit each other.
     let vehicle = VehicleFile::load(&args.vehicle.vehicle)?;
     let ended = match &args.view.view {
         None => sitl::cli::run(&args.vehicle),

@@ -9,15 +9,15 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use super::scene::Scene;
 use crate::station::Status;
 
-/// What is shown all the time.
+/// The display that is always visible.
 #[derive(Clone)]
 enum Shown {
     Line(ProgressBar),
     Screen(Scene),
 }
 
-/// A process has one terminal, and so one line or one screen, which whoever prints beside it must
-/// know of.
+/// A process has one terminal, and so one line or one screen. Everything that prints must know of
+/// it.
 static SHOWN: Mutex<Option<Shown>> = Mutex::new(None);
 
 fn set_shown(shown: Option<Shown>) {
@@ -29,10 +29,10 @@ pub(super) fn print_on(screen: Option<Scene>) {
     set_shown(screen.map(Shown::Screen));
 }
 
-/// Prints on stderr, above the status line where there is one.
+/// Prints on stderr, above a status line.
 ///
 /// # Errors
-/// If stderr takes no more.
+/// Writing to stderr fails.
 pub(super) fn print_above(text: &[u8]) -> io::Result<()> {
     let shown = SHOWN.lock().unwrap_or_else(PoisonError::into_inner).clone();
     let print = || io::stderr().write_all(text);
@@ -46,7 +46,7 @@ pub(super) fn print_above(text: &[u8]) -> io::Result<()> {
     }
 }
 
-/// One line on stderr that is drawn over and over; nothing where stderr is no terminal.
+/// One line on stderr, drawn again at each change; nothing if stderr is no terminal.
 pub(super) struct StatusLine {
     bar: ProgressBar,
 }
@@ -69,7 +69,7 @@ impl StatusLine {
         self.bar.set_message(status_text(status));
     }
 
-    /// Takes the line away.
+    /// Removes the line.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
         set_shown(None);

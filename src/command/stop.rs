@@ -8,7 +8,7 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 
 use super::Interruption;
 
-/// What asked for the end.
+/// The origin of a request to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stop {
     /// Ctrl-C.
@@ -17,8 +17,8 @@ pub(super) enum Stop {
     Terminate,
 }
 
-/// The requests to stop a flight since this was made. None is lost while nobody waits, as between two
-/// flights; several of one kind that come at once count as one.
+/// The requests to stop a flight since this was created. None is lost while nobody waits, as
+/// between two flights. Several of one kind at once count as one.
 pub(super) struct StopSignals {
     runtime: Runtime,
     interrupt: Signal,
@@ -27,10 +27,10 @@ pub(super) struct StopSignals {
 }
 
 impl StopSignals {
-    /// From now on no such signal ends the program by itself, as `preparation` had it.
+    /// From now on these signals do not end the program by themselves, as under `preparation`.
     pub fn after(preparation: Option<Interruption>) -> anyhow::Result<Self> {
         let signals = Self::new()?;
-        // In this order no signal falls between the two.
+        // In this order, no signal is lost between the two.
         if let Some(preparation) = preparation {
             preparation.hand_over();
         }
@@ -65,7 +65,7 @@ impl StopSignals {
         requested
     }
 
-    /// A request that came by a key.
+    /// Adds a request by key.
     pub fn request(&mut self, stop: Stop) {
         self.first = self.first.or(Some(stop));
     }

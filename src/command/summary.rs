@@ -8,8 +8,8 @@ use crate::log::{LogReader, import};
 use crate::report::flight::{FlightReport, FlightSummary};
 use crate::station::End;
 
-/// The end in words, and its exit code. `stop`: the user asked for the end, which does not hide
-/// what became of the vehicle.
+/// The end in words, and its exit code. `stop`, a request of the user, decides only where the
+/// station gives no end: a lost link or a takeover meanwhile keeps its own code.
 pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Exit) {
     match end {
         Some(End::Done) => ("done".to_owned(), Exit::Ok),
@@ -20,7 +20,7 @@ pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Ex
         Some(End::LinkLost(why)) => (format!("link lost: {why}"), Exit::Link),
         Some(End::PilotTookOver) => ("the pilot took over".to_owned(), Exit::Aborted),
         Some(End::Stopped) => ("interrupted".to_owned(), Exit::Interrupted),
-        // The stream was dropped.
+        // The stream ended without a landing.
         None if stop.is_some() => ("interrupted".to_owned(), Exit::Interrupted),
         None => ("stopped".to_owned(), Exit::Failure),
     }
@@ -33,8 +33,8 @@ pub(super) fn report_on(log: &Path) -> anyhow::Result<FlightReport> {
     Ok(with_recording(report, log))
 }
 
-/// The report with what the vehicle's own messages in the log show; a log that was cut short may
-/// hold none.
+/// The report, with the contents of the vehicle's own messages in the log; a truncated log may hold
+/// none.
 pub(super) fn with_recording(report: FlightReport, log: &Path) -> FlightReport {
     match import::open(log, None) {
         Ok(flight) => report.with_recording(flight),
@@ -42,7 +42,7 @@ pub(super) fn with_recording(report: FlightReport, log: &Path) -> FlightReport {
     }
 }
 
-/// The table that a flight leaves on stdout.
+/// The table that a flight prints on stdout.
 pub(super) fn flight_table(flight: &FlightSummary, end: &str) -> String {
     let mut table = format!("flight  {end}\n");
     if let Some(t) = &flight.tracking {

@@ -36,21 +36,21 @@ use super::rows::{Folder, Header, Rows, interrupted};
 use super::{Exit, ExitContext, Interruption, in_words, print_json, print_status, print_text};
 use crate::cli::{Shard, SweepArgs};
 
-/// What a sweep has come to: the JSON of `sweep`.
+/// The result of a sweep: the JSON of `sweep`.
 #[derive(Debug, JsonSchema, Serialize)]
 pub struct SweepSummary {
     schema: &'static str,
     schema_version: u32,
-    /// Of the manifest and the files that it names.
+    /// Hash of the manifest and the files that it names.
     manifest_sha256: String,
     version: &'static str,
     /// Points of the whole sweep.
     points: usize,
-    /// Points whose rows are there, of all shards.
+    /// Points that have a row, of all shards.
     done: usize,
-    /// Of these, points that could not be flown or diagnosed.
+    /// Points among these that could not be flown or diagnosed.
     failures: usize,
-    /// Of these, flights that did not end as planned.
+    /// Flights among these that did not end as planned.
     ended_early: usize,
     /// The table; null while rows are missing.
     pub table: Option<PathBuf>,
@@ -61,19 +61,19 @@ pub struct SweepSummary {
 pub(super) struct Listed {
     point: usize,
     seed: u64,
-    /// Of an exam, which of the seed's cases; else 0.
+    /// The number of the case among the seed's, for an exam; else 0.
     case: usize,
     #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
     inputs: std::collections::BTreeMap<String, toml::Value>,
 }
 
-/// What of a sweep is flown here.
+/// The part of a sweep that this worker does.
 pub struct Sweep<'a> {
     /// The manifest's file.
     pub manifest: &'a Path,
     /// The folder of the rows.
     pub out: &'a Path,
-    /// Which worker this is.
+    /// This worker's shard.
     pub shard: Shard,
 }
 
@@ -108,11 +108,11 @@ pub(super) fn run(args: &SweepArgs, interruption: &Interruption) -> anyhow::Resu
 }
 
 impl Sweep<'_> {
-    /// Does what of the shard is missing, in this thread pool, and writes the table where every row
-    /// is there. `progress` is shown the shard's points that are done, and how many it has.
+    /// Does the shard's missing points in this thread pool, and writes the table once every point
+    /// has a row. `progress` receives the number of the shard's points done, and of all its points.
     ///
     /// # Errors
-    /// A manifest that is refused, or a folder that cannot be written to, or is another sweep's.
+    /// The manifest is refused, or the folder cannot be written to or belongs to another sweep.
     pub fn run(
         &self,
         stop: &Arc<AtomicBool>,
@@ -132,13 +132,13 @@ impl Sweep<'_> {
         let missing: Vec<usize> = own().filter(|point| !done.contains(point)).collect();
         let of = own().count() as u64;
         let rows = Mutex::new((folder.append(self.shard)?, of - missing.len() as u64));
-        // One after the other of what is missing, so that the first rows are there first.
+        // The missing points in order, so that the first rows come first.
         missing.par_iter().with_max_len(1).try_for_each(|index| {
             if stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
             let line = done_at(&manifest, *index, stop);
-            // What was broken off says nothing of its point.
+            // An interrupted point has no row.
             if line.failure.is_some() && stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
@@ -185,8 +185,8 @@ fn row(
 /// Stack of a thread that diagnoses, bytes: that of a main thread.
 const STACK: usize = 8 << 20;
 
-/// Works in a thread of its own, which its parallel parts stay in: a worker that waited for them would
-/// begin another point meanwhile, inside of this one.
+/// Runs `work` in its own thread, in which its parallel parts stay. A pool's worker that waits for
+/// them would otherwise begin another point inside this one.
 pub(super) fn alone<T: Send>(work: impl FnOnce() -> anyhow::Result<T> + Send) -> anyhow::Result<T> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).stack_size(STACK);
     let pool = pool.build().context("threads")?;
@@ -196,7 +196,7 @@ pub(super) fn alone<T: Send>(work: impl FnOnce() -> anyhow::Result<T> + Send) ->
     })
 }
 
-/// Counts the rows, and writes the table where all are there.
+/// Counts the rows, and writes the table if none is missing.
 fn conclude(
     folder: &Folder<Line>,
     manifest: &Manifest,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 use vehicle::VehicleParams;
 
 use super::logs::{Logs, listed};
@@ -54,11 +54,11 @@ pub(super) fn run(args: &TrainArgs, interruption: &Interruption) -> anyhow::Resu
     Ok(Exit::Ok)
 }
 
-/// What a training leaves beside its model file.
+/// The results of a training besides its model file.
 pub struct Trained {
-    /// What was learned from, and how well.
+    /// The data and the errors.
     pub summary: TrainingSummary,
-    /// The report's page, where one was asked for.
+    /// The report's page, if requested.
     pub report: Option<PathBuf>,
 }
 
@@ -66,25 +66,52 @@ pub struct Trained {
 pub enum Learning {
     /// The model file is written.
     Done(Box<Trained>),
-    /// What was reached is in this checkpoint.
+    /// The progress is in this checkpoint.
     Interrupted(PathBuf),
 }
 
 /// Whether a training goes on from the checkpoint beside its model file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Resume {
-    /// It begins anew.
+    /// Begins anew.
     Never,
-    /// One that is missing, damaged, or of another training is an error.
+    /// Continues; a missing or damaged checkpoint, or one of another training, is an error.
     Always,
-    /// Where there is one of this training.
+    /// Continues if there is a checkpoint of this training.
     IfItBelongs,
 }
 
-/// Trains, and writes the model file and the report. `args.resume` is the caller's to read.
+/// An interrupted training.
+struct Earlier {
+    resume: Resume,
+    /// Its progress, until a training takes it.
+    progress: Option<Progress>,
+}
+
+/// Checks the flags before the training, so that an error costs no work.
+fn check(args: &TrainArgs) -> anyhow::Result<()> {
+    let weight = args.regularization.iter().find(|weight| !(0.0..1.0).contains(*weight));
+    if let Some(weight) = weight {
+        bail!("--regularization: expected at least 0 and below 1, found {weight}");
+    }
+    if let Some(window) = args.window.iter().find(|w| !(1.0..=200.0).contains(*w)) {
+        bail!("--window: expected 1 to 200 ms, found {window}");
+    }
+    if args.out.is_dir() {
+        bail!("--out: expected a file, found the folder {}", args.out.display());
+    }
+    let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        bail!("--out: there is no folder {}", folder.display());
+    }
+    Ok(())
+}
+
+/// Trains, and writes the model file and the report. Ignores `args.resume`, which the caller turns
+/// into `resume`.
 ///
 /// # Errors
-/// Flags that fit no training, or logs of which none can be used.
+/// Flags that fit no training, or no usable log.
 pub fn learn(
     args: &TrainArgs,
     resume: Resume,
@@ -98,32 +125,17 @@ pub fn learn(
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     warn(&args.vehicle, &vehicle);
     let onboard = Onboard::new(&vehicle).or_exit(Exit::Usage)?;
-    if let Some(weight) = args.regularization.iter().find(|weight| !(0.0..1.0).contains(*weight)) {
-        let error = anyhow!("--regularization: expected at least 0 and below 1, found {weight}");
-        return Err(error).or_exit(Exit::Usage);
-    }
-    if let Some(window) = args.window.iter().find(|w| !(1.0..=200.0).contains(*w)) {
-        let error = anyhow!("--window: expected 1 to 200 ms, found {window}");
-        return Err(error).or_exit(Exit::Usage);
-    }
-    // Before the training, not after it.
-    if args.out.is_dir() {
-        let error = anyhow!("--out: expected a file, found the folder {}", args.out.display());
-        return Err(error).or_exit(Exit::Usage);
-    }
-    let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
-    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-        return Err(anyhow!("--out: there is no folder {}", folder.display())).or_exit(Exit::Usage);
-    }
+    check(args).or_exit(Exit::Usage)?;
     create_report_folder(args.report.as_deref())?;
     if let Some(threads) = args.threads.map(usize::from) {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("threads")?;
     }
-    let mut progress = match resume {
+    let progress = match resume {
         Resume::Never => None,
         Resume::Always => Some(load_checkpoint(&checkpoint_path)?),
         Resume::IfItBelongs => load_checkpoint(&checkpoint_path).ok(),
     };
+    let mut earlier = Earlier { resume, progress };
 
     let mut bar = StageBar::new(Arc::clone(interrupted));
     let windows_of =
@@ -137,20 +149,25 @@ pub fn learn(
     let (mut windows, mut others) = (windows_of(first), others.iter());
     let mut best = None;
     let (standing, done) = loop {
-        let going_on = (resume, &mut progress);
         let done = match train_with(
-            args, &vehicle, &onboard, &windows, &mut logs, going_on, &mut bar,
+            args,
+            &vehicle,
+            &onboard,
+            &windows,
+            &mut logs,
+            &mut earlier,
+            &mut bar,
         ) {
             Ok(Outcome::Done(done)) => done,
             Ok(Outcome::Interrupted(reached)) => {
                 bar.clear();
-                // What is there and was not come to yet is of a later window, and holds more.
-                if progress.is_none() {
+                // A checkpoint that was not reached yet belongs to a later window, and holds more.
+                if earlier.progress.is_none() {
                     keep(&reached, &checkpoint_path)?;
                 }
                 return Ok(Learning::Interrupted(checkpoint_path));
             }
-            // What was found before is there: another window may leave too few rows.
+            // Another window may leave too few rows; the earlier result remains.
             Err(error) => {
                 let Some(found) = best.take() else { return Err(error) };
                 bar.clear();
@@ -227,14 +244,14 @@ fn read(
     Ok(logs)
 }
 
-/// Trains with labels of one window. Takes the progress if it is of this training and window.
+/// Trains with labels of one window. Takes the earlier progress if it is of this training and window.
 fn train_with(
     args: &TrainArgs,
     vehicle: &VehicleParams,
     onboard: &Onboard,
     windows: &WindowSettings,
     logs: &mut Logs,
-    (resume, progress): (Resume, &mut Option<Progress>),
+    earlier: &mut Earlier,
     bar: &mut StageBar,
 ) -> anyhow::Result<Outcome> {
     let settings = TrainSettings {
@@ -259,8 +276,9 @@ fn train_with(
     let set = TrainingSet::new(vehicle, onboard, &mut logs.flights)
         .with_context(|| names.clone())
         .or_exit(Exit::Usage)?;
+    let Earlier { resume, progress } = earlier;
     if progress.as_ref().is_some_and(|progress| !belongs(progress, &set, &settings)) {
-        if resume == Resume::Always {
+        if *resume == Resume::Always {
             bar.clear();
             return Err(TrainError::Checkpoint).or_exit(Exit::Usage);
         }
@@ -273,14 +291,14 @@ fn train_with(
             print_status(format_args!("warning: {}", in_words(&error)));
         }
     });
-    // As where it is interrupted.
+    // A checkpoint of a later window stays, as after an interruption.
     bar.keep_by(progress.is_none().then_some(keep_trained));
     train(&set, &settings, windows, logs.refused.clone(), own, bar)
         .with_context(|| names)
         .or_exit(Exit::Usage)
 }
 
-/// Where an interrupted training of a model file is kept.
+/// The path of the checkpoint of a model file's training.
 fn checkpoint_path(out: &Path) -> PathBuf {
     let mut path = out.as_os_str().to_owned();
     path.push(".checkpoint");
@@ -310,7 +328,7 @@ fn sealed(content: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The content of a checkpoint's bytes, if it is what was sealed.
+/// The content of a checkpoint's bytes, if their hash is right.
 fn unsealed(bytes: &[u8]) -> anyhow::Result<&[u8]> {
     let end = bytes.iter().position(|byte| *byte == b'\n').context("it has no seal")?;
     let (stated, content) = (&bytes[..end], &bytes[end + 1..]);

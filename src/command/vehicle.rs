@@ -1,4 +1,4 @@
-//! `downwash vehicle`: vehicle files made, checked and listed.
+//! `downwash vehicle`: makes, checks and lists vehicle files.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -25,7 +25,7 @@ use crate::vehicle_init::{Draft, Layout, Measured, Wanting};
 
 /// An inch in m.
 const INCH: f64 = 0.0254;
-/// Parameter files are shorter than this, bytes.
+/// Largest parameter file, bytes.
 const PARAMETER_FILE_MAX: u64 = 1 << 20;
 
 pub(super) fn run(command: VehicleCommand) -> anyhow::Result<Exit> {
@@ -106,7 +106,7 @@ pub(super) struct Checked<'a> {
     vehicle: &'a str,
     #[schemars(with = "Vec<serde_json::Value>")]
     remarks: &'a [Remark],
-    /// What a log says of what the file predicts; none without `--log`.
+    /// The log's measurements of what the file predicts; null without `--log`.
     held: &'a [Held],
 }
 
@@ -143,14 +143,14 @@ fn check(file: &Path, log: Option<&Path>, json: bool) -> anyhow::Result<Exit> {
     Ok(if fits { Exit::Ok } else { Exit::Check })
 }
 
-/// What the log says of what the file predicts.
+/// The log's measurements of what the file predicts.
 fn against(log: &Path, vehicle: &VehicleParams) -> anyhow::Result<Vec<Held>> {
     let _patience = Patience::with(format!("comparing the file with {}", log.display()));
     let flight = import::open(log, None).or_exit(Exit::Usage)?;
     vehicle_check::held(&flight, vehicle).or_exit(Exit::Usage)
 }
 
-/// A new vehicle file, and what it lacks: the JSON of `vehicle init`.
+/// A new vehicle file, and the values that it lacks: the JSON of `vehicle init`.
 #[derive(Debug, JsonSchema, Serialize)]
 pub struct Made {
     schema: &'static str,
@@ -158,15 +158,15 @@ pub struct Made {
     source: String,
     autopilot: Option<&'static str>,
     out: Option<String>,
-    /// What no source says, with the way to measure it.
+    /// Values without a source, with the way to measure each.
     pub missing: Vec<Wanting>,
-    /// What is only estimated.
+    /// Estimated values.
     pub estimated: Vec<Wanting>,
     #[schemars(with = "Vec<serde_json::Value>")]
     remarks: Vec<Remark>,
-    /// The file's text; whole where nothing is missing.
+    /// The file's text; complete if nothing is missing.
     pub toml: String,
-    /// What was taken of what is estimated, by key.
+    /// The estimates that were used, by key.
     #[serde(skip)]
     assumptions: BTreeMap<&'static str, String>,
 }
@@ -174,7 +174,7 @@ pub struct Made {
 /// Makes a vehicle file from an autopilot's parameters and measured numbers, and writes none.
 ///
 /// # Errors
-/// Numbers that no vehicle has, parameters that cannot be read, or of no quadrotor.
+/// Impossible numbers, or parameters that cannot be read or are not a quadrotor's.
 pub fn make(args: &InitArgs) -> anyhow::Result<Made> {
     let measured = measured(args)?;
     let (source, parameters) = match (&args.file, &args.connect) {
@@ -210,7 +210,7 @@ pub fn make(args: &InitArgs) -> anyhow::Result<Made> {
     })
 }
 
-/// Refuses to write over what was read, and over what is there without `force`.
+/// Refuses to overwrite an input, and to overwrite anything without `force`.
 fn refuse_old(out: &Path, read: Option<&Path>, force: bool) -> anyhow::Result<()> {
     output::refuse_input(out, read)?;
     if out.exists() && !force {

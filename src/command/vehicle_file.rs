@@ -1,4 +1,4 @@
-//! The vehicle file that a command is given, and what is doubtful of its vehicle.
+//! The vehicle file of a command, and the doubts about its vehicle.
 
 use std::path::Path;
 
@@ -12,19 +12,19 @@ use super::{Exit, ExitContext, print_status};
 /// A vehicle file with its text, as the log keeps it.
 #[derive(Clone, Debug)]
 pub struct VehicleFile {
-    /// Its path, or what it is called instead.
+    /// Its path, or its name.
     pub name: String,
-    /// As it is written: TOML or JSON.
+    /// The text: TOML or JSON.
     pub text: String,
-    /// As it is read.
+    /// The parsed vehicle.
     pub params: VehicleParams,
 }
 
 impl VehicleFile {
-    /// Reads and checks the file of a vehicle that is to fly, or the shipped one of that name.
+    /// Reads and checks the file of a vehicle to fly, or the shipped vehicle of that name.
     ///
     /// # Errors
-    /// A file that cannot be read or does not follow the schema, or a vehicle that cannot fly.
+    /// The file cannot be read or violates the schema, or the vehicle cannot fly.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
         let params = VehicleParams::load(path).or_exit(Exit::Usage)?;
         refuse_grounded(&path.display().to_string(), &params)?;
@@ -34,10 +34,10 @@ impl VehicleFile {
         Ok(Self { name: path.display().to_string(), text, params })
     }
 
-    /// A vehicle from its file's text, TOML or JSON, that is called `name` in messages.
+    /// A vehicle from its file's text, TOML or JSON. Messages call it `name`.
     ///
     /// # Errors
-    /// Text that does not follow the schema, or a vehicle that cannot fly.
+    /// The text violates the schema, or the vehicle cannot fly.
     pub fn parse(name: &str, text: String) -> anyhow::Result<Self> {
         let params = match Form::of(Path::new(""), &text) {
             Form::Json => VehicleParams::from_json_str(&text),
@@ -48,10 +48,10 @@ impl VehicleFile {
         Ok(Self { name: name.to_owned(), text, params })
     }
 
-    /// The vehicle with these effects added to its modelled ones, or put in their places.
+    /// The vehicle with these effects added to its modelled ones, or replacing them.
     ///
     /// # Errors
-    /// Effects that need a number which the file lacks.
+    /// An effect needs a number that the file lacks.
     pub fn with_effects(&self, effects: &EffectSet) -> anyhow::Result<Self> {
         let form = Form::of(Path::new(""), &self.text);
         let additions = Additions::of_effects(effects)?;
@@ -59,19 +59,19 @@ impl VehicleFile {
         Self::parse(&self.name, text)
     }
 
-    /// The file's text, in the form of a file named `out`.
+    /// The file's text, in the format of a file named `out`.
     ///
     /// # Errors
-    /// Provenance that the form cannot hold.
+    /// The format cannot hold the provenance.
     pub fn to_text(&self, out: &Path) -> anyhow::Result<String> {
         let forms = [Form::of(Path::new(""), &self.text), Form::of(out, "")];
         Additions::of_effects(&EffectSet::new())?.to_file(&self.text, &self.params, forms)
     }
 
-    /// The nano quadrotor that is built in.
+    /// The built-in nano quadrotor.
     ///
     /// # Errors
-    /// None: it is checked by a test.
+    /// None; a test checks it.
     pub fn built_in() -> anyhow::Result<Self> {
         let text = include_str!("../../config/vehicles/crazyflie.toml").to_owned();
         let params = VehicleParams::from_toml_str(&text)?;
@@ -86,7 +86,7 @@ pub(super) fn remark_text(remark: &Remark) -> String {
     }
 }
 
-/// Warns of what is unlikely of a vehicle that is to be flown or planned for.
+/// Warns of unlikely numbers of a vehicle to fly or to plan for.
 ///
 /// # Errors
 /// [`Exit::Usage`] if it cannot fly.
@@ -101,7 +101,7 @@ pub(super) fn refuse_grounded(file: &str, vehicle: &VehicleParams) -> anyhow::Re
     Ok(())
 }
 
-/// Says what is unlikely of a vehicle; what its user believes is taken.
+/// Warns of unlikely numbers of a vehicle; the user decides.
 pub(super) fn warn(file: &Path, vehicle: &VehicleParams) {
     for remark in vehicle.remarks() {
         let file = file.display();

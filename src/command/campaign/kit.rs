@@ -1,4 +1,4 @@
-//! What a fault script is flown with: the settings of `fly`, and what they promise.
+//! The settings that a fault script is flown with, and the limits that its judge expects of them.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,10 +14,10 @@ use crate::command::vehicle_file::VehicleFile;
 use crate::command::{Course, Exit, ExitContext, configuration};
 use crate::plan::Trajectory;
 
-/// Points of the trajectory in a second, for its box.
+/// Sampling rate of the trajectory for its bounding box, Hz.
 const POINTS_PER_S: f64 = 10.0;
 
-/// Settings, vehicle and promises of a script.
+/// The settings and the vehicle of a script, and the limits that its judge expects.
 pub fn kit(script: &Script) -> anyhow::Result<Kit> {
     let law = Value::String(script.law.clone());
     let config = configuration(None, &BTreeMap::from([("control.law".to_owned(), law)]))?;
@@ -38,7 +38,7 @@ pub fn kit(script: &Script) -> anyhow::Result<Kit> {
         thrust: [field(limits.thrust_min), field(limits.thrust_max)],
         tilt_rad: limits.tilt_max_rad,
         body_rate_rad_s: limits.body_rate_max_rad_s,
-        // A field that is no thrust changes more where the thrust's curve is flat.
+        // The thrust field changes more than the thrust where the thrust curve is flat.
         thrust_change_per_s: 2.0 * limits.thrust_change_max_per_s,
         body_rate_change_rad_s2: limits.body_rate_change_max_rad_s2,
         obeys,

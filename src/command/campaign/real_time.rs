@@ -18,7 +18,7 @@ use crate::command::vehicle_file::VehicleFile;
 use crate::command::{program, write_file};
 use crate::supervisor::EngagePolicy;
 
-/// What the process says.
+/// The process's output.
 const OUTPUT_FILE: &str = "station.txt";
 const CONFIG: &str = "downwash.toml";
 const VEHICLE: &str = "vehicle.toml";
@@ -74,7 +74,7 @@ impl Post {
         Ok(Self { folder, program, policy: script.policy, config })
     }
 
-    /// The program that listens at `port`.
+    /// The command that starts the program, listening at `port`.
     fn command(&self, port: u16) -> io::Result<Command> {
         let mut config = self.config.clone();
         config.insert("connect".to_owned(), Value::String(format!("udpin:127.0.0.1:{port}")));
@@ -92,7 +92,7 @@ impl Post {
         Ok(command)
     }
 
-    /// What the process said last.
+    /// The last line of the process's output.
     fn last_line(&self) -> String {
         let output = fs::read_to_string(self.folder.join(OUTPUT_FILE)).unwrap_or_default();
         output.lines().last().unwrap_or_default().to_owned()

@@ -1,4 +1,4 @@
-//! Which flight of which programme a log holds, and whether it holds it whole.
+//! Recognises a programme's flight in a log, and whether the log holds all of it.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -17,11 +17,11 @@ use crate::log::descriptor::hex;
 use crate::log::info::{LogInfo, TrackingInfo};
 use crate::plan::programme::ProgrammeFlight;
 
-/// Key of a log's metadata that says which flight of which programme it holds.
+/// Key of a log's metadata for the flight and the programme that it holds.
 const FINGERPRINT: &str = "collect_flight";
 /// A whole log lacks at most this much of the trajectory, s.
 const MISSING_MAX_S: f64 = 0.25;
-/// What makes two flights the same.
+/// The inputs that identify a flight.
 pub(super) struct Identity<'a> {
     pub config: &'a Config,
     pub vehicle: &'a VehicleFile,
@@ -41,7 +41,7 @@ impl Identity<'_> {
                 parts.push(truth.onsets_text()?);
                 parts.push(toml::to_string(&truth.config).context("the SITL configuration")?);
             }
-            // On another link or with other gains it still is this flight of this vehicle.
+            // Another link or other gains do not make it another flight.
             None => parts.push("real".to_owned()),
         }
         let mut digest = Sha256::new();
@@ -82,7 +82,8 @@ impl LogOf {
     }
 }
 
-/// The logs in a folder that are of a programme's flights, by fingerprint, in order of their names.
+/// The logs in a folder that hold flights of a programme, by fingerprint, in the order of their
+/// names.
 pub(super) fn logs_of_flights(folder: &Path) -> anyhow::Result<BTreeMap<String, Vec<LogOf>>> {
     let context = || format!("cannot read the folder {}", folder.display());
     let mut paths = Vec::new();

@@ -20,11 +20,11 @@ use crate::config::Config;
 use crate::plan::programme::ProgrammeFlight;
 use crate::supervisor::EngagePolicy;
 
-/// How long a signal is waited for before each flight with a vehicle.
+/// Wait for a signal before each flight.
 const BETWEEN_FLIGHTS: Duration = Duration::from_millis(1);
 
-/// Flies a vehicle on a link, one flight after the other. A flight that ends otherwise than
-/// planned ends the programme: somebody has to look at the vehicle first.
+/// Flies a vehicle on a link, one flight after the other. A flight that does not end as planned
+/// ends the programme, because someone must check the vehicle first.
 pub(super) fn fly_vehicle(
     folder: &Path,
     config: &Config,
@@ -37,7 +37,7 @@ pub(super) fn fly_vehicle(
     let mut rows = Vec::new();
     for (turn, (index, fingerprint)) in ahead.iter().enumerate() {
         let flight = &flights[*index];
-        // What came at the last flight's end, or after it.
+        // A request that came at the end of the last flight, or after it.
         signals.wait(BETWEEN_FLIGHTS);
         if signals.first().is_some() {
             let row = FlightRow::planned(flight);

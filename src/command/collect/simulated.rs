@@ -20,8 +20,8 @@ use crate::command::{Exit, print_status, summary};
 use crate::config::Config;
 use crate::plan::programme::ProgrammeFlight;
 
-/// Charge of the simulated pack at the start of each flight, over the configured one: what sags
-/// with the pack is seen from full to half empty.
+/// Charge of the simulated battery at the start of each flight, over the configured charge. Varying
+/// it shows the battery's sag from full to half empty.
 const CHARGES: [f64; 4] = [1.0, 0.7, 0.85, 0.55];
 /// Period of checks for signals while flights are simulated.
 const WATCH_PERIOD: Duration = Duration::from_millis(50);
@@ -38,8 +38,8 @@ pub(super) struct Simulator<'a> {
 }
 
 impl Simulator<'_> {
-    /// Flies in `jobs` threads until all is flown or a signal asks for the end, which waits for
-    /// the flights that are in the air. Each row comes with its flight's index.
+    /// Flies in `jobs` threads until all flights are flown or a signal arrives; flights in the air
+    /// are then completed. Each row comes with its flight's index.
     pub fn fly_all(
         &self,
         flights: &[ProgrammeFlight],

@@ -30,7 +30,7 @@ pub(super) struct LogRow {
 
 /// The flights of a demo.
 pub(super) struct Flown {
-    /// The first, whole.
+    /// The first flight, with all its records.
     pub first: FlightReport,
     pub end: String,
     pub exit: Exit,
@@ -41,7 +41,7 @@ pub(super) struct Flown {
 }
 
 impl Demo<'_> {
-    /// Flies every course as often as asked; nothing where it was interrupted.
+    /// Flies every course with every seed; `None` if interrupted.
     pub(super) fn fly(&self, courses: &[(Contestant, Course)]) -> anyhow::Result<Option<Flown>> {
         let args = self.args;
         let hover_thrust_n = EffectiveVehicle::new(&self.vehicle.params)
@@ -116,7 +116,7 @@ impl Demo<'_> {
         Ok(flown.map(|flown| Flown { wall_s: began.elapsed().as_secs_f64() - reading_s, ..flown }))
     }
 
-    /// What a row of the table is called: by what flies, and where laws are compared by the law.
+    /// The name of a row of the table: its course, and where laws are compared, the law.
     fn name(&self, contestant: Contestant, config: &Config) -> String {
         match self.configs.len() {
             1 => contestant.name().to_owned(),
@@ -124,7 +124,7 @@ impl Demo<'_> {
         }
     }
 
-    /// What a flight is called in its log and in the log's name.
+    /// The name of a flight, in its log and in the log's file name.
     fn run_name(&self, course: &Course, contender: &str, seed: u64) -> String {
         let mut name = course.name().to_owned();
         if self.args.fly.len() * self.configs.len() > 1 {

@@ -1,4 +1,4 @@
-//! What the experiment leaves: the summary, the report's page, and the words on stdout.
+//! The results of the experiment: the summary, the report's page, and the text for stdout.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -23,7 +23,7 @@ use crate::report::words::smallness;
 pub(in crate::command) struct DemoSummary {
     schema: &'static str,
     schema_version: u32,
-    /// How the flights ended: done, or the first that did not.
+    /// How the flights ended: `done`, or how the first other one did.
     end: String,
     seed: u64,
     trajectory: String,
@@ -32,18 +32,18 @@ pub(in crate::command) struct DemoSummary {
         with = "std::collections::BTreeMap<String, std::collections::BTreeMap<String, serde_json::Value>>"
     )]
     effects: EffectSet,
-    /// Of the flights along the trajectory.
+    /// Simulated time of the flights along the trajectory, s.
     simulated_s: f64,
     /// Wall time of those flights.
     wall_s: f64,
     real_time_factor: f64,
-    /// Wall time of all there is: collecting, learning, planning, flying.
+    /// Wall time of everything: collecting, learning, planning, flying.
     total_wall_s: f64,
     /// The first flight.
     log: PathBuf,
     report: PathBuf,
     flight: FlightSummary,
-    /// Length of the flights that the models were learned from, s.
+    /// Length of the flights from which the models were learned, s.
     learned_from_s: Option<f64>,
     model: Option<PathBuf>,
     plans: Vec<PlanRow>,
@@ -169,7 +169,7 @@ impl Demo<'_> {
     }
 }
 
-/// What stdout shows.
+/// The text for stdout.
 fn text(summary: &DemoSummary) -> String {
     let mut text = if summary.contenders.len() > 1 {
         let heads = ["flights", "north", "east", "down", "3D", "max", "yaw/deg", "gain", "fb/%"];

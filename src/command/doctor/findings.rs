@@ -13,11 +13,11 @@ use crate::link::loss_reaction::LossReaction;
 use crate::link::profile::Profile;
 use crate::log::import::VehicleKind;
 
-/// A clock that is off by more than crystals are.
+/// Largest rate error of a crystal's clock.
 const SKEW_NOTABLE: f64 = 2e-3;
-/// Beyond this round trip feedback at 100 Hz suffers, s.
+/// Round trip beyond which feedback at 100 Hz suffers, s.
 const ROUND_TRIP_NOTABLE_S: f64 = 0.05;
-/// A latency timer of a serial adapter that delays every sample, ms.
+/// Latency of a serial adapter's timer from which it delays every sample, ms.
 const LATENCY_TIMER_NOTABLE_MS: u32 = 2;
 
 /// How much a finding matters.
@@ -30,7 +30,7 @@ pub(super) enum Weight {
     Refuses,
 }
 
-/// Something that is not as it should be, and the cure.
+/// A fault and its cure.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub(super) struct Finding {
     pub weight: Weight,
@@ -54,7 +54,7 @@ impl fmt::Display for Finding {
     }
 }
 
-/// All findings about a vehicle that was heard.
+/// All findings about a vehicle.
 pub(super) fn findings(
     report: &Report,
     observed: &Observed,
@@ -136,8 +136,8 @@ impl Findings {
                 self.warns(&subject, format!("is {value}: {}; set it to {}", rule.why, rule.rule));
             }
         }
-        // Where PX4 looks for a radio control only, it takes its lack for a loss, unless told not to
-        // in OFFBOARD.
+        // If PX4 expects a radio control, it treats a missing one as lost, unless a parameter
+        // excepts OFFBOARD.
         let is_set = |name: &str, bits: u32| value(name).is_some_and(|v| v as u32 & bits == bits);
         let needs_rc = value("NAV_RCL_ACT").is_some_and(|action| action != 0.0)
             && value("COM_RC_IN_MODE") == Some(0.0)

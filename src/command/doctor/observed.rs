@@ -1,4 +1,4 @@
-//! What came while listening, as numbers and as text.
+//! What was received while listening, as numbers and as text.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -17,20 +17,20 @@ use crate::link::session::Delivery;
 use crate::link::vehicle_clock::ClockSource;
 use crate::telemetry::Telemetry;
 
-/// Parameters that say what a flight meets, beside those of the profile.
+/// Further parameters that decide how a flight goes, besides those of the profile.
 const PX4_PARAMETERS: &[&str] = &["COM_RC_IN_MODE", "COM_RCL_EXCEPT", "COM_ARM_WO_GPS"];
 const ARDUCOPTER_PARAMETERS: &[&str] = &["ARMING_CHECK", "FS_THR_ENABLE"];
-/// Rates of the last second mean nothing below this, Hz.
+/// Rate below which rates over the last second mean nothing, Hz.
 const SLOW_HZ: f64 = 3.0;
-/// Texts of the vehicle that are kept.
+/// Number of the vehicle's texts that are kept.
 const TEXTS_MAX: usize = 20;
 
-/// What came while listening.
+/// What was received while listening.
 pub(super) struct Observed {
     pub telemetry: Telemetry,
     pub version: Option<u32>,
     pub texts: Vec<String>,
-    /// MAV_SYS_STATUS_SENSOR bits of what works.
+    /// MAV_SYS_STATUS_SENSOR bits of the healthy parts.
     pub health: Option<u32>,
     frames: BTreeSet<(String, String)>,
     requested: Option<Vec<String>>,
@@ -83,7 +83,7 @@ impl Observed {
         }
     }
 
-    /// Asks for parameters once the vehicle is identified.
+    /// Requests the parameters once the vehicle is identified.
     pub(super) fn follow(&mut self, listener: &mut Listener) {
         let session = &mut listener.session;
         let round_trip = session.stats().round_trip;
@@ -202,7 +202,7 @@ fn version(packed: u32) -> String {
     format!("{major}.{minor}.{patch}")
 }
 
-/// How long a USB serial adapter of FTDI's waits for more bytes before it hands them on, ms.
+/// How long an FTDI serial adapter waits for more bytes before it delivers them, ms.
 fn latency_timer(endpoint: &wire::Endpoint) -> Option<u32> {
     let wire::Endpoint::Serial { path, .. } = endpoint else { return None };
     let device = std::fs::canonicalize(path).ok()?;

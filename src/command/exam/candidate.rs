@@ -1,4 +1,4 @@
-//! Who sits the exam: a process that sees nothing but a case's files.
+//! The candidate of an exam: a process that sees only a case's files.
 
 use std::fs;
 use std::io::{self, Read};
@@ -24,10 +24,10 @@ use crate::exam::key::KeyEntry;
 
 /// Where a diagnosis leaves its evidence.
 pub(super) const EVIDENCE: &str = "evidence.json";
-/// How often it is looked whether a diagnosis has ended, or the exam is to.
+/// Period of checks whether a diagnosis has ended, or the exam is interrupted.
 const ENDED_PERIOD: Duration = Duration::from_millis(20);
 
-/// A case whose logs are on disk, with what stays in memory.
+/// A case whose logs are on disk, and the parts of it that stay in memory.
 pub(in crate::command) struct Flown {
     pub name: String,
     known: VehicleParams,
@@ -37,26 +37,26 @@ pub(in crate::command) struct Flown {
     logs: usize,
 }
 
-/// What a diagnosis is given of a case.
+/// What a diagnosis receives of a case.
 pub(in crate::command) struct Sheet<'a> {
     /// Where the vehicle file and the logs are.
     pub folder: &'a Path,
     pub logs: &'a [String],
-    /// Those of them to keep; none for the last.
+    /// The held-out logs; if empty, the last one.
     pub holdout: &'a [String],
-    /// Effects that it is to do without.
+    /// Effects that it must not use.
     pub without: &'a [String],
     /// Whether it leaves its evidence in the folder.
     pub evidence: bool,
 }
 
-/// How the process works.
+/// The settings of the process.
 pub(in crate::command) struct Candidate<'a> {
-    /// Of `diagnose`; as without the flag where there is none.
+    /// The `--twins` of `diagnose`; `None` omits the flag.
     pub twins: Option<u32>,
-    /// Its threads.
+    /// Number of its threads.
     pub threads: usize,
-    /// Ends it.
+    /// Ends the process once set.
     pub interrupted: &'a AtomicBool,
 }
 
@@ -88,9 +88,9 @@ impl Flown {
         log_names(self.logs).collect()
     }
 
-    /// What the answer truly closes of the effects' own gap on the flight held out, were what is off
-    /// the file known: of what it names, that which is there. Of an answer that names nothing, or
-    /// where the truth is outside of the catalogue, nothing can be said.
+    /// The share of the effects' own gap on the held-out flight that the answer truly closes, given
+    /// the true values of the named effects that exist. `None` if the answer names nothing, or if
+    /// the truth is outside the catalogue.
     pub fn closed(&self, folder: &Path, given: &Given) -> Option<f64> {
         let last = log_names(self.logs).last()?;
         if self.truth.is_empty() || given.verdict != "effect" {
@@ -107,8 +107,7 @@ impl Flown {
 }
 
 impl Candidate<'_> {
-    /// What a process that sees nothing but the case's files answers; `None` where it was
-    /// interrupted.
+    /// The answer of a process that sees only the case's files; `None` if interrupted.
     ///
     /// # Errors
     /// A process that cannot be started, or ends without an answer.
@@ -118,7 +117,7 @@ impl Candidate<'_> {
             .env_clear()
             .env("RAYON_NUM_THREADS", self.threads.to_string())
             .current_dir(sheet.folder)
-            // Ctrl-C is for this process, which ends the others.
+            // Ctrl-C goes to this process only, which ends the others.
             .process_group(0)
             .args(["diagnose", "--json", "--vehicle", "vehicle.json"])
             .args(sheet.logs);
@@ -144,7 +143,7 @@ impl Candidate<'_> {
         Ok(Some(output.stdout))
     }
 
-    /// Runs a process to its end; `None` where it was interrupted, and killed.
+    /// Runs a process to its end; kills it and returns `None` if interrupted.
     fn output(&self, command: &mut Command) -> io::Result<Option<Output>> {
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut process = command.spawn()?;

@@ -20,7 +20,7 @@ use crate::exam::interval::Rate;
 use crate::exam::order::Settings;
 use crate::exam::world::{FileKind, LoopKind, World};
 
-/// Flights of a vehicle, which its time is parted into.
+/// Number of flights into which a vehicle's time is divided.
 const FLIGHTS: usize = 3;
 /// Length of a vehicle's logs together, s.
 const SECONDS: f64 = 60.0;
@@ -31,17 +31,19 @@ pub(crate) struct FleetsSummary<'a> {
     schema: &'static str,
     schema_version: u32,
     seed: u64,
-    /// Fleets with a shared effect in which it, and nothing else, is named as the type's.
+    /// Fleets with a shared effect in which the diagnosis names it, and nothing else, as the
+    /// type's.
     shared: Rate,
-    /// The same where it is named, whatever else is.
+    /// Fleets with a shared effect in which the diagnosis names it, with or without others.
     shared_named: Rate,
     /// 90 % intervals of the type's numbers that hold the truth.
     intervals: Rate,
-    /// Fleets without one in which one is named.
+    /// Fleets without a shared effect in which the diagnosis names one.
     invented: Rate,
-    /// Damaged vehicles whose own effect is named, or an ambiguous one with it among the rivals.
+    /// Damaged vehicles for which the diagnosis names their own effect, or an ambiguous one with it
+    /// among the rivals.
     own: Rate,
-    /// Vehicles with nothing of their own that are said to have something.
+    /// Vehicles without an effect of their own for which the diagnosis names one.
     own_invented: Rate,
     cases: &'a [FleetRow],
 }
@@ -56,7 +58,7 @@ pub(crate) struct FleetRow {
     shared: Option<String>,
     /// The effects that are named as the type's.
     named: Vec<String>,
-    /// Effects of groups and those that are open.
+    /// Effects of groups, and effects that are undecided.
     groups: Vec<String>,
     /// Whether the intervals of the type's numbers hold the truth.
     held: Vec<bool>,
@@ -71,7 +73,7 @@ pub(crate) struct VehicleRow {
     name: String,
     /// Its true effect.
     own: Option<String>,
-    /// Effects that are named.
+    /// The named effects.
     named: Vec<String>,
     ambiguous_with: Vec<String>,
     state: crate::diagnose::fleet::answer::State,
@@ -145,7 +147,7 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
 }
 
 impl Hall<'_> {
-    /// Diagnoses a fleet by its files alone, and holds the answer against the truth.
+    /// Diagnoses a fleet by its files alone, and compares the answer with the truth.
     fn read_answer(&self, name: &str, case: &FleetCase) -> anyhow::Result<Option<FleetRow>> {
         let folder = self.folder(name);
         let logs = folder.join("vehicles");

@@ -1,4 +1,4 @@
-//! `downwash exam --laws COUNT`: how well laws are found that the catalogue does not have.
+//! `downwash exam --laws COUNT`: how well the diagnosis finds laws outside the catalogue.
 
 use std::fs;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ use crate::exam::laws::{LawCase, variables};
 use crate::exam::order::Settings;
 use crate::exam::world::World;
 
-/// Share of the closable gap that a law is to close.
+/// Share of the closable gap that a law must close.
 const CLOSED: f64 = 0.8;
 
 /// The JSON of `exam --laws`, and its summary.json.
@@ -30,14 +30,14 @@ pub(crate) struct LawsSummary<'a> {
     schema: &'static str,
     schema_version: u32,
     seed: u64,
-    /// Laws that close most of the closable gap on another mission, of those with a gap there:
-    /// a law that is not named closes nothing.
+    /// Laws that close most of the closable gap on another mission, of those with a gap there. A
+    /// law that is not named closes nothing.
     closed: Rate,
-    /// Laws that are named, of those with a gap.
+    /// Named laws, of those with a gap.
     named: Rate,
-    /// Named laws that depend on what the true one does.
+    /// Named laws that depend on the same quantities as the true one.
     variables: Rate,
-    /// Laws that are named where there is none.
+    /// Named laws where there is none.
     invented: Rate,
     cases: &'a [LawRow],
 }
@@ -46,20 +46,20 @@ pub(crate) struct LawsSummary<'a> {
 #[derive(JsonSchema, Serialize)]
 pub(crate) struct LawRow {
     name: String,
-    /// Kind of the true law; none of a null.
+    /// Kind of the true law; null without one.
     kind: Option<&'static str>,
     /// The verdict by the catalogue alone.
     verdict: String,
     named: bool,
     because: Option<String>,
-    /// What the found law depends on, named or not.
+    /// The quantities on which the found law depends, named or not.
     variables: Vec<&'static str>,
-    /// Whether that is what the true one depends on.
+    /// Whether the true law depends on the same.
     variables_right: Option<bool>,
-    /// Share of the closable gap on the other mission that the named law closes, were the file's
-    /// numbers right; missing without a gap.
+    /// Share of the closable gap on the other mission that the named law closes, if the file's
+    /// numbers are right; missing without a gap.
     closure: Option<f64>,
-    /// The terms that were found.
+    /// The terms found.
     terms: Vec<String>,
     seconds: f64,
 }
@@ -105,7 +105,7 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
 }
 
 impl Hall<'_> {
-    /// Searches a law on a case's flights, and looks at it on the other mission.
+    /// Searches a law on a case's flights, and evaluates it on the other mission.
     fn searched(&self, name: &str, case: &LawCase) -> anyhow::Result<LawRow> {
         let folder = self.folder(name);
         fs::create_dir_all(&folder)

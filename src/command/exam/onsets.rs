@@ -39,16 +39,16 @@ pub(crate) struct OnsetsSummary<'a> {
     schema: &'static str,
     schema_version: u32,
     seed: u64,
-    /// From logs.
+    /// The detector on logs.
     logs: Side,
-    /// In flight.
+    /// The detector in flight.
     live: Side,
     /// Wall time of the monitor over the time that it watched: its share of a core.
     monitor_share: f64,
     cases: &'a [OnsetRow],
 }
 
-/// What one way of looking found.
+/// The results of one way of detection.
 #[derive(JsonSchema, Serialize)]
 pub(crate) struct Side {
     /// Detectable changes that the detector dates within 0.5 s of the true time.
@@ -71,7 +71,7 @@ pub(crate) struct OnsetRow {
     name: String,
     vehicle: &'static str,
     autopilot: String,
-    /// What sets in; none of a null.
+    /// The effect that sets in; null without one.
     effect: Option<String>,
     cause: Option<Cause>,
     at_s: Option<f64>,
@@ -119,7 +119,7 @@ fn side(rows: &[OnsetRow], reported: impl Fn(&OnsetRow) -> &Vec<Change>) -> Side
     let detectable =
         || rows.iter().filter(|row| row.ratio.is_some_and(|ratio| ratio >= DETECTABLE));
     let found = || detectable().filter_map(|row| Some((row, near(row, reported(row))?)));
-    // The one next to a change that shows weakly, or is reported late, is no false one.
+    // A report next to a change that shows weakly, or that is dated late, is not false.
     let is_false = |row: &OnsetRow, change: &Change| {
         row.at_s.is_none_or(|at| change.at_s < at - NEAR_S || change.at_s > at + 10.0)
     };
@@ -228,7 +228,7 @@ fn in_order_of_arducopter(vehicle: &VehicleFile) -> anyhow::Result<VehicleFile> 
     VehicleFile::parse(&vehicle.name, text)
 }
 
-/// Keeps what the strength of a change follows from.
+/// Keeps the samples from which the strength of a change follows.
 fn keep(recorded: &mut Recorded, monitor: &Monitor, record: &Record) {
     let seconds = |stamp: &crate::log::record::Stamp| {
         stamp.vehicle.map(|vehicle| vehicle.as_us() as f64 * 1e-6)

@@ -1,5 +1,5 @@
-//! `downwash exam --practice DIR`: the diagnosis on labelled flights that somebody else made, with
-//! the answers and the grades of the set's own script. Nothing is fitted to them.
+//! `downwash exam --practice DIR`: the diagnosis on labelled flights of another origin, with the
+//! answers and the grades of the set's own script. Nothing is fitted to them.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,10 +16,10 @@ use super::{Hall, Sheet};
 use crate::command::{Exit, ExitContext, in_words, print_status, write_file};
 use crate::exam::answer::Given;
 
-/// Where the scripts of a set lie, from its folder on: each may use another's.
+/// Paths of a set's scripts, relative to its folder. One set may use another's.
 const BESIDE: [&str; 4] = [".", "../practice", "../practice-mismatch", "../practice-real"];
 
-/// key.json, as far as it is the same in every set.
+/// The parts of key.json that every set has.
 #[derive(Debug, Default, Deserialize)]
 struct PracticeKey {
     #[serde(default)]
@@ -28,10 +28,10 @@ struct PracticeKey {
 
 #[derive(Debug, Default, Deserialize)]
 struct PracticeEntry {
-    /// Of a real flight, in words.
+    /// The label of a real flight, in words.
     #[serde(default)]
     truth: Option<String>,
-    /// Of a simulated one.
+    /// The label of a simulated flight.
     #[serde(default)]
     verdict: Option<String>,
     #[serde(default)]
@@ -39,7 +39,7 @@ struct PracticeEntry {
     /// Flights to keep.
     #[serde(default)]
     holdout: Vec<String>,
-    /// What counts as right, in sets whose grades are alternatives.
+    /// The right answers, in sets that accept alternatives.
     #[serde(default)]
     right: Option<Value>,
 }
@@ -65,12 +65,12 @@ impl PracticeEntry {
 struct PracticeCase {
     name: String,
     folder: PathBuf,
-    /// In the order of their numbers.
+    /// The flights, in the order of their numbers.
     flights: Vec<String>,
     holdout: Vec<String>,
 }
 
-/// How a case went.
+/// The result of a case.
 #[derive(Debug, JsonSchema, Serialize)]
 struct PracticeRow {
     case: String,
@@ -79,7 +79,7 @@ struct PracticeRow {
     probabilities: Vec<(String, f64)>,
     ambiguous_with: Vec<String>,
     seconds: f64,
-    /// What went wrong.
+    /// The error.
     error: Option<String>,
 }
 
@@ -89,7 +89,7 @@ pub(in crate::command) struct PracticeSummary<'a> {
     schema: &'static str,
     schema_version: u32,
     cases: &'a [PracticeRow],
-    /// As the set's script gives them; none without one.
+    /// The grades of the set's script; null without one.
     scores: Option<Value>,
 }
 
@@ -167,7 +167,7 @@ fn cases(set: &Path, key: &PracticeKey) -> anyhow::Result<Vec<PracticeCase>> {
     Ok(cases)
 }
 
-/// flight_1.tlog and so on, by number.
+/// The flights (flight_1.tlog and so on), by number.
 fn flights(folder: &Path) -> anyhow::Result<Vec<String>> {
     let entries = fs::read_dir(folder).with_context(|| folder.display().to_string())?;
     let mut flights = Vec::new();
@@ -224,7 +224,7 @@ fn line(row: &PracticeRow) -> String {
     format!("{case:26} {verdict:7} {:50} {seconds:5.0} s  truth: {truth}\n", parts.join(", "))
 }
 
-/// What the set's own script says of the answers: its text, and its JSON.
+/// The set's own script's grades of the answers: its text and its JSON.
 fn graded(
     set: &Path,
     key: &PracticeKey,

@@ -1,4 +1,4 @@
-//! What is done of a vehicle, as a row that a later run goes on with.
+//! The result of a stage for a vehicle, as a row from which a later run continues.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,7 @@ use crate::command::rows::Numbered;
 use crate::diagnose::fleet::answer::VehicleAnswer;
 use crate::diagnose::fleet::survey::Survey;
 
-/// What is done of a vehicle in a stage.
+/// The result of one stage for one vehicle.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Row {
     /// Number of the stage times that of the vehicles, plus the vehicle's.
@@ -17,17 +17,17 @@ pub(super) struct Row {
     pub done: Done,
 }
 
-/// What came of it.
+/// Its result.
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Done {
-    /// Log evidence of each scale of the file's tolerances.
+    /// The log evidence of each scale of the file's tolerances.
     Scales(Vec<[f64; 2]>),
-    /// What its flights say beside the effects of the type.
+    /// The likelihoods of its flights, besides the effects of the type.
     Survey(Box<Survey>),
-    /// What it has beyond its type.
+    /// Its effects beyond those of its type.
     Own(Box<VehicleAnswer>),
-    /// Why there is nothing.
+    /// Why there is no result.
     Failed(String),
 }
 

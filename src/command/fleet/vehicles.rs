@@ -1,4 +1,4 @@
-//! Which vehicles a fleet has, and which logs.
+//! The vehicles of a fleet and their logs.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use serde::Deserialize;
 
-/// A vehicle of a fleet, as it was given.
+/// A vehicle of a fleet, as the user names it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Given {
     /// Its name.

@@ -1,4 +1,4 @@
-//! Where the room is, and its socket.
+//! The room's address and its socket.
 
 use std::fmt;
 use std::io;
@@ -12,15 +12,15 @@ use crate::mocap::natnet::COMMAND_PORT;
 /// A room by its protocol.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Room {
-    /// Lines of JSON come to this address.
+    /// Lines of JSON arrive at this address.
     Stream(String),
-    /// Motive at this address sends to whoever asks.
+    /// Motive at this address sends to each client that requests it.
     NatNet(String),
     /// Motive sends to this group.
     NatNetMulticast(SocketAddrV4),
 }
 
-/// What is no room.
+/// Why a text is no room.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "--room {0:?}: expected stream:HOST:PORT, natnet:SERVER[:PORT] or natnet-multicast:GROUP:PORT (such as \
@@ -69,7 +69,7 @@ impl fmt::Display for Room {
 }
 
 impl Room {
-    /// Opens the socket that its datagrams come to; inside of a runtime.
+    /// Opens the socket for its datagrams, within a runtime.
     pub(super) fn open(&self) -> io::Result<UdpSocket> {
         let socket = match self {
             Self::Stream(address) => std::net::UdpSocket::bind(resolved(address)?)?,
@@ -77,7 +77,7 @@ impl Room {
                 let server = resolved(server)?;
                 let any = if server.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
                 let socket = std::net::UdpSocket::bind(any)?;
-                // Frames of Motive come from the port that was asked, or from that of its data.
+                // Motive sends frames from the requested port, or from its data port.
                 socket.set_nonblocking(true)?;
                 return UdpSocket::from_std(socket);
             }
@@ -94,7 +94,7 @@ impl Room {
         UdpSocket::from_std(socket)
     }
 
-    /// Whom to ask for frames.
+    /// The address to request frames from.
     pub(super) fn server(&self) -> io::Result<Option<SocketAddr>> {
         match self {
             Self::NatNet(server) => resolved(server).map(Some),

@@ -1,4 +1,4 @@
-//! What a bridge did.
+//! The summary of a bridge.
 
 use std::fmt;
 
@@ -16,24 +16,24 @@ pub(in crate::command) struct MocapSummary {
     schema_version: u32,
     /// The room, as in `--room`.
     room: String,
-    /// The vehicle; null where none was heard.
+    /// The vehicle; null if none was found.
     vehicle: Option<String>,
-    /// What poses were sent as.
+    /// The message that carried the poses.
     #[serde(rename = "as")]
     form: PoseForm,
     /// How long it ran, s.
     seconds: f64,
     /// Poses that were sent to the vehicle.
     sent: u64,
-    /// Poses to forward for which there was no vehicle, or no clock of it.
+    /// Poses that could not be sent, because there was no vehicle or its clock was unknown.
     unsent: u64,
-    /// Where the vehicle's time comes from: TIMESYNC, or arrival of what it sends.
+    /// The source of the vehicle's time: TIMESYNC, or the arrival of its messages.
     clock: Option<&'static str>,
-    /// What came of the room.
+    /// The room's counters.
     poses: Tally,
 }
 
-/// What a summary is made of.
+/// The parts of a summary.
 pub(super) struct Ended {
     pub room: String,
     pub vehicle: Option<String>,

@@ -13,20 +13,20 @@ use crate::offboard::EffectiveVehicle;
 use crate::plan::planned::{Found, Plan};
 use crate::plan::time_optimal::{FlightPlanner, Limits, Margin, Stop, Task};
 
-/// What is said of the fastest way.
+/// The summary of the fastest way.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct Fastest {
     /// Time from start to finish, s.
     duration_s: f64,
-    /// When each passage is passed, s.
+    /// Time of each passage, s.
     passed_s: Vec<f64>,
-    /// Shares of the limits that are kept back for feedback.
+    /// Shares of the limits that are reserved for feedback.
     kept_back: KeptBack,
-    /// What the rotors were left, as shares of their greatest thrust.
+    /// Range of thrust left to the plan, as shares of the rotors' maximum.
     rotor: [f64; 2],
-    /// What was left of the body rates, rad/s.
+    /// Body rates left to the plan, rad/s.
     body_rate_rad_s: [f64; 3],
-    /// What was left of the tilt, rad.
+    /// Tilt left to the plan, rad.
     tilt_rad: Option<f64>,
     /// m/s
     speed_m_s: Option<f64>,
@@ -40,12 +40,12 @@ struct KeptBack {
 }
 
 impl Fastest {
-    /// When each passage is passed, s.
+    /// Time of each passage, s.
     pub fn passed_s(&self) -> &[f64] {
         &self.passed_s
     }
 
-    /// For people, in whole lines.
+    /// The text for people, in whole lines.
     pub(in crate::command) fn in_words(&self) -> String {
         let percent = |share: f64| 100.0 * share;
         let times: Vec<String> = self.passed_s.iter().map(|t| format!("{t:.2}")).collect();
@@ -65,7 +65,7 @@ impl Fastest {
 /// Plans a task for a vehicle.
 ///
 /// # Errors
-/// A vehicle without an on-board loop, or a course that no way leads through.
+/// The vehicle has no known on-board loop, or no way leads through the course.
 pub(super) fn plan(
     task: &Task,
     vehicle: &VehicleParams,

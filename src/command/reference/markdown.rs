@@ -19,7 +19,7 @@ pub fn head(columns: &[&str]) -> String {
     row(columns.iter().copied()) + &format!("|{}\n", "---|".repeat(columns.len()))
 }
 
-/// The name that a schema refers to.
+/// The name of the definition that a schema refers to.
 pub fn referred(schema: &Value) -> Option<&str> {
     schema["$ref"].as_str()?.rsplit('/').next()
 }
@@ -42,7 +42,7 @@ fn distinct(words: impl Iterator<Item = String>) -> String {
     all.join(" or ")
 }
 
-/// A schema's type in words; `name` says how a part with a name of its own appears.
+/// A schema's type in words; `name` formats the name of a definition.
 pub fn kind(schema: &Value, name: &impl Fn(&str) -> String) -> String {
     if let Some(part) = referred(schema) {
         return name(part);
@@ -97,12 +97,12 @@ pub fn properties(schema: &Value) -> impl Iterator<Item = (&String, &Value)> {
     schema["properties"].as_object().into_iter().flat_map(Map::iter)
 }
 
-/// Whether a key must be there.
+/// Whether a key is required.
 pub fn is_required(schema: &Value, key: &str) -> bool {
     schema["required"].as_array().is_some_and(|all| all.iter().any(|each| each == key))
 }
 
-/// What a value may be, where it is no table.
+/// The accepted values, unless the value is a table.
 pub fn choices(schema: &Value, name: &impl Fn(&str) -> String) -> String {
     match alternatives(schema) {
         None => format!("- {}\n", kind(schema, name)),
@@ -116,18 +116,18 @@ pub fn choices(schema: &Value, name: &impl Fn(&str) -> String) -> String {
     }
 }
 
-/// One key of a file, in place of the tables that it is in.
+/// One key of a file, with the path of its tables.
 pub struct Key {
-    /// With dots, `[]` for each of a list.
+    /// The path with dots; `[]` stands for each element of a list.
     pub path: String,
     pub kind: String,
     pub is_required: bool,
-    /// As in the schema, if it has one.
+    /// The default of the schema, if it has one.
     pub default: Option<Value>,
     pub about: String,
 }
 
-/// Every key of a file that follows `schema`, the parts of `definitions` in their places.
+/// Every key of a file that follows `schema`, with `definitions` resolved.
 pub fn keys(schema: &Value, definitions: &Map<String, Value>) -> Vec<Key> {
     let mut all = Vec::new();
     add_keys("", schema, definitions, &mut all);
@@ -174,7 +174,7 @@ fn is_choice(schema: &Value) -> bool {
     alternatives(schema).is_some() || schema.get("enum").is_some()
 }
 
-/// The values of a choice, with what each means.
+/// The values of a choice and their meanings.
 fn choices_in_line(schema: &Value) -> String {
     let name = |name: &str| name.to_owned();
     let one = |each: &Value| match description(each) {
@@ -187,12 +187,12 @@ fn choices_in_line(schema: &Value) -> String {
     )
 }
 
-/// Schemas of one page whose parts have a name each.
+/// Schemas of one page, whose definitions have unique names.
 #[derive(Default)]
 pub struct Parts(pub BTreeMap<String, Value>);
 
 impl Parts {
-    /// Takes the parts of a schema; one whose name another has gets a name of its own.
+    /// Adds a schema's definitions; renames one whose name is taken.
     pub fn take(&mut self, owner: &str, schema: &Value) -> Value {
         let mut text = schema.to_string();
         let definitions = schema["$defs"].as_object().cloned().unwrap_or_default();
@@ -205,7 +205,7 @@ impl Parts {
                 renamed.push((name.clone(), own));
             }
         }
-        // Names are replaced in text that was valid.
+        // Replacing names keeps valid JSON valid.
         let schema: Value = serde_json::from_str(&text).unwrap_or_default();
         for (name, body) in schema["$defs"].as_object().into_iter().flat_map(Map::iter) {
             let own = renamed.iter().find(|(old, _)| old == name).map_or(name, |(_, own)| own);

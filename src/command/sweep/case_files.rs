@@ -9,7 +9,7 @@ const LOGS: [&str; 4] = ["tlog", "mcap", "ulg", "bin"];
 /// Names of the vehicle file there.
 const VEHICLES: [&str; 2] = ["vehicle.toml", "vehicle.json"];
 
-/// What lies in the folder of a case.
+/// The files of a case.
 pub(super) struct CaseFiles {
     pub vehicle: PathBuf,
     pub logs: Vec<PathBuf>,

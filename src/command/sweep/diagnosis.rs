@@ -19,7 +19,7 @@ use crate::diagnose::answer::{Answer, FullVerdict};
 use crate::diagnose::verdict::Verdict;
 use crate::diagnose::verdict::parameter::Parameter;
 
-/// As the manifest has them: flags of `diagnose`.
+/// The inputs as the manifest gives them: flags of `diagnose`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Given {
@@ -36,7 +36,7 @@ struct Given {
     discover: bool,
 }
 
-/// A name, or several.
+/// One name, or several.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Names {
@@ -55,30 +55,29 @@ pub struct DiagnosisRow {
     version: &'static str,
     /// Flights of the diagnosis.
     flights: usize,
-    /// Logs whose data are at fault.
+    /// Logs with faulty data.
     faulty_logs: usize,
     /// The verdict.
     verdict: Verdict,
     /// The full verdict.
     full_verdict: FullVerdict,
-    /// Effects that are named, with their probabilities and the vehicle's true values.
+    /// The named effects, with their probabilities and the vehicle's values.
     effects: BTreeMap<&'static str, NamedEffect>,
     /// Effects that cannot be told from the named ones.
     ambiguous_with: Vec<&'static str>,
-    /// The gap on the flights held out, in units of the noise: of the vehicle file as it is, and with
-    /// the named effects.
+    /// The gap of the vehicle file on the held-out flights, in units of the noise.
     gap_before: Option<f64>,
-    /// With the named effects.
+    /// The same gap with the named effects.
     gap_after: Option<f64>,
-    /// Of what can be closed, the share that is.
+    /// The closed share of the closable gap.
     closure: Option<f64>,
-    /// Whether a law was named, where one was looked for.
+    /// Whether a law is named; null without a search for one.
     law_named: Option<bool>,
     /// The verdict in a sentence or two.
     sentence: String,
 }
 
-/// An effect that is named.
+/// A named effect.
 #[derive(Debug, JsonSchema, Serialize)]
 struct NamedEffect {
     probability: f64,
@@ -86,7 +85,7 @@ struct NamedEffect {
     parameters: BTreeMap<&'static str, Parameter>,
 }
 
-/// What `diagnose` is given at a point.
+/// The arguments of `diagnose` at a point.
 fn arguments(manifest: &Manifest, point: &Point) -> anyhow::Result<DiagnoseArgs> {
     let given: Given = manifest.inputs(point)?;
     let case = given.case.as_ref().map(|case| {
@@ -120,7 +119,7 @@ fn arguments(manifest: &Manifest, point: &Point) -> anyhow::Result<DiagnoseArgs>
     Ok(args)
 }
 
-/// Diagnoses; the work ends early, with any outcome, where `stop` is set.
+/// Diagnoses. Once `stop` is set, the work ends early, with any outcome.
 pub(super) fn row(
     manifest: &Manifest,
     point: &Point,

@@ -6,7 +6,7 @@ use toml::{Table, Value};
 use crate::command::exam::Questions;
 use crate::exam::order::Kind;
 
-/// As the manifest has them: flags of `exam`.
+/// The inputs as the manifest gives them: flags of `exam`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Given {
@@ -39,17 +39,17 @@ fn strengths() -> [f64; 2] {
 }
 
 impl Given {
-    /// The cases that are wanted.
+    /// The selected cases.
     pub fn questions(&self) -> Questions {
         let Self { cases, nulls, kinds, round_trip, .. } = self;
         Questions { cases: *cases, nulls: *nulls, kinds: kinds.clone(), round_trip: *round_trip }
     }
 }
 
-/// How many cases each seed draws.
+/// The number of cases of each seed.
 ///
 /// # Errors
-/// Inputs of another kind than their own.
+/// An input has the wrong type.
 pub(super) fn cases(fixed: &Table) -> anyhow::Result<usize> {
     let given: Given = Value::Table(fixed.clone()).try_into()?;
     Ok(given.questions().orders(0)?.len())

@@ -1,7 +1,7 @@
 //! A point that is a case of an exam.
 //!
-//! A worker flies each case, lets a process diagnose it that gets its files alone, and scores the answer.
-//! The seed draws the key, so that the worker need not commit to one beforehand.
+//! A worker flies each case, lets a process diagnose it from its files alone, and scores the
+//! answer. The seed determines the key, so the worker need not commit to one beforehand.
 
 use std::fs;
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ use crate::exam::case::Case;
 use crate::exam::score;
 use crate::exam::summary::Summary;
 
-/// A case of an exam, with how it went.
+/// A case of an exam and its result.
 #[derive(Debug, JsonSchema, Serialize)]
 pub struct ExamRow {
     /// `downwash.exam.case`.
@@ -31,13 +31,13 @@ pub struct ExamRow {
     schema_version: u32,
     /// Version of the program.
     version: &'static str,
-    /// Seed of the exam that it is of.
+    /// Seed of its exam.
     seed: u64,
     #[serde(flatten)]
     row: score::Row,
 }
 
-/// How all cases went together: the file summary.json of a sweep of an exam.
+/// The results of all cases together: the file summary.json of a sweep of an exam.
 #[derive(JsonSchema, Serialize)]
 pub struct ExamSweepSummary {
     schema: &'static str,
@@ -50,7 +50,7 @@ pub struct ExamSweepSummary {
     summary: Summary,
 }
 
-/// A folder that goes when it is left.
+/// A folder that is removed when dropped.
 struct Desk(PathBuf);
 
 impl Drop for Desk {
@@ -86,7 +86,7 @@ pub(super) fn row(
     let began = Instant::now();
     let answer = candidate.answer(&sheet);
     let seconds = began.elapsed().as_secs_f64();
-    // No answer is an answer: it counts as wrong.
+    // A missing answer counts as wrong.
     let given = match answer {
         Ok(None) => bail!("interrupted"),
         Ok(Some(bytes)) => serde_json::from_slice::<GivenAnswer>(&bytes).context("its answer"),
@@ -104,10 +104,10 @@ pub(super) fn row(
     })
 }
 
-/// How all cases went together.
+/// The results of all cases together.
 ///
 /// # Errors
-/// A row that is none.
+/// A row is invalid.
 pub(super) fn summary<'a>(
     manifest: &Manifest,
     rows: impl Iterator<Item = &'a serde_json::Value>,
@@ -120,7 +120,7 @@ pub(super) fn summary<'a>(
         version: env!("CARGO_PKG_VERSION"),
         manifest_sha256: manifest.sha256.clone(),
         cases: rows.len(),
-        // Time is another on each machine.
+        // The time differs between machines.
         summary: Summary { seconds: None, ..Summary::new(&rows) },
     })
 }

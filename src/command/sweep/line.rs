@@ -1,4 +1,4 @@
-//! A point's row as it lies in its shard's file.
+//! A point's row in its shard's file.
 
 use std::collections::BTreeMap;
 
@@ -8,14 +8,14 @@ use serde_json::Value;
 
 use crate::command::rows::Numbered;
 
-/// A row as it lies in a shard's file.
+/// A row of a shard's file.
 #[derive(Debug, JsonSchema, Deserialize, Serialize)]
 pub struct Line {
     /// The point's number.
     pub index: usize,
-    /// What varies, by its path.
+    /// The varied inputs, by their paths.
     pub inputs: BTreeMap<String, Value>,
-    /// Why it could not be done.
+    /// Why it failed.
     pub failure: Option<String>,
     /// The row of `simulate`, of a diagnosis, or of an exam's case.
     pub row: Option<Value>,

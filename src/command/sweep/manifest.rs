@@ -1,4 +1,4 @@
-//! The manifest: what a point is, its inputs, and which of them vary.
+//! The manifest: what is done at each point, its inputs, and which of them vary.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -19,32 +19,32 @@ use super::named_files::NamedFiles;
 use super::subject::Subject;
 use crate::log::descriptor::hex;
 
-/// Version of the manifest's form.
+/// Version of the manifest's format.
 const VERSION: u32 = 1;
 
-/// As it is written.
+/// The manifest as written.
 #[derive(Debug, Deserialize)]
 struct Written {
     schema_version: u32,
     /// What is done at each point.
     #[serde(default)]
     of: Subject,
-    /// Inputs that are crossed with one another.
+    /// Inputs of which all combinations are used.
     #[serde(default)]
     grid: BTreeMap<String, Axis>,
-    /// Inputs that go together, row by row.
+    /// Inputs that vary together, row by row.
     #[serde(default)]
     list: BTreeMap<String, Vec<Value>>,
-    /// Inputs that are drawn.
+    /// Inputs that are drawn at random.
     #[serde(default)]
     draw: BTreeMap<String, Drawn>,
-    /// Draws, the same at each place of grid and list.
+    /// Number of draws; they are the same at each place of grid and list.
     #[serde(default = "one")]
     samples: usize,
     /// Seed of the draws.
     #[serde(default = "one_seed")]
     draw_seed: u64,
-    /// Seeds of each point: so many from 1 on, or these.
+    /// Seeds of each point: a number of them from 1 on, or a list.
     #[serde(default)]
     seeds: Seeds,
     /// Inputs that are the same at each point.
@@ -60,7 +60,7 @@ fn one_seed() -> u64 {
     1
 }
 
-/// What is done, point by point.
+/// The points of a sweep.
 #[derive(Debug)]
 pub struct Manifest {
     files: NamedFiles,
@@ -72,18 +72,18 @@ pub struct Manifest {
     cases: usize,
     /// Number of points.
     pub points: usize,
-    /// Of its text and of the files that it names.
+    /// Hash of its text and of the files that it names.
     pub sha256: String,
 }
 
 /// One flight of a sweep, one diagnosis, or one case of an exam.
 #[derive(Clone, Debug)]
 pub struct Point {
-    /// What varies, by its path.
+    /// The varied inputs, by their paths.
     pub varied: BTreeMap<String, Value>,
     /// Its seed.
     pub seed: u64,
-    /// Which case of the exam that the seed draws.
+    /// Number of the case in the seed's exam.
     pub case: usize,
 }
 
@@ -149,8 +149,8 @@ impl Manifest {
         self.written.of
     }
 
-    /// The point of this number: the cases of an exam vary first, then seeds, draws, rows of the list,
-    /// and the grid, the last of its inputs first.
+    /// The point with this number. The cases of an exam vary fastest, then seeds, draws, rows of
+    /// the list, and the grid, whose last input varies first.
     pub fn point(&self, index: usize) -> Point {
         let mut left = index;
         let mut next = |length: usize| {
@@ -170,8 +170,9 @@ impl Manifest {
             varied.insert(path.clone(), values[row].clone());
         }
         if !self.written.draw.is_empty() {
-            // Each sample has a stream of its own, so that a point is drawn without those before it,
-            // and the same one at every place of the grid: what differs there is not the draw.
+            // Each sample has its own random stream, so a point needs no draws before it. The draw
+            // is the same at every place of the grid, so differences there do not come from the
+            // draw.
             let stream = self.written.draw_seed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
             let mut rng = Pcg64Mcg::seed_from_u64(stream.wrapping_add(sample as u64));
             for (path, drawn) in &self.written.draw {
@@ -181,10 +182,10 @@ impl Manifest {
         Point { varied, seed, case }
     }
 
-    /// The inputs at a point, as their subject reads them.
+    /// The inputs at a point, in the type of their subject.
     ///
     /// # Errors
-    /// An input of another kind than its own.
+    /// An input has the wrong type.
     pub fn inputs<T: DeserializeOwned>(&self, point: &Point) -> anyhow::Result<T> {
         let mut inputs = self.written.fixed.clone();
         for (path, value) in &point.varied {
@@ -242,7 +243,7 @@ impl Written {
         Ok(first)
     }
 
-    /// Refuses what is no input, and an input that varies in two ways.
+    /// Refuses an unknown input, and an input that varies in two ways.
     fn check_paths(&self) -> anyhow::Result<()> {
         let paths = || self.grid.keys().chain(self.list.keys()).chain(self.draw.keys());
         for path in self.fixed.keys() {
@@ -336,7 +337,7 @@ mod tests {
             let inputs = crate::command::sweep::simulation::inputs(&manifest, point)?;
             let wind = inputs.effects.value(vehicle::effects::EffectId::Wind, "north_m_s", 0);
             let thrust = inputs.settings["control.thrust"].as_float();
-            // Of the list, row by row.
+            // The list varies row by row.
             assert!([(Some(1.0), Some(0.2)), (Some(2.0), Some(0.3))].contains(&(wind, thrust)));
         }
         Ok(())

@@ -1,31 +1,31 @@
-//! Files by the names that a manifest has for them.
+//! Finds the files that a manifest names.
 
 use std::path::{Path, PathBuf};
 
 use super::pattern;
 
-/// The folder that names begin in: the manifest's.
+/// The folder of the manifest, to which names are relative.
 #[derive(Debug)]
 pub(super) struct NamedFiles(PathBuf);
 
 impl NamedFiles {
-    /// Names that begin in `folder`.
+    /// Names relative to `folder`.
     pub fn of(folder: PathBuf) -> Self {
         Self(folder)
     }
 
-    /// Where the names begin.
+    /// The folder to which names are relative.
     pub fn folder(&self) -> &Path {
         &self.0
     }
 
-    /// A file beside the manifest, else what it is called.
+    /// The path of a file beside the manifest; if there is none, the name itself.
     pub fn resolved(&self, file: &str) -> PathBuf {
         let beside = self.0.join(file);
         if beside.exists() { beside } else { PathBuf::from(file) }
     }
 
-    /// The files that a name with `*` in it fits, else the one that it names.
+    /// The files that match a name with `*`; otherwise the named file.
     pub fn fitting(&self, name: &str) -> Vec<PathBuf> {
         match name.contains('*') {
             true => pattern::fitting(&self.0, name)

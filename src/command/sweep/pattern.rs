@@ -1,15 +1,16 @@
-//! Names of files with `*` in them.
+//! File name patterns with `*`.
 
 use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, bail};
 
-/// The files and folders below `folder` that a pattern fits, in the order of their names: each part of
-/// the path may have `*` in it, which stands for anything. What begins with a dot is hidden.
+/// The files and folders below `folder` that match a pattern, in the order of their names. Each
+/// part of the path may contain `*`, which matches any text. Names that begin with a dot are hidden
+/// and do not match.
 ///
 /// # Errors
-/// A folder that cannot be read, and a pattern that nothing fits.
+/// A folder cannot be read, or nothing matches.
 pub(super) fn fitting(folder: &Path, pattern: &str) -> anyhow::Result<Vec<String>> {
     let root = if pattern.starts_with('/') { "/" } else { "" };
     let mut found = vec![root.to_owned()];
@@ -49,14 +50,14 @@ pub(super) fn fitting(folder: &Path, pattern: &str) -> anyhow::Result<Vec<String
     Ok(found)
 }
 
-/// Whether a name is `pattern` with something for each `*`.
+/// Whether a name matches `pattern`.
 fn fits(pattern: &str, name: &str) -> bool {
     let Some((first, rest)) = pattern.split_once('*') else { return pattern == name };
     let Some(mut left) = name.strip_prefix(first) else { return false };
     let mut parts: Vec<&str> = rest.split('*').collect();
     let last = parts.pop().unwrap_or_default();
     for part in parts {
-        // The earliest place leaves the most for what follows.
+        // The earliest match leaves the most text for the rest of the pattern.
         let Some(at) = left.find(part) else { return false };
         left = &left[at + part.len()..];
     }

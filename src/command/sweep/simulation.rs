@@ -10,7 +10,7 @@ use vehicle::effects::{EffectSet, Schedule};
 use super::manifest::{Manifest, Point};
 use crate::command::simulate::{Inputs, Row, Simulation};
 
-/// As the manifest has them.
+/// The inputs as the manifest gives them.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Given {
@@ -18,10 +18,10 @@ struct Given {
     trajectory: Option<String>,
     config: Option<String>,
     sitl_config: Option<String>,
-    /// As of an effects file.
+    /// Effects, as in an effects file.
     #[serde(default)]
     effects: EffectSet,
-    /// Those that set in later, each as `--effect` has it.
+    /// Effects that set in later, each in the form of `--effect`.
     #[serde(default)]
     onsets: Vec<String>,
     /// Settings by their dotted paths.
@@ -29,7 +29,7 @@ struct Given {
     set: BTreeMap<String, Value>,
 }
 
-/// What `simulate` is given at a point.
+/// The inputs of `simulate` at a point.
 pub(super) fn inputs(manifest: &Manifest, point: &Point) -> anyhow::Result<Inputs> {
     let given: Given = manifest.inputs(point)?;
     let later = Schedule::requested(None, &given.onsets)?;

@@ -10,21 +10,22 @@ use sha2::{Digest, Sha256};
 use super::case_files::CaseFiles;
 use super::named_files::NamedFiles;
 
-/// One of the commands that a sweep repeats.
+/// The command that a sweep repeats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Subject {
-    /// A flight, as `simulate` flies it.
+    /// A flight, by `simulate`.
     #[default]
     Simulate,
-    /// A diagnosis of logs, as of `diagnose`.
+    /// A diagnosis of logs, by `diagnose`.
     Diagnose,
-    /// A case of an exam, as of `exam`.
+    /// A case of an exam, by `exam`.
     Exam,
 }
 
-/// Of a log beyond so many bytes the hash takes its length, and so many of either end.
+/// Size beyond which a log's hash covers only its length and its ends, bytes.
 const HASHED_IN_FULL: u64 = 1 << 20;
+/// Part of either end in that hash, bytes.
 const END: u64 = 1 << 16;
 
 impl Subject {
@@ -39,7 +40,7 @@ impl Subject {
         }
     }
 
-    /// Inputs that are the same at each point, as they decide how many points there are.
+    /// Inputs that are the same at each point, because they decide the number of points.
     fn constants(self) -> &'static [&'static str] {
         match self {
             Self::Simulate | Self::Diagnose => &[],
@@ -47,7 +48,7 @@ impl Subject {
         }
     }
 
-    /// Tables of which each key is an input.
+    /// Tables in which each key is an input.
     fn tables(self) -> &'static [&'static str] {
         match self {
             Self::Simulate => &["effects", "set"],
@@ -76,7 +77,7 @@ impl Subject {
         all.any(|known| *known == key)
     }
 
-    /// What may vary, for people.
+    /// The inputs that may vary, for people.
     pub fn inputs_in_words(self) -> String {
         let inputs = self.inputs().join(", ");
         match self {
@@ -87,17 +88,17 @@ impl Subject {
         }
     }
 
-    /// What may be given for every point, for people.
+    /// The inputs that may be given for every point, for people.
     pub fn fixed_in_words(self) -> String {
         let all = self.inputs().iter().chain(self.constants()).chain(self.tables());
         let all: Vec<&str> = all.copied().collect();
         format!("one of {}, or of, grid, list, draw, samples, draw_seed and seeds", all.join(", "))
     }
 
-    /// Puts the files that an input names into a hash.
+    /// Adds the files that an input names to a hash.
     pub fn hash(self, input: &str, name: &str, files: &NamedFiles, hash: &mut Sha256) {
         let path = files.resolved(name);
-        // What cannot be read is a failure of its points.
+        // A file that cannot be read makes its points fail.
         let _ = match input {
             "logs" | "holdout" => files.fitting(name).iter().try_for_each(|log| ends(log, hash)),
             "case" => CaseFiles::in_folder(&path).and_then(|case| {

@@ -7,11 +7,12 @@ use serde_json::Value;
 
 use super::Line;
 
-/// Of a row, what is the same in each, names files, or is another at each try.
+/// Keys of a row that are left out: they are the same in each row, name files, or differ at each
+/// try.
 const LEFT_OUT: [&str; 5] = ["schema", "schema_version", "log", "report", "seconds"];
 
-/// The table as CSV. Its columns are the point's number, the failure, the seed, what varies (`input.`),
-/// and what the flights gave, tables inside with a dot.
+/// The table as CSV. Its columns are the point's number, the failure, the seed, the varied inputs
+/// (`input.`), and the results, with a dot for nested tables.
 pub fn csv(
     rows: &BTreeMap<usize, Line>,
     seed_of: impl Fn(usize) -> u64,
@@ -20,7 +21,7 @@ pub fn csv(
     let lines: Vec<Vec<(String, String)>> = lines.collect();
     let mut columns: Vec<&str> = Vec::new();
     let mut places: BTreeMap<&str, usize> = BTreeMap::new();
-    // Whole rows first, so that a failure moves no column.
+    // Complete rows first, so that a failure changes the place of no column.
     let complete = rows.values().zip(&lines).filter(|(row, _)| row.failure.is_none());
     for line in complete.map(|(_, line)| line).chain(&lines) {
         for (name, _) in line {
@@ -49,7 +50,7 @@ fn cells(line: &Line, seed: u64) -> Vec<(String, String)> {
         ("point".to_owned(), line.index.to_string()),
         ("failure".to_owned(), line.failure.clone().unwrap_or_default()),
     ];
-    // A flight's row has its own.
+    // A flight's row has its own seed.
     if line.row.as_ref().is_none_or(|row| row.get("seed").is_none()) {
         cells.push(("seed".to_owned(), seed.to_string()));
     }
