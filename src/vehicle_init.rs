@@ -275,13 +275,14 @@ mod tests {
     use vehicle::VehicleParams;
 
     use super::*;
-    use crate::parameters::parse;
+    use crate::parameters::ParameterFile;
 
     const SIH: &str = include_str!("../message/tests/parameters/px4_sih.params");
     const COPTER: &str = include_str!("../message/tests/parameters/arducopter.parm");
 
     fn parameters(text: &str) -> Parameters {
-        parse(text.as_bytes()).expect("parameters")
+        let file = ParameterFile::parse(text.as_bytes()).expect("parameters");
+        file.vehicle(None).expect("one vehicle").parameters
     }
 
     fn draft(text: &str, measured: Measured) -> Draft {

@@ -210,7 +210,8 @@ pub fn law(data: &[u8]) {
 
 /// A parameter file, and the text of the vehicle file that is made of it.
 pub fn parameters(data: &[u8]) -> Option<String> {
-    let found = downwash::parameters::parse(data).ok()?;
+    let file = downwash::parameters::ParameterFile::parse(data).ok()?;
+    let found = file.vehicle(None).ok()?.parameters;
     let measured = Measured { mass_kg: Some(1.0), arm_m: Some(0.2), ..Measured::default() };
     Some(Draft::new("a file", &found, &measured).ok()?.to_toml())
 }

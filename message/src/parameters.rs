@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::ops::Deref;
 
 pub use attitude::NormalisedLoop;
-pub use file::{NotParameters, parse};
+pub use file::{NotOneVehicle, NotParameters, OneVehicle, ParameterFile};
 pub use mixer::Mixer;
 pub use rotors::RotorFact;
 
@@ -232,8 +232,10 @@ impl Parameters {
     pub fn is_simulated_in_hardware(&self) -> bool {
         // Every build with the module has SIH_*; outputs with functions but no range are simulated.
         const QUADROTOR: f64 = 0.0;
+        // One of them may be unreadable.
+        const BODY: [&str; 3] = ["SIH_MASS", "SIH_IXX", "SIH_T_MAX"];
         let has_ranges = self.0.keys().any(|name| name.starts_with("PWM_MAIN_MIN"));
-        self.number("SIH_MASS").is_some()
+        BODY.iter().any(|name| self.number(name).is_some())
             && self.number("SIH_VEHICLE_TYPE").is_none_or(|kind| kind == QUADROTOR)
             && !has_ranges
     }
@@ -288,7 +290,8 @@ pub(crate) mod tests {
 
     /// Parameters from `NAME value` lines.
     pub(crate) fn parameters(text: &str) -> Parameters {
-        parse(text.as_bytes()).expect("parameters")
+        let file = ParameterFile::parse(text.as_bytes()).expect("parameters");
+        file.vehicle(None).expect("one vehicle").parameters
     }
 
     /// PX4's SIH quadrotor with PX4's defaults of March 2026.

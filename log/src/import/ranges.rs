@@ -119,13 +119,14 @@ pub(super) fn ardupilot(parameters: &BTreeMap<String, f64>) -> Option<Stated> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use message::parameters::{Parameters, parse};
+    use message::parameters::{ParameterFile, Parameters};
 
     const SIH: &str = include_str!("../../../message/tests/parameters/px4_sih.params");
     const COPTER: &str = include_str!("../../../message/tests/parameters/arducopter.parm");
 
     fn parameters(text: &str) -> Parameters {
-        parse(text.as_bytes()).expect("parameters")
+        let file = ParameterFile::parse(text.as_bytes()).expect("parameters");
+        file.vehicle(None).expect("one vehicle").parameters
     }
 
     fn main_outputs() -> Drive {
