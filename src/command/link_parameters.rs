@@ -5,6 +5,7 @@ use std::time::Duration;
 use anyhow::anyhow;
 use wire::Endpoint;
 
+use super::listen::OTHERS_WAIT;
 use super::setup::baud;
 use super::{Exit, ExitContext, print_status};
 use crate::clock::HostTime;
@@ -14,6 +15,8 @@ use crate::link::connection::{Connection, Input};
 use crate::link::profile::Profile;
 use crate::link::request::{Outcome, Request};
 use crate::link::session::{Event, Session, Settings};
+use crate::link::several::choice_between;
+use crate::link::silence::Silence;
 use crate::parameters::{Autopilot, Parameters};
 
 /// Number of requests in progress at once.
@@ -30,14 +33,15 @@ const TICK: Duration = Duration::from_millis(50);
 /// Reads the parameters that describe the vehicle at `endpoint`.
 ///
 /// # Errors
-/// [`Exit::Link`] if no vehicle is heard or it answers nothing, [`Exit::Usage`] if it is neither
-/// PX4 nor ArduCopter.
+/// [`Exit::Link`] if no vehicle is heard or it answers nothing, [`Exit::Refused`] if several are heard
+/// and none is chosen, [`Exit::Usage`] if it is neither PX4 nor ArduCopter.
 pub(super) fn read(endpoint: Endpoint, system: Option<u8>) -> anyhow::Result<Parameters> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let thrust = ThrustMap::linear(1.0)?;
     let clock = HostClock::start();
     let settings = Settings {
         vehicle_system: system,
+        endpoint: Some(endpoint.to_string()),
         // Requests no streams, so that the vehicle's stay unchanged.
         telemetry: Some(Vec::new()),
         baud: baud(&endpoint),
@@ -47,6 +51,7 @@ pub(super) fn read(endpoint: Endpoint, system: Option<u8>) -> anyhow::Result<Par
         session: Session::new(settings, clock.now()),
         connection: Connection::new(endpoint),
         clock,
+        is_chosen: system.is_some(),
         requested: Vec::new(),
         under_way: 0,
         found: Parameters::default(),
@@ -59,6 +64,8 @@ struct Reading {
     session: Session,
     connection: Connection,
     clock: HostClock,
+    /// Whether the user chose a system.
+    is_chosen: bool,
     /// Names still to request, in reverse order.
     requested: Vec<String>,
     under_way: usize,
@@ -71,6 +78,7 @@ impl Reading {
         let mut buffer = vec![0; 1 << 16];
         let start = self.clock.now();
         let mut is_identified = false;
+        let mut found_at = start;
         loop {
             let input = tokio::time::timeout(TICK, self.connection.recv(&mut buffer)).await;
             let now = self.clock.now();
@@ -80,6 +88,12 @@ impl Reading {
             self.session.poll(now);
             while let Some(event) = self.session.next_event() {
                 match event {
+                    Event::VehicleFound(_) => found_at = now,
+                    Event::AnotherAutopilot { vehicle, other } => {
+                        let endpoint = self.connection.endpoint();
+                        let error = anyhow!("{endpoint}: {}", choice_between(vehicle, other));
+                        return Err(error).or_exit(Exit::Refused);
+                    }
                     Event::Identified { profile, .. } if !is_identified => {
                         self.request_parameters(&profile)?;
                         is_identified = true;
@@ -101,7 +115,9 @@ impl Reading {
             }
             let Self { session, connection, .. } = &mut self;
             session.transmit(|peer, frame| connection.send(peer, frame));
-            if is_identified && self.under_way == 0 && self.requested.is_empty() {
+            let has_listened = self.is_chosen || now.since(found_at) >= OTHERS_WAIT;
+            let is_read = self.under_way == 0 && self.requested.is_empty();
+            if is_identified && is_read && has_listened {
                 return self.answer();
             }
             self.print_wait(now, start, is_identified)?;
@@ -155,7 +171,11 @@ impl Reading {
         let waited = now.since(start);
         let endpoint = self.connection.endpoint();
         if waited > LIMIT {
-            let error = anyhow!("{endpoint}: only {} parameters after {LIMIT:?}", self.found.len());
+            let error = anyhow!(
+                "{endpoint}: the vehicle sent only {} parameters within {LIMIT:?}; use a faster link, or \
+                 give a parameter file or a flight log",
+                self.found.len()
+            );
             return Err(error).or_exit(Exit::Link);
         }
         if is_identified || self.session.vehicle().is_some() {
@@ -163,8 +183,7 @@ impl Reading {
         }
         let bytes = self.session.stats().received.bytes;
         if waited > SEARCH {
-            let error =
-                anyhow!("{endpoint}: no HEARTBEAT from an autopilot; {bytes} bytes received");
+            let error = anyhow!("no vehicle was found: {}", Silence::of(&self.session, now).line);
             return Err(error).or_exit(Exit::Link);
         }
         if waited > WAIT_REPORTED_AFTER && !self.is_reported {
@@ -180,7 +199,9 @@ impl Reading {
     fn answer(self) -> anyhow::Result<Parameters> {
         if self.found.is_empty() {
             let error = anyhow!(
-                "{}: the vehicle does not answer PARAM_REQUEST_READ",
+                "{}: expected answers to PARAM_REQUEST_READ, found none; check that what is sent \
+                 reaches the vehicle (a vehicle that demands signing hears no one without its key), or \
+                 give a parameter file or a flight log",
                 self.connection.endpoint()
             );
             return Err(error).or_exit(Exit::Link);

@@ -3,7 +3,7 @@
 use std::future::Future;
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use tokio::runtime::{Builder, Runtime};
 use tokio::time::sleep;
 use wire::Endpoint;
@@ -13,7 +13,7 @@ use super::fly::system_flag;
 use super::setup::endpoint;
 use super::setup::required;
 use super::signing_state::SigningState;
-use super::{config, print_status};
+use super::{Exit, ExitContext, config, print_status};
 use crate::cli::ListenArgs;
 use crate::clock::HostTime;
 use crate::config::Config;
@@ -22,7 +22,12 @@ use crate::link::attitude_target::ThrustMap;
 use crate::link::connection::{Connection, Input};
 use crate::link::profile::MessageRate;
 use crate::link::session::{Delivery, Session, Settings};
+use crate::link::several;
 use crate::link::signing::SigningSettings;
+
+/// Without a chosen vehicle, another autopilot is listened for at least so long: each sends a
+/// HEARTBEAT a second.
+pub(super) const OTHERS_WAIT: Duration = Duration::from_millis(1500);
 
 /// A session that flies nothing, and its connection.
 pub(super) struct Listener {
@@ -176,6 +181,17 @@ impl Listener {
         self.flush();
         while self.session.next_event().is_some() {}
         output
+    }
+
+    /// Checks that the vehicle is the only autopilot on the link, or the one that the user chose.
+    ///
+    /// # Errors
+    /// [`Exit::Refused`], with both autopilots.
+    pub fn check_alone(&self) -> anyhow::Result<()> {
+        match several::choice(&self.session) {
+            None => Ok(()),
+            Some(choice) => Err(anyhow!("{}: {choice}", self.endpoint)).or_exit(Exit::Refused),
+        }
     }
 
     /// Sends the session's queued frames.

@@ -83,7 +83,9 @@ pub(super) fn run(args: &MocapArgs, preparation: Interruption) -> anyhow::Result
         (None, None) if !summary.was_vehicle_found() => {
             Err(anyhow!("no vehicle was found")).or_exit(Exit::Link)
         }
-        (None, None) if summary.sent() == 0 => bail!("no pose was sent to the vehicle"),
+        (None, None) if summary.sent() == 0 => bail!(
+            "no pose was sent to the vehicle; check --body and that the room's system streams"
+        ),
         (None, None) => Ok(Exit::Ok),
     }
 }
@@ -158,6 +160,7 @@ struct Line {
     /// Number of poses without a vehicle, or without its clock.
     unsent: u64,
     is_vehicle_known: bool,
+    is_another_reported: bool,
 }
 
 impl Line {
@@ -201,6 +204,7 @@ impl Line {
             sent: 0,
             unsent: 0,
             is_vehicle_known: false,
+            is_another_reported: false,
         })
     }
 
@@ -283,9 +287,19 @@ impl Line {
         }
     }
 
-    /// Reports the vehicle, and refuses a form of poses that it does not accept.
+    /// Reports the vehicle, and refuses a form of poses that it does not accept, and another vehicle
+    /// beside it. An armed vehicle keeps its poses.
     fn look_at_vehicle(&mut self) -> anyhow::Result<()> {
         let Some(vehicle) = self.listener.session.vehicle() else { return Ok(()) };
+        if let Err(refused) = self.listener.check_alone() {
+            if self.armed.is_none_or(|(_, is_armed)| !is_armed) {
+                return Err(refused);
+            }
+            if !self.is_another_reported {
+                self.is_another_reported = true;
+                print_status(format_args!("{refused}; the vehicle is armed and keeps its poses"));
+            }
+        }
         if self.is_vehicle_known {
             return Ok(());
         }

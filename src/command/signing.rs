@@ -9,7 +9,7 @@ use anyhow::{Context, anyhow, bail};
 use message::Inbound;
 use wire::signing::{KEY_LEN, Key, Stamp};
 
-use super::listen::Listener;
+use super::listen::{Listener, OTHERS_WAIT};
 use super::signing_state::SigningState;
 use super::{Exit, ExitContext, print_status, print_text};
 use crate::cli::{ListenArgs, SetupArgs, SigningCommand};
@@ -89,6 +89,13 @@ fn setup(args: &SetupArgs) -> anyhow::Result<Exit> {
         is_armed = armed.or(is_armed);
         is_armed.is_some()
     })?;
+    if listener.session.requested_system().is_none() {
+        listener.listen(OTHERS_WAIT, |_, delivery| {
+            is_armed = armed_in(&delivery).or(is_armed);
+        });
+    }
+    // No other vehicle gets the key.
+    listener.check_alone()?;
     let id = listener.session.vehicle().context("no vehicle").or_exit(Exit::Link)?;
     if is_armed != Some(false) {
         let refused = || -> anyhow::Result<Exit> { bail!("{id} is armed; disarm it first") };
@@ -117,6 +124,17 @@ fn setup(args: &SetupArgs) -> anyhow::Result<Exit> {
     Ok(Exit::Ok)
 }
 
+/// Whether the vehicle is armed, by its HEARTBEAT.
+fn armed_in(delivery: &Delivery<'_>) -> Option<bool> {
+    match delivery {
+        Delivery::Message(received) => match received.message {
+            Inbound::Heartbeat { armed, .. } => Some(armed),
+            _ => None,
+        },
+        _ => None,
+    }
+}
+
 /// Listens until `is_done`, whose argument is whether the vehicle reports that it is armed.
 fn wait(
     listener: &mut Listener,
@@ -126,13 +144,7 @@ fn wait(
     let started = listener.clock.now();
     while listener.clock.now().since(started) < SEARCH {
         let mut armed = None;
-        listener.listen(STEP, |_, delivery| {
-            if let Delivery::Message(received) = delivery
-                && let Inbound::Heartbeat { armed: is_armed, .. } = received.message
-            {
-                armed = Some(is_armed);
-            }
-        });
+        listener.listen(STEP, |_, delivery| armed = armed_in(&delivery).or(armed));
         if is_done(listener, armed) {
             return Ok(());
         }

@@ -52,6 +52,7 @@ pub mod received;
 pub mod request;
 mod sequence;
 pub mod session;
+pub mod several;
 pub mod signing;
 pub mod silence;
 pub mod tee;

@@ -4,6 +4,7 @@ use super::{End, Station};
 use crate::clock::HostTime;
 use crate::link::counters::LinkState;
 use crate::link::session::{Event, VehicleId};
+use crate::link::several::choice_between;
 use crate::log::record::Severity;
 use crate::offboard::LinkEvent;
 use crate::supervisor::{EngagePolicy, FlightState};
@@ -88,11 +89,7 @@ impl Station {
     /// Two autopilots answer: before a flight, nothing flies until the user chooses one; in flight,
     /// warns.
     pub(super) fn choose(&mut self, now: HostTime, vehicle: VehicleId, other: VehicleId) {
-        let why = format!(
-            "two autopilots are on this link, {vehicle} and {other}; choose one with --system \
-             {} or --system {} (link.vehicle_system in the configuration)",
-            vehicle.system, other.system
-        );
+        let why = choice_between(vehicle, other);
         let is_flown = self.offboard.as_ref().is_some_and(|offboard| {
             let state = offboard.flight_state();
             state.is_in_control() || matches!(state, FlightState::Land | FlightState::Disarm)
