@@ -22,9 +22,14 @@ pub enum VehicleCommand {
     Check {
         /// Vehicle file, or the name of a shipped one.
         file: PathBuf,
-        /// A flight of the vehicle to compare the file with: .mcap, .ulg, .bin, .tlog.
+        /// A flight of the vehicle to compare the file with: .mcap, .ulg, .bin, .tlog, or .csv with
+        /// --mapping.
         #[arg(long)]
         log: Option<PathBuf>,
+        /// Mapping of a table's columns: a TOML file, or the name of a shipped one (motion-capture,
+        /// motive).
+        #[arg(long, value_name = "MAP", requires = "log")]
+        mapping: Option<PathBuf>,
         /// Prints one JSON object.
         #[arg(long)]
         json: bool,
@@ -76,13 +81,13 @@ pub enum PeerChoice {
 pub struct InitArgs {
     /// Flight log (.ulg, .bin, .mcap, .tlog), or parameter file (QGroundControl .params, Mission
     /// Planner .param, PX4's `param save`).
-    #[arg(conflicts_with = "connect")]
+    #[arg(conflicts_with = "connect", group = "source")]
     pub file: Option<PathBuf>,
     /// Reads the parameters of the vehicle at this address, such as udpin:0.0.0.0:14540.
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", group = "source")]
     pub connect: Option<String>,
-    /// System id of the vehicle [default: the first autopilot on the link].
-    #[arg(long, value_name = "ID", requires = "connect")]
+    /// System id of the vehicle, where several are on the link or in a QGroundControl file.
+    #[arg(long, value_name = "ID", requires = "source")]
     pub system: Option<u8>,
     /// The vehicle file to write [default: stdout].
     #[arg(short, long, value_name = "FILE")]

@@ -17,8 +17,8 @@ use super::{
     write_file,
 };
 use crate::cli::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
-use crate::log::import;
-use crate::parameters::{self, Parameters};
+use crate::log::import::{self, ImportError};
+use crate::parameters::{self, OneVehicle, ParameterFile, Parameters};
 use crate::plan::SHIPPED_TRAJECTORIES;
 use crate::vehicle_check::{self, Held, Verdict};
 use crate::vehicle_init::{Draft, Layout, Measured, Wanting};
@@ -31,7 +31,10 @@ const PARAMETER_FILE_MAX: u64 = 1 << 20;
 pub(super) fn run(command: VehicleCommand) -> anyhow::Result<Exit> {
     match command {
         VehicleCommand::List { json } => list(json),
-        VehicleCommand::Check { file, log, json } => check(&file, log.as_deref(), json),
+        VehicleCommand::Check { file, log, mapping, json } => {
+            let flight = log.as_deref().map(|log| Shown { log, mapping: mapping.as_deref() });
+            check(&file, flight, json)
+        }
         VehicleCommand::Init(args) => init(&args),
         VehicleCommand::Export { file, to, out, force } => export(&file, to, out.as_deref(), force),
     }
@@ -110,11 +113,19 @@ pub(super) struct Checked<'a> {
     held: &'a [Held],
 }
 
-fn check(file: &Path, log: Option<&Path>, json: bool) -> anyhow::Result<Exit> {
+/// The log to compare a vehicle file with.
+#[derive(Clone, Copy)]
+struct Shown<'a> {
+    log: &'a Path,
+    /// Mapping of its columns, if it is a table.
+    mapping: Option<&'a Path>,
+}
+
+fn check(file: &Path, flight: Option<Shown<'_>>, json: bool) -> anyhow::Result<Exit> {
     let vehicle = VehicleParams::load(file).or_exit(Exit::Usage)?;
     let remarks = vehicle.remarks();
-    let held = match log {
-        Some(log) => against(log, &vehicle).with_context(|| log.display().to_string())?,
+    let held = match flight {
+        Some(flight) => against(flight, &vehicle)?,
         None => Vec::new(),
     };
     let fits = remarks.is_empty() && held.iter().all(|held| held.verdict != Verdict::Differs);
@@ -144,10 +155,13 @@ fn check(file: &Path, log: Option<&Path>, json: bool) -> anyhow::Result<Exit> {
 }
 
 /// The log's measurements of what the file predicts.
-fn against(log: &Path, vehicle: &VehicleParams) -> anyhow::Result<Vec<Held>> {
+fn against(shown: Shown<'_>, vehicle: &VehicleParams) -> anyhow::Result<Vec<Held>> {
+    let Shown { log, mapping } = shown;
     let _patience = Patience::with(format!("comparing the file with {}", log.display()));
-    let flight = import::open(log, None).or_exit(Exit::Usage)?;
-    vehicle_check::held(&flight, vehicle).or_exit(Exit::Usage)
+    // Its errors name the log.
+    let flight = import::open(log, mapping).or_exit(Exit::Usage)?;
+    let held = vehicle_check::held(&flight, vehicle);
+    held.with_context(|| log.display().to_string()).or_exit(Exit::Usage)
 }
 
 /// A new vehicle file, and the values that it lacks: the JSON of `vehicle init`.
@@ -178,7 +192,7 @@ pub struct Made {
 pub fn make(args: &InitArgs) -> anyhow::Result<Made> {
     let measured = measured(args)?;
     let (source, parameters) = match (&args.file, &args.connect) {
-        (Some(file), _) => (file.display().to_string(), of_file(file)?),
+        (Some(file), _) => (file.display().to_string(), of_file(file, args.system)?),
         (None, Some(url)) => {
             let parameters = link_parameters::read(endpoint(url)?, args.system)?;
             (format!("the parameters of the vehicle at {url}"), parameters)
@@ -265,12 +279,14 @@ fn measured(args: &InitArgs) -> anyhow::Result<Measured> {
     let arm = positive("--arm", args.arm)?;
     let wheelbase = positive("--wheelbase", args.wheelbase)?;
     let hover_throttle = positive("--hover-throttle", args.hover_throttle)?;
-    if hover_throttle.is_some_and(|share| share >= 1.0) {
-        let error = anyhow!("--hover-throttle: expected a share below 1, such as 0.45");
+    if let Some(share) = hover_throttle.filter(|share| *share >= 1.0) {
+        let error =
+            anyhow!("--hover-throttle: expected a share below 1, such as 0.45, found {share}");
         return Err(error).or_exit(Exit::Usage);
     }
-    if args.motor_lag.is_some_and(|lag| !(0.0..=2.0).contains(&lag)) {
-        return Err(anyhow!("--motor-lag: expected seconds in 0..=2")).or_exit(Exit::Usage);
+    if let Some(lag) = args.motor_lag.filter(|lag| !(0.0..=2.0).contains(lag)) {
+        let error = anyhow!("--motor-lag: expected 0 to 2 s, found {lag}");
+        return Err(error).or_exit(Exit::Usage);
     }
     let inertia = match args.inertia.as_slice() {
         [] => None,
@@ -304,31 +320,39 @@ fn measured(args: &InitArgs) -> anyhow::Result<Measured> {
     })
 }
 
-/// The parameters in a parameter file or a flight log.
-fn of_file(file: &Path) -> anyhow::Result<Parameters> {
+/// The parameters of `system`, or of the only vehicle, in a parameter file or a flight log.
+fn of_file(file: &Path, system: Option<u8>) -> anyhow::Result<Parameters> {
     let name = file.display().to_string();
     let length = std::fs::metadata(file).context(name.clone()).or_exit(Exit::Usage)?.len();
     let mut why_none = None;
     if length <= PARAMETER_FILE_MAX {
         let bytes = std::fs::read(file).context(name.clone()).or_exit(Exit::Usage)?;
-        match parameters::parse(&bytes) {
-            Ok(found) if found.autopilot().is_some() => return Ok(found),
-            Ok(_) => {
-                let error = anyhow!("{name}: its parameters are neither PX4's nor ArduCopter's");
-                return Err(error).or_exit(Exit::Usage);
-            }
+        match ParameterFile::parse(&bytes) {
+            Ok(found) => return of_parameter_file(&name, &found, system),
             Err(error) => why_none = Some(error),
         }
     }
     let flight = match (import::open(file, None), why_none) {
         (Ok(flight), _) => flight,
         (Err(error), Some(why_none)) => {
-            let error = in_words(&error.into());
-            return Err(anyhow!("{error}; it is not a parameter file either: {why_none}"))
+            let found = match error {
+                ImportError::NoMapping { .. } => {
+                    format!("{name} is a table, which states no parameters")
+                }
+                error => in_words(&error.into()),
+            };
+            return Err(anyhow!("{found}; it is not a parameter file either: {why_none}"))
                 .or_exit(Exit::Usage);
         }
         (Err(error), None) => return Err(error).or_exit(Exit::Usage),
     };
+    if system.is_some() {
+        let error = anyhow!(
+            "--system chooses a vehicle on a link or in a parameter file, and {name} is a flight log of \
+             one vehicle: leave --system out"
+        );
+        return Err(error).or_exit(Exit::Usage);
+    }
     let found = Parameters::from(flight.facts.parameters);
     if found.autopilot().is_none() {
         let error = anyhow!(
@@ -338,4 +362,117 @@ fn of_file(file: &Path) -> anyhow::Result<Parameters> {
         return Err(error).or_exit(Exit::Usage);
     }
     Ok(found)
+}
+
+/// The parameters of one vehicle in a parameter file; what is left out of it is reported.
+fn of_parameter_file(
+    name: &str,
+    file: &ParameterFile,
+    system: Option<u8>,
+) -> anyhow::Result<Parameters> {
+    let found = file.vehicle(system).with_context(|| name.to_owned()).or_exit(Exit::Usage)?;
+    let OneVehicle { parameters, remarks } = found;
+    for remark in remarks {
+        print_status(format_args!("{name}: {remark}"));
+    }
+    if parameters.autopilot().is_none() {
+        let some: Vec<&str> = parameters.keys().take(3).map(String::as_str).collect();
+        let error = anyhow!(
+            "{name}: expected parameters of PX4 or ArduCopter, found {} others, such as {}; export the \
+             autopilot's",
+            parameters.len(),
+            some.join(", ")
+        );
+        return Err(error).or_exit(Exit::Usage);
+    }
+    Ok(parameters)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use clap::Parser;
+
+    use super::*;
+
+    /// The flags of `vehicle init` alone.
+    #[derive(Parser)]
+    struct Init {
+        #[command(flatten)]
+        args: InitArgs,
+    }
+
+    /// A new folder of one test.
+    fn folder(name: &str) -> PathBuf {
+        let folder = std::env::temp_dir().join(format!("downwash-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a folder");
+        folder
+    }
+
+    /// What `vehicle init` makes of a parameter file with this text.
+    fn made(name: &str, text: &str, flags: &[&str]) -> anyhow::Result<Made> {
+        let folder = folder(name);
+        let file = folder.join("quad.params");
+        std::fs::write(&file, text).expect("a file");
+        let arguments = ["init", file.to_str().expect("a path")];
+        let arguments = arguments.into_iter().chain(flags.iter().copied());
+        let made = make(&Init::try_parse_from(arguments)?.args);
+        std::fs::remove_dir_all(&folder).expect("a folder");
+        made
+    }
+
+    #[test]
+    fn table_is_compared_by_its_mapping() {
+        let folder = folder("table");
+        let log = folder.join("flight.csv");
+        std::fs::write(&log, "t,x,y,z\n0,0,0,0\n1,0,0,0\n2,0,0,0\n").expect("a file");
+        let mapping = folder.join("map.toml");
+        let text = "world_frame = \"ned\"\n[time]\ncolumn = \"t\"\nunit = \"s\"\n\
+            [position]\ncolumns = [\"x\", \"y\", \"z\"]\nunit = \"m\"\n";
+        std::fs::write(&mapping, text).expect("a file");
+        let vehicle = VehicleParams::load(Path::new("crazyflie")).expect("a vehicle");
+        let refusal = |mapping: Option<&Path>| {
+            let refused = against(Shown { log: &log, mapping }, &vehicle).expect_err("no flight");
+            in_words(&refused)
+        };
+        let without = refusal(None);
+        assert!(without.contains("--mapping"), "{without}");
+        // It is read, and shows nothing in the air.
+        let read = refusal(Some(&mapping));
+        assert!(read.contains("flight.csv") && !read.contains("mapping"), "{read}");
+        std::fs::remove_dir_all(&folder).expect("a folder");
+    }
+
+    /// PX4's simulated quadrotor as QGroundControl writes it, with this mass.
+    fn rows(system: u8, component: u8, mass: &str) -> String {
+        let text = include_str!("../../message/tests/parameters/px4_sih.params");
+        let row = |line: &str| {
+            let (name, value) = line.split_once(' ').expect("a parameter");
+            let value = if name == "SIH_MASS" { mass } else { value };
+            format!("{system}\t{component}\t{name}\t{value}\t9\n")
+        };
+        text.lines().map(row).collect()
+    }
+
+    #[test]
+    fn vehicle_is_chosen_among_those_of_a_parameter_file() {
+        let both = rows(1, 1, "1.0") + &rows(7, 1, "2.0") + "7\t100\tCAM_MODE\t1\t6\n";
+        let refused = in_words(&made("both", &both, &[]).expect_err("two vehicles"));
+        for said in ["quad.params", "system 1", "system 7", "--system"] {
+            assert!(refused.contains(said), "{said}: {refused}");
+        }
+        let chosen = made("chosen", &both, &["--system", "7"]).expect("a vehicle file");
+        let vehicle = VehicleParams::from_toml_str(&chosen.toml).expect("a vehicle");
+        assert_eq!((vehicle.mass, chosen.missing), (2.0, Vec::new()));
+    }
+
+    #[test]
+    fn unreadable_parameter_is_missing_only_where_it_is_needed() {
+        let keys = |made: &Made| made.missing.iter().map(|m| m.key).collect::<Vec<_>>();
+        let needless = rows(1, 1, "1.0") + "1\t1\tRC1_TRIM\tnan\t9\n";
+        assert_eq!(keys(&made("needless", &needless, &[]).expect("a file")), Vec::<&str>::new());
+        let needed = made("needed", &rows(1, 1, "nan"), &[]).expect("a file");
+        assert_eq!(keys(&needed), ["mass"]);
+    }
 }

@@ -8,6 +8,7 @@ import pytest
 
 from conftest import CRAZYFLIE, DOWNWASH, SHORT_HOVER, free_port
 from hand_made_vehicle import HandMadeVehicle
+from vehicle_variants import VehicleVariant
 
 # The parameters of PX4's SIH quadrotor; whole numbers travel as byte-cast integers.
 SIH = {
@@ -94,6 +95,19 @@ def test_init_makes_a_file_from_the_connected_vehicle(px4, tmp_path):
     # An existing file is not overwritten.
     done = downwash(tmp_path, "vehicle", "init", "--connect", url, "-o", "quad.toml")
     assert done.returncode == 2 and "--force" in done.stderr
+
+
+def test_init_names_two_connected_vehicles_and_makes_no_file(tmp_path):
+    port = free_port()
+    vehicles = [VehicleVariant(f"udpout:127.0.0.1:{port}", system=system) for system in (1, 2)]
+    try:
+        done = downwash(tmp_path, "vehicle", "init", "--connect", f"udpin:127.0.0.1:{port}", "-o", "quad.toml")
+    finally:
+        for vehicle in vehicles:
+            vehicle.stop()
+    assert done.returncode == 4, done.stderr
+    assert "--system 1" in done.stderr and "--system 2" in done.stderr
+    assert not (tmp_path / "quad.toml").exists()
 
 
 def test_init_reports_a_silent_link_within_seconds(tmp_path):
