@@ -121,11 +121,12 @@ pub(super) fn px4_drive(
     logged: &[Movement],
 ) -> Result<Drive, String> {
     let devices = px4_devices(parameters);
-    let mut driving = devices.iter().enumerate().filter_map(|(at, device)| {
+    let driving = devices.iter().enumerate().filter_map(|(at, device)| {
         let [Some(a), Some(b), Some(c), Some(d)] = device.motors() else { return None };
-        Some((at, device, [a, b, c, d]))
+        Some(Driving { at, device, channels: [a, b, c, d] })
     });
-    let Some((at, device, channels)) = driving.next() else {
+    let driving: Vec<Driving<'_>> = driving.collect();
+    let Some(first) = driving.first() else {
         if !devices.is_empty() {
             let split = devices.iter().filter(|device| device.motors().iter().any(Option::is_some));
             let names: Vec<&str> = split.map(|device| device.name.as_str()).collect();
@@ -142,15 +143,35 @@ pub(super) fn px4_drive(
         let index = logged.iter().position(all_move).unwrap_or(0);
         return Ok(Drive { index, channels, device: None });
     };
-    let score = |index: usize, movement: &Movement| {
-        let motors = channels.iter().filter(|channel| movement.moves(**channel)).count();
-        let idle = |output: &usize| device.functions[*output] == Some(0.0);
-        let still = (0..OUTPUTS).filter(idle).filter(|output| !movement.moves(*output)).count();
-        (motors == MOTORS, still, index == at, motors)
-    };
-    let best = logged.iter().enumerate().rev().max_by_key(|(index, m)| score(*index, m));
-    let index = best.map_or(0, |(index, _)| index);
+    // A device may have motor functions and drive nothing, as PWM outputs beside ESCs on a bus.
+    let pairs = driving.iter().rev().flat_map(|driving| {
+        logged.iter().enumerate().rev().map(move |(index, movement)| (driving, index, movement))
+    });
+    let best = pairs.max_by_key(|(driving, index, movement)| driving.score(*index, movement));
+    let (driving, index) = best.map_or((first, 0), |(driving, index, _)| (driving, index));
+    let Driving { device, channels, .. } = *driving;
     Ok(Drive { index, channels, device: Some(device.name.clone()) })
+}
+
+/// A device whose functions include all motors.
+#[derive(Clone, Copy)]
+struct Driving<'a> {
+    /// Place among the devices, in start-up order.
+    at: usize,
+    device: &'a Device,
+    /// Its outputs of motors 1 to 4, counted from 0.
+    channels: [usize; MOTORS],
+}
+
+impl Driving<'_> {
+    /// How well a logged device agrees with this one; the larger, the better.
+    fn score(&self, index: usize, movement: &Movement) -> (bool, usize, bool, usize) {
+        let motors = self.channels.iter().filter(|channel| movement.moves(**channel)).count();
+        let idle = |(_, function): &(usize, &Option<f64>)| **function == Some(0.0);
+        let idle = self.device.functions.iter().enumerate().filter(idle);
+        let still = idle.filter(|(output, _)| !movement.moves(*output)).count();
+        (motors == MOTORS, still, index == self.at, motors)
+    }
 }
 
 /// Motor mapping in ArduPilot's parameters.
@@ -226,6 +247,21 @@ mod tests {
         // Servos on the first four of MAIN move too: the order of the devices decides.
         stated.extend((1..=4).map(|n| (format!("PWM_MAIN_FUNC{n}"), 200.0 + f64::from(n))));
         assert_eq!(px4_drive(&stated, &[quad.clone(), quad]).map(|drive| drive.index), Ok(1));
+    }
+
+    #[test]
+    fn device_that_moves_is_taken_where_two_have_motor_functions() {
+        let stated: BTreeMap<String, f64> =
+            motors("PWM_MAIN").into_iter().chain(motors("UAVCAN_EC")).collect();
+        let found = |logged: &[Movement]| {
+            let drive = px4_drive(&stated, logged).expect("a drive");
+            (drive.index, drive.device.expect("a device"))
+        };
+        let (still, quad) = (logged(&[]), logged(&[0, 1, 2, 3]));
+        assert_eq!(found(&[still.clone(), quad.clone()]), (1, "UAVCAN_EC".to_owned()));
+        assert_eq!(found(&[quad.clone(), still.clone()]), (0, "PWM_MAIN".to_owned()));
+        assert_eq!(found(&[quad.clone(), quad]), (0, "PWM_MAIN".to_owned()));
+        assert_eq!(found(&[still]), (0, "PWM_MAIN".to_owned()));
     }
 
     #[test]
