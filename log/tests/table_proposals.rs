@@ -163,3 +163,68 @@ fn mappings_are_proposed_for_the_names_that_others_use() {
     let yaw = flight.attitude.values()[3].euler().yaw;
     assert!((yaw + 0.3).abs() < 1e-9, "{yaw}: {mapping}");
 }
+
+/// A Crazyflie's pitch rises with the nose, against the rotation about the axis to its left.
+#[test]
+fn angles_of_a_crazyflie_have_their_signs() {
+    let propose = |header: &str, cells: &str| {
+        let file = place("crazyflie", "flight.csv");
+        let rows: String = (0..30).map(|row| format!("{}{cells}\n", 10 * row)).collect();
+        let table = format!("{header}\n{rows}");
+        fs::write(&file, &table).unwrap();
+        let mapping = downwash_log::import::propose(&file).unwrap();
+        let flight = import("crazyflie", &table, &mapping);
+        (mapping.clone(), flight.unwrap_or_else(|e| panic!("{e}\n{mapping}")))
+    };
+    let angles = |flight: &downwash_log::import::Flight| {
+        let euler = flight.attitude.values()[3].euler();
+        [euler.roll, euler.pitch, euler.yaw].map(|angle| angle.to_degrees().round())
+    };
+    for group in ["stabilizer", "stateEstimate"] {
+        // Small angles are degrees too, and a setpoint is no attitude.
+        let (mapping, flight) = propose(
+            &format!(
+                "Timestamp,controller.roll,controller.pitch,controller.yaw,{group}.roll,{group}.pitch,\
+                 {group}.yaw,gyro.x,gyro.y,gyro.z"
+            ),
+            ",1,1,1,2,4,3,0.5,-0.5,0.25",
+        );
+        // Nose up, right wing down, nose to the left.
+        assert_eq!(angles(&flight), [2.0, 4.0, -3.0], "{mapping}");
+        let rate = flight.body_rate.values()[3].to_array().map(f64::to_degrees);
+        let expected = [0.5, 0.5, -0.25];
+        assert!(rate.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{rate:?} {mapping}");
+        assert!(mapping.contains("Not used: controller.roll"), "{mapping}");
+    }
+    // The quaternion has no such sign, and is preferred. Accelerations of the estimate are in world axes.
+    let (s, c) = 0.1_f64.sin_cos();
+    let (mapping, flight) = propose(
+        "Timestamp,stabilizer.roll,stabilizer.pitch,stabilizer.yaw,stateEstimate.qx,stateEstimate.qy,\
+         stateEstimate.qz,stateEstimate.qw,stateEstimate.ax,stateEstimate.ay,stateEstimate.az",
+        &format!(",0,{},0,0,{},0,{c},0.1,0,0", 0.2_f64.to_degrees(), -s),
+    );
+    assert!(!mapping.contains("minus") && mapping.contains("axes = \"world\""), "{mapping}");
+    assert!((flight.attitude.values()[3].euler().pitch - 0.2).abs() < 1e-9, "{mapping}");
+}
+
+#[test]
+fn any_column_can_have_the_opposite_sign() {
+    let table = "t,x,y,z,roll,pitch,yaw\n0,1,2,3,0.1,0.2,0.3\n1,1,2,3,0.1,0.2,0.3\n";
+    let read = |position: &str, pitch: &str| {
+        let mapping = format!(
+            "world_frame = \"ned\"\nbody_frame = \"frd\"\n[time]\ncolumn = \"t\"\nunit = \"s\"\n\
+             [position]\ncolumns = {position}\nunit = \"m\"\n\
+             [attitude]\neuler = [\"roll\", {pitch}, \"yaw\"]\nunit = \"rad\"\n"
+        );
+        import("opposite", table, &mapping)
+    };
+    let flight =
+        read("[\"x\", { minus = 3 }, { minus = \"z\" }]", "{ minus = \"pitch\" }").unwrap();
+    assert_eq!(flight.position.values()[0].to_array(), [1.0, -2.0, -3.0]);
+    let euler = flight.attitude.values()[0].euler();
+    assert!((euler.pitch + 0.2).abs() < 1e-12 && (euler.yaw - 0.3).abs() < 1e-12);
+    for pitch in ["{ plus = \"pitch\" }", "{ minus = \"pitch\", unit = \"deg\" }"] {
+        let refused = read("[\"x\", \"y\", \"z\"]", pitch).unwrap_err().to_string();
+        assert!(refused.contains("minus"), "{refused}");
+    }
+}

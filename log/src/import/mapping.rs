@@ -77,13 +77,52 @@ pub enum DecimalMark {
     Comma,
 }
 
-/// Identifies a column of a table.
+/// A column of a table, or its values with the opposite sign: `{ minus = "pitch" }`.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(from = "ColumnText")]
+pub struct Column {
+    place: Place,
+    is_opposite: bool,
+}
+
+/// A column as a mapping file states it.
+#[derive(Deserialize)]
 #[serde(
     untagged,
-    expecting = "expected a column: its name, its number from 1, or a list of words above it"
+    expecting = "expected a column: its name, its number from 1, a list of words above it, or \
+                 { minus = one of these } for the opposite sign"
 )]
-pub enum Column {
+enum ColumnText {
+    Plain(Place),
+    Opposite(Opposite),
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Opposite {
+    minus: Place,
+}
+
+impl From<ColumnText> for Column {
+    fn from(text: ColumnText) -> Self {
+        match text {
+            ColumnText::Plain(place) => Self { place, is_opposite: false },
+            ColumnText::Opposite(Opposite { minus }) => Self { place: minus, is_opposite: true },
+        }
+    }
+}
+
+impl Column {
+    /// The factor of its values: 1 or -1.
+    fn sign(&self) -> f64 {
+        if self.is_opposite { -1.0 } else { 1.0 }
+    }
+}
+
+/// Identifies a column of a table.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(untagged)]
+enum Place {
     /// By name.
     Name(String),
     /// By number, counted from 1.
@@ -92,7 +131,7 @@ pub enum Column {
     Words(Vec<String>),
 }
 
-impl fmt::Display for Column {
+impl fmt::Display for Place {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Name(name) => write!(f, "{name:?}"),

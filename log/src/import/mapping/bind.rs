@@ -9,8 +9,8 @@ use super::row::{
 use super::unit_word::STANDARD_GRAVITY;
 use super::{
     AccelerationUnit, AngleUnit, AttitudeMap, Axes, Column, ForceMeaning, LengthText, LengthUnit,
-    Mapping, MotorMap, MotorMeaning, RateMap, RateUnit, Rotates, RotorUnit, SpeedUnit, TimeUnit,
-    VoltageUnit,
+    Mapping, MotorMap, MotorMeaning, Place, RateMap, RateUnit, Rotates, RotorUnit, SpeedUnit,
+    TimeUnit, VoltageUnit,
 };
 
 /// Error message for a missing key.
@@ -29,11 +29,11 @@ struct Binder<'a> {
 }
 
 impl Binder<'_> {
-    fn column(&mut self, field: &str, column: &Column) -> Result<usize, String> {
+    fn column(&mut self, field: &str, column: &Place) -> Result<usize, String> {
         match self.heading.called(column).as_slice() {
             [at] => {
                 self.used[*at] = true;
-                if let (Column::Number(_), Some(_)) = (column, self.heading.names) {
+                if let (Place::Number(_), Some(_)) = (column, self.heading.names) {
                     let found = self.heading.pointed_out(*at);
                     self.notes.push(format!("{field}: column {found}"));
                 }
@@ -76,10 +76,12 @@ impl Binder<'_> {
         factor: f64,
     ) -> Result<Columns<N>, String> {
         let mut at = [0; N];
-        for (at, name) in at.iter_mut().zip(names) {
-            *at = self.column(field, name)?;
+        let mut factors = [factor; N];
+        for ((at, factor), name) in at.iter_mut().zip(&mut factors).zip(names) {
+            *at = self.column(field, &name.place)?;
+            *factor *= name.sign();
         }
-        Ok(Columns { at, factor })
+        Ok(Columns { at, factors })
     }
 
     fn world(&self) -> Result<WorldFrame, String> {
@@ -351,7 +353,8 @@ impl RowReader {
                 Some(binder.columns("rotor_speed.columns", &map.columns, rad_per_s(unit))?)
             }
             (None, Some((reader, _, Some(factor)))) => {
-                Some(Columns { factor: *factor, ..reader.columns })
+                let Columns { at, factors } = reader.columns;
+                Some(Columns { at, factors: factors.map(|sign| sign * factor) })
             }
             (None, _) => None,
         };
@@ -370,8 +373,8 @@ impl RowReader {
             let of = |rate: &RateMap| binder.rate("setpoint.body_rate", rate);
             setpoint_rate = map.body_rate.as_ref().map(of).transpose()?;
             if let Some(name) = &map.thrust_fraction {
-                let at = [binder.column("setpoint.thrust_fraction", name)?];
-                setpoint_thrust = Some(Columns { at, factor: 1.0 });
+                let columns = std::array::from_ref(name);
+                setpoint_thrust = Some(binder.raw("setpoint.thrust_fraction", columns, 1.0)?);
             }
         }
         Ok(Self {

@@ -1,6 +1,6 @@
 //! What stands above the rows of a table: the names of its columns, and what points one out.
 
-use super::Column;
+use super::Place;
 
 /// Columns that an error names.
 const OFFERED: usize = 60;
@@ -31,11 +31,11 @@ impl Heading<'_> {
     }
 
     /// Columns that are called so.
-    pub(super) fn called(&self, column: &Column) -> Vec<usize> {
+    pub(super) fn called(&self, column: &Place) -> Vec<usize> {
         let is_called = |at: &usize| match column {
-            Column::Name(name) => self.names.is_some() && self.name(*at) == name,
-            Column::Number(number) => at + 1 == *number,
-            Column::Words(words) => words.split_last().is_some_and(|(name, words)| {
+            Place::Name(name) => self.names.is_some() && self.name(*at) == name,
+            Place::Number(number) => at + 1 == *number,
+            Place::Words(words) => words.split_last().is_some_and(|(name, words)| {
                 self.name(*at) == name && words.iter().all(|word| self.has_above(*at, word))
             }),
         };

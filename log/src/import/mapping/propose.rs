@@ -3,6 +3,7 @@
 use super::super::table::Sheet;
 use super::unit_word::{self, UNDERSCORE};
 
+mod crazyflie;
 mod values;
 
 /// Lengths beyond this are none in m: rooms and fields are smaller.
@@ -13,6 +14,19 @@ const FAST_RAD_S: f64 = 35.0;
 const PULSE_MAX_US: f64 = 3000.0;
 const XYZ: [&[&str]; 3] = [&["x", "y", "z"], &["0", "1", "2"], &["1", "2", "3"]];
 const NED: &[&str] = &["n", "e", "d"];
+/// Words in the names of what was wanted, `ctrltarget`, `controller` and `posctl` on a Crazyflie.
+const WANTED: [&str; 10] = [
+    "setpoint",
+    "sp",
+    "desired",
+    "des",
+    "target",
+    "ref",
+    "reference",
+    "ctrltarget",
+    "controller",
+    "posctl",
+];
 
 /// A column's name in lower case with joined words, and its unit if the name has one.
 #[derive(Debug)]
@@ -56,7 +70,8 @@ pub(in crate::import) fn propose(sheet: &Sheet) -> String {
         let below = sheet.units.get(at).map(String::as_str);
         Named::new(&format!("{} {name}", sheet.group(at)), below)
     };
-    let names: Vec<Named> = sheet.names.iter().enumerate().map(named).collect();
+    let mut names: Vec<Named> = sheet.names.iter().enumerate().map(named).collect();
+    crazyflie::add_units(&mut names);
     let used = vec![false; names.len()];
     let mut proposal = Proposal { sheet, names, used, text: String::new() };
     proposal.write();
@@ -110,6 +125,17 @@ impl Proposal<'_> {
         Some(self.take(vec![first, first + 1, first + 2]))
     }
 
+    /// Marks columns of what was wanted as used, which are none of what was measured. Returns them.
+    fn set_wanted_aside(&mut self) -> Vec<usize> {
+        let is_wanted =
+            |name: &Named| name.words.split(UNDERSCORE).any(|word| WANTED.contains(&word));
+        let all = 0..self.names.len();
+        let wanted: Vec<usize> =
+            all.filter(|at| !self.used[*at] && is_wanted(&self.names[*at])).collect();
+        wanted.iter().for_each(|at| self.used[*at] = true);
+        wanted
+    }
+
     fn take(&mut self, at: Vec<usize>) -> Group {
         at.iter().for_each(|at| self.used[*at] = true);
         let unit = at.first().and_then(|first| self.names[*first].unit);
@@ -128,7 +154,11 @@ impl Proposal<'_> {
     }
 
     fn columns(&self, group: &Group) -> String {
-        let columns: Vec<String> = group.at.iter().map(|at| self.column(*at)).collect();
+        let column = |at: &usize| match crazyflie::is_opposite(&self.names[*at]) {
+            true => format!("{{ minus = {} }}", self.column(*at)),
+            false => self.column(*at),
+        };
+        let columns: Vec<String> = group.at.iter().map(column).collect();
         format!("[{}]", columns.join(", "))
     }
 
@@ -152,6 +182,7 @@ impl Proposal<'_> {
             let at = self.names.iter().position(|name| name.words.contains("time"))?;
             Some(self.take(vec![at]))
         });
+        let wanted = self.set_wanted_aside();
         let north = self.find(&["p", "pos", "position", ""], &[NED, &["north", "east", "down"]]);
         let is_ned = north.is_some();
         let matrix = self.find(
@@ -193,8 +224,8 @@ impl Proposal<'_> {
         let rate = rate.or_else(|| self.find(&[""], &[&["p", "q", "r"]]));
         let force = self.find(
             &[
-                "a",
                 "acc",
+                "a",
                 "accel",
                 "acceleration",
                 "linear_acceleration",
@@ -225,10 +256,12 @@ impl Proposal<'_> {
         let euler = match quaternion.is_some() || matrix.is_some() {
             true => None,
             false => self.find(
-                &["", "att", "attitude", "euler", "rpy"],
+                &["stateestimate", "stabilizer", "", "att", "attitude", "euler", "rpy"],
                 &[&["roll", "pitch", "yaw"], &["phi", "theta", "psi"], &["r", "p", "ya"]],
             ),
         };
+        // Commands of motors have such names too.
+        wanted.iter().for_each(|at| self.used[*at] = false);
         let four: [&[&str]; 2] = [&["1", "2", "3", "4"], &["0", "1", "2", "3"]];
         let speed =
             self.find(&["rpm", "erpm", "rotor_speed", "motor_speed", "rotor", "motor_rpm"], &four);
@@ -335,6 +368,9 @@ impl Proposal<'_> {
             let columns = self.columns(group);
             let unit = group.unit.or_else(|| self.angle_unit(group));
             self.line(&format!("\n[attitude]\neuler = {columns}"));
+            if group.at.iter().any(|at| crazyflie::is_opposite(&self.names[*at])) {
+                self.line("# A Crazyflie's pitch rises with the nose, in axes with y to the left.");
+            }
             self.unit(unit, &["rad", "deg"]);
         }
         if let Some(group) = &rate {
@@ -352,7 +388,9 @@ impl Proposal<'_> {
             // An acceleration is turned by an attitude.
             let meaning = if has_attitude { self.force_meaning(group) } else { "specific_force" };
             self.line(&format!("meaning = {meaning:?}  # CHECK: \"specific_force\" (1 g upwards at rest) or \"acceleration\" (nothing at rest)"));
-            self.line("axes = \"body\"  # CHECK: \"body\" or \"world\"");
+            let is_of_world = |at: &usize| crazyflie::is_of_world(&self.names[*at]);
+            let axes = if group.at.iter().all(is_of_world) { "world" } else { "body" };
+            self.line(&format!("axes = {axes:?}  # CHECK: \"body\" or \"world\""));
         }
         if let Some(group) = &motors {
             let columns = self.columns(group);

@@ -49,11 +49,11 @@ pub enum Outputs {
     Newton,
 }
 
-/// Columns of a vector, with the factor to SI units.
+/// Columns of a vector, with their factors to SI units.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Columns<const N: usize> {
     pub(super) at: [usize; N],
-    pub(super) factor: f64,
+    pub(super) factors: [f64; N],
 }
 
 impl<const N: usize> Columns<N> {
@@ -64,9 +64,9 @@ impl<const N: usize> Columns<N> {
             return Ok(None);
         }
         let mut values = [0.0; N];
-        for (value, cell) in values.iter_mut().zip(cells) {
+        for ((value, cell), factor) in values.iter_mut().zip(cells).zip(self.factors) {
             let Cell::Number(number) = cell else { return Err(NO_NUMBER) };
-            *value = number * self.factor;
+            *value = number * factor;
         }
         Ok(Some(values))
     }
