@@ -13,7 +13,7 @@ use super::{Exit, ExitContext, audit, import, print_json, print_status, summary,
 use crate::cli::{ExportFormat, LogCommand};
 use crate::log::LogReader;
 use crate::log::export::{Format, export_all, export_topic};
-use crate::log::import::{Choice, open_chosen};
+use crate::log::import::{Choice, format_of, open_chosen};
 use crate::log::info::LogInfo;
 use crate::log::reader::ReadError;
 use crate::report::{FlightReport, Recording};
@@ -103,12 +103,24 @@ fn open(file: &Path) -> anyhow::Result<LogReader<BufReader<File>>> {
     let reader = LogReader::open(file);
     match reader {
         Err(error @ ReadError::Open { .. }) => Err(error).or_exit(Exit::Usage),
-        Err(error @ ReadError::NotMcap { .. }) => {
-            let file = file.display();
-            let advice = "`downwash log import` makes one of any other flight log";
-            Err(anyhow!("{file}: {error}; {advice}")).or_exit(Exit::Usage)
-        }
+        Err(ReadError::NotMcap { .. }) => Err(not_imported(file)).or_exit(Exit::Usage),
         reader => reader.with_context(|| file.display().to_string()).or_exit(Exit::Usage),
+    }
+}
+
+/// Why a file that is no MCAP file cannot be read here, and what makes a log of it.
+fn not_imported(file: &Path) -> anyhow::Error {
+    match format_of(file) {
+        Ok(format) => {
+            let mapping = if format == "csv" { " --mapping MAP.toml" } else { "" };
+            let (name, log) = (file.display(), file.with_extension("mcap"));
+            anyhow!(
+                "{name}: expected a downwash log (.mcap), found a {format} log; convert it first: \
+                 downwash log import {name}{mapping} -o {}",
+                log.display()
+            )
+        }
+        Err(error) => error.into(),
     }
 }
 
@@ -204,5 +216,34 @@ fn print_info(file: &Path, info: &LogInfo) {
     let more = info.events_total.saturating_sub(info.events.len() as u64);
     if more > 0 {
         println!("  and {more} more events");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn other_logs_are_named_with_the_command_that_converts_them() {
+        let folder = std::env::temp_dir().join(format!("downwash-log-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a folder");
+        let refusal = |name: &str, content: &[u8]| {
+            let file = folder.join(name);
+            std::fs::write(&file, content).expect("a file");
+            super::super::in_words(&open(&file).err().expect("no log of this program"))
+        };
+        for (name, content, format) in [
+            ("a.ulg", b"ULog\x01\x12\x35\x01".as_slice(), "a ulog log"),
+            ("a.bin", b"\xA3\x95\x80\x80\x59FMT\0", "a dataflash log"),
+            ("a.csv", b"t,x,y\n0,1,2\n1,1,2\n", "a csv log"),
+        ] {
+            let refused = refusal(name, content);
+            let is_named = refused.contains(name) && refused.contains(format);
+            assert!(is_named && refused.contains("downwash log import"), "{refused}");
+            assert_eq!(refused.contains("--mapping"), name == "a.csv", "{refused}");
+        }
+        let text = refusal("a.txt", b"some words\n");
+        assert!(text.contains("a.txt") && text.contains("not a flight log"), "{text}");
+        std::fs::remove_dir_all(&folder).expect("a folder");
     }
 }

@@ -57,7 +57,9 @@ pub(super) fn run(command: ModelCommand) -> anyhow::Result<Exit> {
 }
 
 fn either(file: Option<PathBuf>, flag: Option<PathBuf>) -> anyhow::Result<PathBuf> {
-    file.or(flag).ok_or_else(|| anyhow!("no model file given")).or_exit(Exit::Usage)
+    file.or(flag)
+        .ok_or_else(|| anyhow!("expected a model file, found none: give FILE or --model"))
+        .or_exit(Exit::Usage)
 }
 
 /// Reads a model file, for this vehicle if one is named.

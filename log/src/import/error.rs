@@ -58,7 +58,10 @@ pub enum ImportError {
         path: PathBuf,
     },
     /// A mapping file was given for a log that is not a table.
-    #[error("{} is a {format} log, which takes no mapping file", path.display())]
+    #[error(
+        "{} is a {format} log, which needs no mapping file: leave out --mapping or --propose",
+        path.display()
+    )]
     NotATable {
         /// The log.
         path: PathBuf,

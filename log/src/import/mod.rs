@@ -114,6 +114,15 @@ fn unmapped(path: &Path, mapping: &Path, error: TableError) -> ImportError {
     }
 }
 
+/// The name of a log's format, recognised by its content: `mcap`, `tlog`, `ulog`, `dataflash` or
+/// `csv`.
+///
+/// # Errors
+/// [`ImportError`] if the file cannot be read or is not a log.
+pub fn format_of(path: &Path) -> Result<&'static str, ImportError> {
+    source::recognise(path).map(Format::name)
+}
+
 /// Proposes a mapping file for a table, from its column names and first rows.
 ///
 /// # Errors

@@ -84,7 +84,15 @@ pub(super) fn read(
             let lines = 1 + record.as_slice().iter().filter(|byte| **byte == b'\n').count();
             tally.add(OTHER_WIDTH, lines as u64);
             refused.get_or_insert_with(|| {
-                format!("row {} has {} cells where the header has {most}", number + 1, record.len())
+                let found = record.len();
+                let cure = match separator {
+                    b',' if found > most => {
+                        "; if its numbers have decimal commas, separate the cells by semicolons or \
+                         quote them"
+                    }
+                    _ => "",
+                };
+                format!("row {} has {found} cells where the header has {most}{cure}", number + 1)
             });
             continue;
         }

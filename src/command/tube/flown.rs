@@ -8,7 +8,7 @@ use vehicle::frame::Ned;
 
 use crate::log::LogReader;
 use crate::log::info::LogInfo;
-use crate::log::reader::Message;
+use crate::log::reader::{Message, ReadError};
 use crate::log::record::{Record, Stamp, Tick};
 use crate::log::schema::{ControlMessage, ReferenceMessage, StateMessage, TruthMessage};
 use crate::offboard::TRAJECTORY_DONE;
@@ -115,7 +115,10 @@ impl FlownGatherer {
     /// # Errors
     /// The log cannot be read, tracks no trajectory, or has a replanned reference.
     pub fn read(path: &Path) -> anyhow::Result<Flown> {
-        let mut reader = LogReader::open(path)?;
+        let mut reader = LogReader::open(path).map_err(|error| match error {
+            ReadError::NotMcap { .. } => anyhow!("{error}; give downwash logs of tracked flights"),
+            error => error.into(),
+        })?;
         let mut gatherer = Self::default();
         let info = LogInfo::read_with(&mut reader, |message| gatherer.take(message))?;
         let mission = info.run.get("run").cloned().unwrap_or_default();

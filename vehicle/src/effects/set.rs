@@ -89,7 +89,7 @@ pub enum EffectError {
     #[error(transparent)]
     Onset(#[from] super::OnsetError),
     /// There are more than [`LAWS_MAX`] laws.
-    #[error("more than {LAWS_MAX} laws")]
+    #[error("expected at most {LAWS_MAX} laws, found more; leave some out")]
     TooManyLaws,
     /// The text does not follow `id:key=value,key=value`.
     #[error("effect argument {argument:?}: {reason}; write id:key=value,key=[x,y,z]")]

@@ -1,5 +1,6 @@
 //! Why a vehicle file is refused.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use super::required::{self, MissingKey};
@@ -8,7 +9,7 @@ use super::required::{self, MissingKey};
 #[derive(Debug, thiserror::Error)]
 pub enum VehicleError {
     /// The file cannot be read.
-    #[error("vehicle file {path}: {source}{}", shipped_names(path))]
+    #[error("vehicle file {path}: {source}{}", cure(path, source))]
     Read {
         /// The file.
         path: PathBuf,
@@ -16,7 +17,7 @@ pub enum VehicleError {
         source: std::io::Error,
     },
     /// The text is not TOML or JSON, or does not follow the schema.
-    #[error("vehicle file {path}: {message}")]
+    #[error("vehicle file {path}: {}{}", message.trim_end(), made_from(path))]
     Syntax {
         /// The file.
         path: PathBuf,
@@ -52,12 +53,35 @@ pub enum VehicleError {
     },
 }
 
+/// What to do about a file that cannot be read.
+fn cure(path: &Path, source: &std::io::Error) -> String {
+    match source.kind() {
+        ErrorKind::InvalidData => made_from(path),
+        _ => shipped_names(path),
+    }
+}
+
 /// Lists the shipped vehicles if `path` looks like such a name.
 fn shipped_names(path: &Path) -> String {
     if path.extension().is_some() || path.components().count() > 1 {
         return String::new();
     }
     format!("; shipped vehicles are {}", super::SHIPPED.map(|shipped| shipped.name).join(", "))
+}
+
+/// How to make a vehicle file from `path`, if its name is one of parameters or of a flight log.
+fn made_from(path: &Path) -> String {
+    const SOURCES: [&str; 7] = ["params", "param", "parm", "ulg", "bin", "tlog", "mcap"];
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    match extension.is_some_and(|extension| {
+        SOURCES.iter().any(|source| source.eq_ignore_ascii_case(extension))
+    }) {
+        false => String::new(),
+        true => {
+            let path = path.display();
+            format!("; `downwash vehicle init {path} -o vehicle.toml` makes a vehicle file from it")
+        }
+    }
 }
 
 impl VehicleError {
@@ -96,5 +120,27 @@ impl VehicleError {
             }
             other => other,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parameters_and_logs_are_named_as_sources_of_a_vehicle_file() {
+        let syntax = |path: &str| {
+            VehicleError::syntax("expected `=`\n".to_owned()).in_file(Path::new(path)).to_string()
+        };
+        let read = |path: &str, kind: ErrorKind| {
+            VehicleError::Read { path: path.into(), source: kind.into() }.to_string()
+        };
+        for made in [syntax("a.params"), syntax("a.PARM"), read("a.ulg", ErrorKind::InvalidData)] {
+            assert!(made.contains("; `downwash vehicle init a."), "{made}");
+        }
+        for other in [syntax("a.toml"), syntax("a"), read("a.ulg", ErrorKind::NotFound)] {
+            assert!(!other.contains("vehicle init"), "{other}");
+        }
+        assert!(read("quad", ErrorKind::NotFound).contains("shipped vehicles"));
     }
 }

@@ -3,7 +3,7 @@
 use super::super::mapping::{Cell, DecimalMark};
 
 /// Words for nothing.
-const NOTHING: [&str; 7] = ["", "-", "nan", "na", "n/a", "null", "none"];
+const NOTHING: [&str; 8] = ["", "-", "nan", "na", "n/a", "#n/a", "null", "none"];
 
 /// Reads numbers with the stated mark of decimals, or with either, which must not change.
 #[derive(Clone, Debug, Default)]
