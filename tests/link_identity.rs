@@ -4,6 +4,7 @@ use downwash::link::counters::LinkState;
 use downwash::link::profile::Profile;
 use downwash::link::request::{FlightMode, Outcome, Request};
 use downwash::link::session::{Event, SetpointError, Settings};
+use downwash::link::several;
 use wire::Encoder;
 use wire::dialect::*;
 
@@ -270,12 +271,15 @@ fn second_autopilot_is_reported_once() {
         .collect();
     assert_eq!(named, [(2, 1)]);
     assert_eq!(world.session.others().len(), 1);
+    let choice = several::choice(&world.session).expect("a choice");
+    assert!(choice.contains("--system 2 or --system 1"), "{choice}");
     // With a configured system there is no ambiguity to report.
     let mut world = World::new(Settings { vehicle_system: Some(2), ..settings() });
     world.run(&mut vehicle, seconds(1.5));
     let bytes = other.encode(&other.heartbeat());
     world.deliver(STRANGER, &bytes);
     assert!(world.session.others().is_empty());
+    assert_eq!(several::choice(&world.session), None);
 }
 
 #[test]
