@@ -8,7 +8,7 @@ use downwash::diagnose::catalogue::hypothesis::Catalogue;
 use downwash::diagnose::flights::preparation::PreparedFlight;
 use downwash::diagnose::flights::spectrum::BANDS;
 use downwash::diagnose::likelihood::channels::RATE;
-use downwash::diagnose::likelihood::layout::Place;
+use downwash::diagnose::likelihood::layout::Bin;
 use downwash::diagnose::likelihood::observed::Observed;
 use downwash::diagnose::likelihood::residuals::Evaluator;
 use downwash::diagnose::search::Search;
@@ -48,13 +48,13 @@ fn linearised_residuals_match_those_of_its_solution() {
     let counts = observed.counts();
     let solution = about.solve(&catalogue, counts, numbers).expect("a minimum");
     let left = observed.power(&observed.residuals(&solution.values).expect("a vehicle"));
-    let places = || {
+    let bins = || {
         let axes = (RATE..RATE + 2).flat_map(|axis| (0..5).map(move |band| (axis, band)));
-        axes.map(|(axis, band)| Place::index_of(axis, band)).filter(|place| counts[*place] > 0.0)
+        axes.map(|(axis, band)| Bin::index_of(axis, band)).filter(|bin| counts[*bin] > 0.0)
     };
-    let shared = places().filter(|place| counts[*place] < 8.0).count();
+    let shared = bins().filter(|bin| counts[*bin] < 8.0).count();
     assert!(shared > 4, "bands up to {} Hz have enough coefficients each", BANDS[4]);
-    let total = |power: &[f64]| places().map(|place| power[place]).sum::<f64>();
+    let total = |power: &[f64]| bins().map(|bin| power[bin]).sum::<f64>();
     let [solved, of_flights, by_file] = [&solution.power, &left, &file.fit.power].map(|p| total(p));
     assert!((solved - of_flights).abs() < 0.05 * by_file, "{solved}, {of_flights} of {by_file}");
     assert!(of_flights < 0.2 * by_file, "{of_flights} of {by_file}");

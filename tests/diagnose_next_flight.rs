@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use downwash::diagnose::likelihood::noise::ReportNoise;
-use downwash::diagnose::next_flight::{Live, NextFlight, Proposal, separating};
+use downwash::diagnose::next_flight::{LiveHypothesis, NextFlight, Proposal, separating};
 use downwash::exam::interval::Rate;
 use downwash::plan::FlightEnvelope;
 use downwash::plan::manoeuvres::Room;
@@ -98,10 +98,10 @@ fn fly(folder: &Path, vehicle_file: &str, trajectory: &Path, effect: &str, seed:
     PathBuf::from(summary["log"].as_str().expect("a log"))
 }
 
-fn live(effect: &str) -> Live {
+fn live(effect: &str) -> LiveHypothesis {
     let mut effects = EffectSet::new();
     effects.insert_argument(effect).expect("an effect");
-    Live { effects, probability: 0.5 }
+    LiveHypothesis { effects, probability: 0.5 }
 }
 
 /// The suggested flight for a pair.

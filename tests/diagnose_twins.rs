@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use downwash::diagnose::catalogue::hypothesis::Catalogue;
-use downwash::diagnose::flights::arrival::Delay;
+use downwash::diagnose::flights::command_delay::MeasuredDelay;
 use downwash::diagnose::flights::onboard::OnboardLaw;
 use downwash::diagnose::flights::preparation::PreparedFlight;
 use downwash::diagnose::flights::spectrum::BANDS;
@@ -16,7 +16,7 @@ use downwash::diagnose::likelihood::noise::report_noise;
 use downwash::diagnose::likelihood::observed::Observed;
 use downwash::diagnose::likelihood::residuals::Evaluator;
 use downwash::diagnose::search::Search;
-use downwash::diagnose::search::twins::{TwinFits, screened};
+use downwash::diagnose::search::twins::{Draws, TwinFits, screened};
 use downwash::exam::case::Case;
 use downwash::exam::condition::Condition;
 use downwash::exam::order::{Kind, Order, Settings};
@@ -49,7 +49,7 @@ const FILE: f64 = 0.15;
 
 /// The catalogue with the delay measured in the flights.
 fn catalogue(vehicle: &VehicleParams, prepared: &[PreparedFlight], law: &OnboardLaw) -> Catalogue {
-    let delay = Delay::of(prepared, law).expect("outputs that answer setpoints");
+    let delay = MeasuredDelay::of(prepared, law).expect("outputs that answer setpoints");
     Catalogue::at_scale(vehicle, true, FILE).with_delay(&delay)
 }
 
@@ -92,17 +92,16 @@ fn ratios_up_to(
     let search = search(&observed, &catalogue);
     let (null, about) = search.file().expect("a fit");
     let noise = report_noise(prepared, &null.fit.power, observed.counts());
-    let twins =
-        TwinFits::of_null(&observed, &about, law, &noise, (8, 1)).expect("a vehicle that flies");
+    let twins = TwinFits::of_null(&observed, &about, law, &noise, Draws { count: 8, seed: 1 })
+        .expect("a vehicle that flies");
     let moments = twins.moments();
     let mut ratios = Vec::new();
     for (channel, name) in CHANNEL_NAMES.iter().enumerate() {
         let (mut sum, mut weight) = (0.0, 0.0);
         let bands = BANDS.iter().filter(|upper| **upper <= most_hz).count();
-        let places = channel * BANDS.len()..channel * BANDS.len() + bands;
-        let of_flights =
-            null.fit.power[places.clone()].iter().zip(&observed.counts()[places.clone()]);
-        for ((power, n), [mean, _]) in of_flights.zip(&moments[places]) {
+        let bins = channel * BANDS.len()..channel * BANDS.len() + bands;
+        let of_flights = null.fit.power[bins.clone()].iter().zip(&observed.counts()[bins.clone()]);
+        for ((power, n), [mean, _]) in of_flights.zip(&moments[bins]) {
             if *n > 0.0 && *mean > 0.0 {
                 sum += n * (power / mean).ln();
                 weight += n;
@@ -180,14 +179,14 @@ fn hover_twins_reproduce_its_evidence_for_inertia() {
     let search = search(&observed, &catalogue);
     let (null, about) = search.file().expect("a fit");
     let noise = report_noise(&prepared, &null.fit.power, observed.counts());
-    let draws = (8, 1);
+    let draws = Draws { count: 8, seed: 1 };
     let twins = TwinFits::of_null(&observed, &about, law, &noise, draws).expect("twins");
     let screened = screened(&search, &null, &about, &twins, 1);
     let inertia = catalogue.hypotheses.iter().position(|h| h.effect == EffectId::Inertia);
     let inertia = inertia.expect("a hypothesis");
     let gains = search.screen(&about, &[]);
     let (_, gain) = gains.iter().find(|(hypothesis, _)| *hypothesis == inertia).expect("its gain");
-    let (chance, asked) = (screened.chance[inertia], screened.asked[inertia]);
+    let (chance, threshold) = (screened.chance[inertia], screened.thresholds[inertia]);
     assert!(*gain > 20.0 && chance > 20.0, "{gain} {chance}");
-    assert!(gain - chance < asked, "{gain} {chance} {asked}");
+    assert!(gain - chance < threshold, "{gain} {chance} {threshold}");
 }

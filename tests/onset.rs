@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use downwash::command::{Inputs, Simulation};
 use downwash::diagnose::flights::preparation::PreparedFlight;
-use downwash::diagnose::onset::{Seen, changes};
+use downwash::diagnose::onset::{OnsetReport, changes};
 use downwash::health::Monitor;
 use downwash::log::import::open;
 use downwash::log::sink::Listener;
@@ -19,7 +19,7 @@ use vehicle::effects::Schedule;
 const TRAJECTORY: &str = "family = \"figure-8\"\naltitude_m = 1.2\nduration_s = 32.0\nlength_m = 2.0\nwidth_m = 1.0\nperiod_s = 8.0\n";
 
 /// A flight of the shipped vehicle with these effects, seen from its log and live.
-fn flown(name: &str, effects: &[&str]) -> (Seen, Vec<Change>) {
+fn flown(name: &str, effects: &[&str]) -> (OnsetReport, Vec<Change>) {
     let folder: PathBuf = Path::new(env!("CARGO_TARGET_TMPDIR")).join("onset").join(name);
     let _ = fs::remove_dir_all(&folder);
     fs::create_dir_all(&folder).unwrap();

@@ -17,14 +17,14 @@ use nalgebra::{Matrix3, Rotation3, SMatrix, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use super::initial_fit::InitialFit;
 use super::pair::{Correction, Pair};
-use super::trial::Trial;
 use super::weak::{Bump, Fit, Row, fit, half_width};
 
 /// Least explained share for a conclusion.
 const EXPLAINED_MIN: f64 = 0.5;
 /// Intervals by which a value must exceed a limit for certainty.
-const SURE: f64 = 3.0;
+const CERTAIN_INTERVALS: f64 = 3.0;
 /// Least half width of a delay's interval, s: stamps and sampling are not more accurate.
 const DELAY_FLOOR: f64 = 2e-4;
 /// The vehicle's loop responds to noise, which looks like a delay: by up to this time of the loop,
@@ -32,16 +32,16 @@ const DELAY_FLOOR: f64 = 2e-4;
 const LOOP_S: f64 = 0.05;
 /// Half widths above which a value counts as not shown: a delay, s; a drift; a rotation, rad; a
 /// scale.
-const DELAY_UNSURE: f64 = 0.2;
-const DRIFT_UNSURE: f64 = 0.01;
-const ROTATION_UNSURE: f64 = 1.0;
-const SCALE_UNSURE: f64 = 0.5;
+const DELAY_HALF_WIDTH_MAX: f64 = 0.2;
+const DRIFT_HALF_WIDTH_MAX: f64 = 0.01;
+const ROTATION_HALF_WIDTH_MAX: f64 = 1.0;
+const SCALE_HALF_WIDTH_MAX: f64 = 0.5;
 /// Significant steps of delay (s), drift, rotation (rad), bias (rad/s, m/s or m/s^2) and scale.
-const DELAY_SIZE: f64 = 0.1;
-const DRIFT_SIZE: f64 = 0.01;
-const ROTATION_SIZE: f64 = 1.0;
-const BIAS_SIZE: f64 = 1.0;
-const SCALE_SIZE: f64 = 1.0;
+const DELAY_STEP: f64 = 0.1;
+const DRIFT_STEP: f64 = 0.01;
+const ROTATION_STEP: f64 = 1.0;
+const BIAS_STEP: f64 = 1.0;
+const SCALE_STEP: f64 = 1.0;
 
 /// Indices of the unknowns.
 const DELAY: usize = 0;
@@ -78,7 +78,7 @@ impl Estimate {
 
     /// Whether the value is certainly further than `limit` from `from`, on either side.
     pub fn is_beyond(&self, limit: f64, from: f64) -> bool {
-        (self.value - from).abs() - SURE * self.half_width > limit
+        (self.value - from).abs() - CERTAIN_INTERVALS * self.half_width > limit
     }
 }
 
@@ -126,17 +126,21 @@ impl Agreement {
 
 /// The agreement of two streams; `None` where their motion does not show it.
 pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
-    let trial = Trial::best(pair)?;
+    let initial = InitialFit::best(pair)?;
     // In the sensor's unit, for numbers of order 1.
-    let unit = trial.unit();
-    let seen: Vec<(Bump, Vector3<f64>)> =
-        pair.bumps().iter().filter_map(|bump| Some((*bump, pair.seen(*bump)? / unit))).collect();
-    let (first, last) = (seen.first()?.0.centre, seen.last()?.0.centre);
-    let comparison = Comparison { pair, seen, middle: trial.middle, rotation: trial.rotation };
+    let unit = initial.unit();
+    let measured: Vec<(Bump, Vector3<f64>)> = pair
+        .bumps()
+        .iter()
+        .filter_map(|bump| Some((*bump, pair.measured(*bump)? / unit)))
+        .collect();
+    let (first, last) = (measured.first()?.0.centre, measured.last()?.0.centre);
+    let comparison =
+        Comparison { pair, measured, middle: initial.middle, rotation: initial.rotation };
     let mut start = [0.0; UNKNOWNS];
-    start[DELAY] = trial.delay;
-    start[DRIFT] = trial.drift;
-    start[SCALE..SCALE + 3].copy_from_slice(trial.signs.as_slice());
+    start[DELAY] = initial.delay;
+    start[DRIFT] = initial.drift;
+    start[SCALE..SCALE + 3].copy_from_slice(initial.signs.as_slice());
     start[COMMON] = 1.0;
     let common = comparison.fit(start, false)?;
     let mut start = common.fit.value;
@@ -152,7 +156,7 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
     let noise = LOOP_S * (1.0 - own.fit.explained);
     let delay_half = own.fit.half_width(DELAY)?.max(DELAY_FLOOR) + noise;
     let delay_s = Estimate::new(value[DELAY], delay_half);
-    let is_shown = delay_s.half_width < DELAY_UNSURE + noise;
+    let is_shown = delay_s.half_width < DELAY_HALF_WIDTH_MAX + noise;
     if !is_shown {
         return None;
     }
@@ -161,11 +165,11 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
     let drift = of(DRIFT).and_then(|drift| {
         // A delay due to noise may be present at one end of the log only.
         let noise = 2.0 * noise / (last - first).max(1.0);
-        sure(Estimate { half_width: drift.half_width + noise, ..drift }, DRIFT_UNSURE)
+        sure(Estimate { half_width: drift.half_width + noise, ..drift }, DRIFT_HALF_WIDTH_MAX)
     });
     let scale = |i: usize| {
         let least = Estimate::new(value[SCALE + i], own.fit.half_width(SCALE + i)?);
-        Some(sure(between(least, own.followed[i]), SCALE_UNSURE)?.times(unit))
+        Some(sure(between(least, own.explained[i]), SCALE_HALF_WIDTH_MAX)?.times(unit))
     };
     let common_scale = Estimate::new(common.fit.value[COMMON], common.fit.half_width(COMMON)?);
     Some(Agreement {
@@ -182,73 +186,73 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
     })
 }
 
-/// A slope between the two regressions of either on the other, whose ratio is `followed`.
-fn between(least: Estimate, followed: f64) -> Estimate {
-    if followed <= 0.0 {
+/// A slope between the two regressions of either on the other, whose ratio is `explained`.
+fn between(least: Estimate, explained: f64) -> Estimate {
+    if explained <= 0.0 {
         return Estimate { half_width: f64::INFINITY, ..least };
     }
-    let most = least.value / followed;
+    let most = least.value / explained;
     Estimate {
         value: 0.5 * (least.value + most),
-        half_width: least.half_width / followed + 0.5 * (most - least.value).abs(),
+        half_width: least.half_width / explained + 0.5 * (most - least.value).abs(),
     }
 }
 
 /// A pair with an approximate rotation.
 struct Comparison<'a, P> {
     pair: &'a P,
-    seen: Vec<(Bump, Vector3<f64>)>,
+    measured: Vec<(Bump, Vector3<f64>)>,
     /// Time at which the fit's delay applies, s.
     middle: f64,
     rotation: Rotation3<f64>,
 }
 
 /// A fit of the unknowns with its quality.
-struct Compared {
+struct ComparisonFit {
     fit: Fit<UNKNOWNS>,
     /// Explained share of the motion along each of the sensor's axes.
-    followed: [f64; 3],
+    explained: [f64; 3],
     /// The motion's derivative over itself along each of the sensor's axes, 1/s.
     pace: [f64; 3],
 }
 
 impl<P: Pair> Comparison<'_, P> {
-    fn fit(&self, start: [f64; UNKNOWNS], own_scales: bool) -> Option<Compared> {
+    fn fit(&self, start: [f64; UNKNOWNS], own_scales: bool) -> Option<ComparisonFit> {
         let mut sizes = [0.0; UNKNOWNS];
-        sizes[DELAY] = DELAY_SIZE;
-        sizes[DRIFT] = DRIFT_SIZE;
-        for (i, turns) in self.pair.turns().into_iter().enumerate() {
-            sizes[ROTATION + i] = if turns { ROTATION_SIZE } else { 0.0 };
+        sizes[DELAY] = DELAY_STEP;
+        sizes[DRIFT] = DRIFT_STEP;
+        for (i, is_rotatable) in self.pair.rotatable_axes().into_iter().enumerate() {
+            sizes[ROTATION + i] = if is_rotatable { ROTATION_STEP } else { 0.0 };
         }
-        sizes[BIAS..BIAS + 3].fill(BIAS_SIZE);
+        sizes[BIAS..BIAS + 3].fill(BIAS_STEP);
         if own_scales {
-            sizes[SCALE..SCALE + 3].fill(SCALE_SIZE);
+            sizes[SCALE..SCALE + 3].fill(SCALE_STEP);
         } else {
-            sizes[COMMON] = SCALE_SIZE;
+            sizes[COMMON] = SCALE_STEP;
         }
         let fit = fit(start, sizes, |value| self.rows(value))?;
         let back = self.turn(&fit.value).transpose();
         let rows = self.rows(&fit.value);
-        let weighed = || rows.iter().zip(&fit.weights);
+        let weighted = || rows.iter().zip(&fit.weights);
         let weight: f64 = fit.weights.iter().sum();
         let mean = |of: &dyn Fn(&Row<UNKNOWNS>) -> Vector3<f64>| {
-            weighed().map(|(row, w)| back * of(row) * *w).sum::<Vector3<f64>>() / weight
+            weighted().map(|(row, w)| back * of(row) * *w).sum::<Vector3<f64>>() / weight
         };
-        let seen = mean(&|row| row.seen);
+        let measured = mean(&|row| row.measured);
         // Powers about the mean: of the motion, of the residual, of the expected changes.
         let power = |of: &dyn Fn(&Row<UNKNOWNS>) -> Vector3<f64>, about: Vector3<f64>| {
             let square = |row: &Row<UNKNOWNS>| (back * of(row) - about).map(|part| part * part);
-            weighed().map(|(row, w)| square(row) * *w).sum::<Vector3<f64>>()
+            weighted().map(|(row, w)| square(row) * *w).sum::<Vector3<f64>>()
         };
-        let total_power = power(&|row| row.seen, seen);
+        let total_power = power(&|row| row.measured, measured);
         let left = power(&|row| row.misfit, Vector3::zeros());
         let changes = power(&|row| row.slopes.column(DELAY).into_owned(), Vector3::zeros());
         let share_of_total = |of: f64, i: usize, none: f64| {
             if total_power[i] > 0.0 { of / total_power[i] } else { none }
         };
-        let followed = std::array::from_fn(|i| 1.0 - share_of_total(left[i], i, 1.0));
+        let explained = std::array::from_fn(|i| 1.0 - share_of_total(left[i], i, 1.0));
         let pace = std::array::from_fn(|i| share_of_total(changes[i], i, 0.0).sqrt());
-        Some(Compared { fit, followed, pace })
+        Some(ComparisonFit { fit, explained, pace })
     }
 
     fn turn(&self, value: &[f64; UNKNOWNS]) -> Matrix3<f64> {
@@ -262,28 +266,28 @@ impl<P: Pair> Comparison<'_, P> {
         let map = turn * Matrix3::from_diagonal(&(own * value[COMMON]));
         let bias = Vector3::from_column_slice(&value[BIAS..BIAS + 3]);
         let correction = Correction { map, bias };
-        let row = |(bump, seen): &(Bump, Vector3<f64>)| {
+        let row = |(bump, measured): &(Bump, Vector3<f64>)| {
             let since = bump.centre - self.middle;
             let delay = value[DELAY] + value[DRIFT] * since;
             let expected = self.pair.expected(bump.shifted(-delay), delay, &correction)?;
             let mut slopes = SMatrix::<f64, 3, UNKNOWNS>::zeros();
-            slopes.set_column(DELAY, &expected.late);
-            slopes.set_column(DRIFT, &(expected.late * since));
+            slopes.set_column(DELAY, &expected.by_delay);
+            slopes.set_column(DRIFT, &(expected.by_delay * since));
             slopes.fixed_columns_mut::<3>(ROTATION).copy_from(&-expected.value.cross_matrix());
             slopes.fixed_columns_mut::<3>(BIAS).copy_from(&(map * expected.bias));
             for i in 0..3 {
-                let along = turn.column(i) * (expected.plain[i] * value[COMMON]);
+                let along = turn.column(i) * (expected.unbiased[i] * value[COMMON]);
                 slopes.set_column(SCALE + i, &along);
             }
-            slopes.set_column(COMMON, &(turn * own.component_mul(&expected.plain)));
-            let misfit = seen - expected.value;
-            Some(Row { time: bump.centre, group: bump.group, seen: *seen, misfit, slopes })
+            slopes.set_column(COMMON, &(turn * own.component_mul(&expected.unbiased)));
+            let misfit = measured - expected.value;
+            Some(Row { time: bump.centre, group: bump.group, measured: *measured, misfit, slopes })
         };
-        self.seen.iter().filter_map(row).collect()
+        self.measured.iter().filter_map(row).collect()
     }
 }
 
-impl Compared {
+impl ComparisonFit {
     /// The rotation vector from the sensor's axes to the stream's, in the sensor's axes.
     fn rotation(&self, about: &Rotation3<f64>) -> [Option<Estimate>; 3] {
         let small = Vector3::from_column_slice(&self.fit.value[ROTATION..ROTATION + 3]);
@@ -294,11 +298,12 @@ impl Compared {
         let there = |of: &SMatrix<f64, UNKNOWNS, UNKNOWNS>| {
             about.transpose() * of.fixed_view::<3, 3>(ROTATION, ROTATION) * about
         };
-        let (covariance, hidden) = (there(&self.fit.covariance), there(&self.fit.hidden));
+        let (covariance, unidentifiable) =
+            (there(&self.fit.covariance), there(&self.fit.unidentifiable));
         std::array::from_fn(|axis| {
-            let half_width = half_width(&covariance, &hidden, axis)?;
+            let half_width = half_width(&covariance, &unidentifiable, axis)?;
             let estimate = Estimate::new(vector[axis], half_width);
-            (estimate.half_width < ROTATION_UNSURE).then_some(estimate)
+            (estimate.half_width < ROTATION_HALF_WIDTH_MAX).then_some(estimate)
         })
     }
 }

@@ -91,7 +91,7 @@ fn shared(a: &BTreeSet<[u64; 4]>, b: &BTreeSet<[u64; 4]>) -> f64 {
 }
 
 /// The position at `time`, interpolated.
-fn place(flight: &Flight, time: f64) -> Option<[f64; 3]> {
+fn position_at(flight: &Flight, time: f64) -> Option<[f64; 3]> {
     let at = flight.position.index_at(time)?;
     let (times, values) = (flight.position.times(), flight.position.values());
     let share = (time - times[at]) / (times.get(at + 1)? - times[at]);
@@ -122,7 +122,7 @@ fn is_same_flight(a: &Flight, b: &Flight) -> bool {
         apart += p.angle_to(q).powi(2);
         spread += p.angle_to(start).powi(2);
         count += 1.0;
-        if let (Some(p), Some(q)) = (place(a, time), place(b, time)) {
+        if let (Some(p), Some(q)) = (position_at(a, time), position_at(b, time)) {
             away += (0..3).map(|i| (p[i] - q[i]).powi(2)).sum::<f64>();
             places += 1.0;
         }

@@ -4,38 +4,42 @@ use vehicle::frame::{Attitude, Frd, Ned};
 
 use super::agreement::Agreement;
 use super::kinematics::{
-    Kinematics, by_attitude, gaining_follows, moving_follows, turning_follows,
+    Kinematics, by_attitude, share_explained_by_accelerometer, share_explained_by_gyro,
+    share_explained_by_velocity,
 };
 use super::{Audit, Finding, Severity};
 use crate::log::import::Flight;
 
 /// A reading that explains this share is the right one, where the stated one fails.
-pub(super) const READS: f64 = 0.8;
+pub(super) const READING_SHARE_MIN: f64 = 0.8;
 /// Above this explained share, the frames need no check.
-const FITS: f64 = 0.98;
+const STATED_SHARE_MIN: f64 = 0.98;
 /// Attitudes further apart than this distinguish body axes from world axes, rad.
-const APART: f64 = 0.1;
+const ATTITUDE_CHANGE_MIN: f64 = 0.1;
 /// Other frames must leave less than this share of the unexplained part.
-const LEAVES: f64 = 0.5;
+const UNEXPLAINED_RATIO_MAX: f64 = 0.5;
 
 /// A stream's values in other axes, and what it means that they fit better there.
-type Turned<V> = (fn(Attitude, &V) -> V, &'static str);
+type OtherAxes<V> = (fn(Attitude, &V) -> V, &'static str);
 
 /// Reports body vectors in world axes, or the reverse. At a single attitude, that looks like any
 /// rotation; over several it does not.
 pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     let attitudes = flight.attitude.values();
-    let turns = |first: &Attitude| attitudes.iter().any(|q| first.angle_to(*q) > APART);
+    let turns =
+        |first: &Attitude| attitudes.iter().any(|q| first.angle_to(*q) > ATTITUDE_CHANGE_MIN);
     if !attitudes.first().is_some_and(turns) {
         return;
     }
     let Kinematics { attitude, position, velocity, .. } = audit.kinematics;
-    let is_open = |pair: Option<Agreement>| pair.is_none_or(|pair| pair.explained < FITS);
+    let is_open =
+        |pair: Option<Agreement>| pair.is_none_or(|pair| pair.explained < STATED_SHARE_MIN);
     let follows_better = |stated: Option<f64>, otherwise: Option<f64>| {
         let (stated, otherwise) = (stated?, otherwise?);
         // Where the stated frames fit, the rest is rounding.
-        let is_better =
-            stated < FITS && otherwise > READS && 1.0 - otherwise < LEAVES * (1.0 - stated);
+        let is_better = stated < STATED_SHARE_MIN
+            && otherwise > READING_SHARE_MIN
+            && 1.0 - otherwise < UNEXPLAINED_RATIO_MAX * (1.0 - stated);
         is_better.then_some(otherwise)
     };
     let mut report = |stream, found: f64, what: &str| {
@@ -59,14 +63,16 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     let body: fn(Attitude, &Frd) -> Frd = |q, v| q.to_body(Ned::from(v.to_array()));
     let back: fn(Attitude, &Frd) -> Frd = |q, v| Frd::from(q.to_world(*v).to_array());
     if is_open(attitude) {
-        let readings: [Turned<Frd>; 2] = [
+        let readings: [OtherAxes<Frd>; 2] = [
             (body, "matches the attitude in world axes, not in body axes"),
             (back, "matches the attitude in body axes, not in world axes as stated"),
         ];
         for (turned, what) in readings {
             let other =
                 with(&|other| other.body_rate = by_attitude(flight, &flight.body_rate, turned));
-            if let Some(found) = follows_better(turning_follows(flight), turning_follows(&other)) {
+            if let Some(found) =
+                follows_better(share_explained_by_gyro(flight), share_explained_by_gyro(&other))
+            {
                 report("body_rate", found, what);
             }
         }
@@ -74,11 +80,11 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     if is_open(position) {
         let world = |q: Attitude, v: &Ned| q.to_world(Frd::from(v.to_array()));
         let back = |q: Attitude, v: &Ned| Ned::from(q.to_body(*v).to_array());
-        let readings: [Turned<Ned>; 2] = [
+        let readings: [OtherAxes<Ned>; 2] = [
             (world, "matches the position in body axes, not in world axes"),
             (back, "matches the position in world axes, not in body axes as stated"),
         ];
-        let follows = |flight: &Flight| Some(moving_follows(flight)?.0);
+        let follows = |flight: &Flight| Some(share_explained_by_velocity(flight)?.0);
         for (turned, what) in readings {
             let other =
                 with(&|other| other.velocity = by_attitude(flight, &flight.velocity, turned));
@@ -88,7 +94,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
         }
     }
     if is_open(velocity) {
-        let readings: [Turned<Frd>; 2] = [
+        let readings: [OtherAxes<Frd>; 2] = [
             (body, "matches the velocity in world axes, not in body axes"),
             (back, "matches the velocity in body axes, not in world axes as stated"),
         ];
@@ -96,7 +102,10 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             let other = with(&|other| {
                 other.specific_force = by_attitude(flight, &flight.specific_force, turned);
             });
-            if let Some(found) = follows_better(gaining_follows(flight), gaining_follows(&other)) {
+            if let Some(found) = follows_better(
+                share_explained_by_accelerometer(flight),
+                share_explained_by_accelerometer(&other),
+            ) {
                 report("specific_force", found, what);
             }
         }

@@ -9,9 +9,9 @@ use serde::Serialize;
 use vehicle::frame::{Attitude, Frd, Ned, wrap_angle};
 
 use super::agreement::{Agreement, agreement};
+use super::initial_fit::InitialFit;
 use super::pair::{Correction, Expected, Pair};
-use super::trial::Trial;
-use super::weak::{Bump, Weighed, bumps, median, weigh};
+use super::weak::{Bump, BumpIntegrals, bumps, integrate, median};
 use crate::learn::alignment::interpolated;
 use crate::log::import::{Flight, Stream};
 
@@ -27,9 +27,9 @@ const HALF_MIN: f64 = 0.05;
 /// Longer bumps, which show slow motion above the noise of a derivative, by this factor.
 const LONGER: f64 = 3.0;
 /// A rotation beyond this many intervals is removed.
-const SURE: f64 = 2.0;
+const CERTAIN_INTERVALS: f64 = 2.0;
 /// A delay of the attitude with at most this interval is removed, s.
-const LATE_SURE: f64 = 0.05;
+const REMOVED_DELAY_HALF_WIDTH_MAX: f64 = 0.05;
 /// Largest lean at which the thrust that holds the height indicates the force, rad.
 const LEAN_MAX: f64 = 1.0;
 
@@ -56,40 +56,48 @@ pub struct Kinematics {
 impl Kinematics {
     /// Compares the pairs of a flight.
     pub fn of(flight: &Flight) -> Self {
-        let attitude = agreement(&Turning::of(flight, |q| q));
-        let late = attitude.filter(|agreement| agreement.delay_s.half_width < LATE_SURE);
+        let attitude = agreement(&AttitudeAndGyro::of(flight, |q| q));
+        let late = attitude
+            .filter(|agreement| agreement.delay_s.half_width < REMOVED_DELAY_HALF_WIDTH_MAX);
         let late = late.map_or(0.0, |agreement| agreement.delay_s.value);
         let turned = attitude.and_then(|agreement| {
             let shown = agreement.rotation_rad;
-            let is_sure = shown.iter().flatten().any(|r| r.differs_from_zero(SURE));
+            let is_sure = shown.iter().flatten().any(|r| r.differs_from_zero(CERTAIN_INTERVALS));
             is_sure.then(|| shown.map(|r| r.map_or(0.0, |r| -r.value)))
         });
-        let gaining = Gaining::by_accelerometer(flight, late, turned.unwrap_or_default());
-        let velocity = agreement(&gaining);
+        let velocity_and_force =
+            VelocityAndForce::by_accelerometer(flight, late, turned.unwrap_or_default());
+        let velocity = agreement(&velocity_and_force);
         let has_force = !flight.specific_force.is_empty();
-        let lean = (!has_force).then(|| agreement(&Gaining::by_lean(flight))).flatten();
+        let lean = (!has_force).then(|| agreement(&VelocityAndForce::by_lean(flight))).flatten();
         // An attitude that precedes its setpoint does not follow it.
         let follows = |pair: &Agreement| pair.delay_s.value > -pair.delay_s.half_width;
-        let setpoint = agreement(&Following::of(flight)).filter(follows);
-        Self { attitude, position: agreement(&Moving::of(flight)), velocity, lean, setpoint }
+        let setpoint = agreement(&AttitudeAndSetpoint::of(flight)).filter(follows);
+        Self {
+            attitude,
+            position: agreement(&PositionAndVelocity::of(flight)),
+            velocity,
+            lean,
+            setpoint,
+        }
     }
 }
 
 /// Share of the attitude's motion that the gyro explains at best, in any axes.
-pub(super) fn turning_follows(flight: &Flight) -> Option<f64> {
-    Some(Trial::best(&Turning::of(flight, |q| q))?.explained)
+pub(super) fn share_explained_by_gyro(flight: &Flight) -> Option<f64> {
+    Some(InitialFit::best(&AttitudeAndGyro::of(flight, |q| q))?.explained)
 }
 
 /// Share of the position's motion that the velocity explains at best, in any axes, and the typical
 /// deviation of either from its mean, m/s.
-pub(super) fn moving_follows(flight: &Flight) -> Option<(f64, [f64; 2])> {
-    let moving = Moving::of(flight);
-    Some((Trial::best(&moving)?.explained, changes(&moving)?))
+pub(super) fn share_explained_by_velocity(flight: &Flight) -> Option<(f64, [f64; 2])> {
+    let moving = PositionAndVelocity::of(flight);
+    Some((InitialFit::best(&moving)?.explained, changes(&moving)?))
 }
 
 /// Share of the velocity's motion that the accelerometer explains at best.
-pub(super) fn gaining_follows(flight: &Flight) -> Option<f64> {
-    Some(Trial::best(&Gaining::by_accelerometer(flight, 0.0, [0.0; 3]))?.explained)
+pub(super) fn share_explained_by_accelerometer(flight: &Flight) -> Option<f64> {
+    Some(InitialFit::best(&VelocityAndForce::by_accelerometer(flight, 0.0, [0.0; 3]))?.explained)
 }
 
 /// Each sample of a stream, transformed with the attitude at its time; samples without one are left
@@ -113,17 +121,17 @@ pub(super) type Reading = fn(Attitude) -> Attitude;
 
 /// Share of the attitude's motion that the gyro explains with quaternions interpreted by `read`:
 /// for quaternions in another order or direction than stated.
-pub(super) fn turning_explained(flight: &Flight, read: Reading) -> Option<f64> {
-    let trial = Trial::best(&Turning::of(flight, read))?;
+pub(super) fn share_explained_as_read(flight: &Flight, read: Reading) -> Option<f64> {
+    let initial = InitialFit::best(&AttitudeAndGyro::of(flight, read))?;
     // With motion about a single axis, any order may fit.
-    let is_near = trial.moving > 1 && trial.angle() < 0.3 && trial.signs.min() > 0.0;
-    is_near.then_some(trial.explained)
+    let is_near = initial.moving > 1 && initial.angle() < 0.3 && initial.signs.min() > 0.0;
+    is_near.then_some(initial.explained)
 }
 
 /// Typical deviation of the vehicle's rotation from its mean, rad/s, according to the attitude and
 /// to the gyro, with noise smoothed out. A steady spin does not show whether the two match.
-pub(super) fn turns(flight: &Flight) -> Option<[f64; 2]> {
-    changes(&Turning::of(flight, |q| q))
+pub(super) fn rotation_rates(flight: &Flight) -> Option<[f64; 2]> {
+    changes(&AttitudeAndGyro::of(flight, |q| q))
 }
 
 /// Typical distance from the mean of the stream's derivative and of the expected one.
@@ -135,9 +143,9 @@ fn changes(pair: &impl Pair) -> Option<[f64; 2]> {
         (count > 0.0).then(|| median(distances))
     };
     let bumps = || pair.bumps().iter().filter(|bump| bump.group == 0);
-    let seen = bumps().filter_map(|bump| pair.seen(*bump)).collect();
+    let measured = bumps().filter_map(|bump| pair.measured(*bump)).collect();
     let expected = |bump: &Bump| Some(pair.expected(*bump, 0.0, &Correction::NONE)?.value);
-    Some([typical(seen)?, typical(bumps().filter_map(expected).collect())?])
+    Some([typical(measured)?, typical(bumps().filter_map(expected).collect())?])
 }
 
 fn half_width(periods: [Option<f64>; 2]) -> f64 {
@@ -165,10 +173,10 @@ fn of_vector(v: Vector3<f64>) -> Attitude {
 }
 
 /// Three vectors that are weighted together.
-type Nine = SVector<f64, 9>;
+type StackedVectors = SVector<f64, 9>;
 
-fn three(a: Vector3<f64>, b: Vector3<f64>, c: Vector3<f64>) -> Nine {
-    let mut all = Nine::zeros();
+fn stacked(a: Vector3<f64>, b: Vector3<f64>, c: Vector3<f64>) -> StackedVectors {
+    let mut all = StackedVectors::zeros();
     all.fixed_rows_mut::<3>(0).copy_from(&a);
     all.fixed_rows_mut::<3>(3).copy_from(&b);
     all.fixed_rows_mut::<3>(6).copy_from(&c);
@@ -186,13 +194,13 @@ fn fastest(attitude: &Stream<Attitude>) -> f64 {
 
 /// Attitude against the gyro. Within a bump the attitude is the rotation vector relative to its
 /// middle, whose derivative is the body rate times the inverse of its right Jacobian.
-struct Turning<'a> {
+struct AttitudeAndGyro<'a> {
     attitude: Stream<Attitude>,
     rate: &'a Stream<Frd>,
     bumps: Vec<Bump>,
 }
 
-impl<'a> Turning<'a> {
+impl<'a> AttitudeAndGyro<'a> {
     fn of(flight: &'a Flight, read: Reading) -> Self {
         let attitude = flight.attitude.map(|q| read(*q));
         let rate = &flight.body_rate;
@@ -209,45 +217,46 @@ impl<'a> Turning<'a> {
     }
 }
 
-impl Pair for Turning<'_> {
+impl Pair for AttitudeAndGyro<'_> {
     fn bumps(&self) -> &[Bump] {
         &self.bumps
     }
 
-    fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
+    fn measured(&self, bump: Bump) -> Option<Vector3<f64>> {
         let middle = interpolated(&self.attitude, bump.centre)?;
         let turn = |_, q: &Attitude| Some(rotation_vector(middle.inverse().compose(*q)));
-        Some(-weigh(&self.attitude, bump, turn)?.slope / bump.area())
+        Some(-integrate(&self.attitude, bump, turn)?.slope / bump.area())
     }
 
     fn expected(&self, bump: Bump, delay: f64, correction: &Correction) -> Option<Expected> {
         let middle = interpolated(&self.attitude, bump.centre + delay)?;
-        let Weighed { value, slope } = weigh(self.rate, bump, |time, rate: &Frd| {
-            let plain = vector(rate.to_array()) - correction.bias;
-            let rate = correction.map * plain;
+        let BumpIntegrals { value, slope } = integrate(self.rate, bump, |time, rate: &Frd| {
+            let unbiased = vector(rate.to_array()) - correction.bias;
+            let rate = correction.map * unbiased;
             // Outside the bump's support the rotation does not matter.
             let turn = self.turn(middle, time + delay).unwrap_or_default();
             let turning = rate + turn.cross(&rate) / 2.0 + turn.cross(&turn.cross(&rate)) / 12.0;
-            Some(three(turning, plain, Vector3::zeros()))
+            Some(stacked(turning, unbiased, Vector3::zeros()))
         })?;
-        let part = |of: Nine, at: usize| of.fixed_rows::<3>(at).into_owned() / bump.area();
+        let part =
+            |of: StackedVectors, at: usize| of.fixed_rows::<3>(at).into_owned() / bump.area();
         Some(Expected {
             value: part(value, 0),
-            late: part(slope, 0),
-            plain: part(value, 3),
+            by_delay: part(slope, 0),
+            unbiased: part(value, 3),
             bias: -Matrix3::identity(),
         })
     }
 }
 
 /// Position against velocity.
-struct Moving<'a> {
+struct PositionAndVelocity<'a> {
     position: &'a Stream<Ned>,
     velocity: &'a Stream<Ned>,
     bumps: Vec<Bump>,
 }
 
-impl<'a> Moving<'a> {
+impl<'a> PositionAndVelocity<'a> {
     fn of(flight: &'a Flight) -> Self {
         let (position, velocity) = (&flight.position, &flight.velocity);
         let half = half_width([position.period(), velocity.period()]);
@@ -256,33 +265,33 @@ impl<'a> Moving<'a> {
     }
 }
 
-impl Pair for Moving<'_> {
+impl Pair for PositionAndVelocity<'_> {
     fn bumps(&self) -> &[Bump] {
         &self.bumps
     }
 
-    fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
+    fn measured(&self, bump: Bump) -> Option<Vector3<f64>> {
         // Relative to the bump's middle, so that a position far from the origin loses no precision.
         let origin = vector(self.position.held_at(bump.centre)?.to_array());
         let from_there = |_, p: &Ned| Some(vector(p.to_array()) - origin);
-        Some(-weigh(self.position, bump, from_there)?.slope / bump.area())
+        Some(-integrate(self.position, bump, from_there)?.slope / bump.area())
     }
 
     fn expected(&self, bump: Bump, _: f64, correction: &Correction) -> Option<Expected> {
-        let Weighed { value, slope } =
-            weigh(self.velocity, bump, |_, v| Some(vector(v.to_array())))?;
-        let plain = value / bump.area() - correction.bias;
+        let BumpIntegrals { value, slope } =
+            integrate(self.velocity, bump, |_, v| Some(vector(v.to_array())))?;
+        let unbiased = value / bump.area() - correction.bias;
         Some(Expected {
-            value: correction.map * plain,
-            late: correction.map * slope / bump.area(),
-            plain,
+            value: correction.map * unbiased,
+            by_delay: correction.map * slope / bump.area(),
+            unbiased,
             bias: -Matrix3::identity(),
         })
     }
 }
 
 /// Velocity against a specific force, with an attitude of known delay.
-struct Gaining<'a> {
+struct VelocityAndForce<'a> {
     velocity: &'a Stream<Ned>,
     /// Attitude and specific force.
     force: Stream<(Attitude, Vector3<f64>)>,
@@ -292,9 +301,9 @@ struct Gaining<'a> {
 }
 
 /// Acceleration in the world, and the attitude's matrix by columns.
-type Felt = SVector<f64, 12>;
+type ForceColumns = SVector<f64, 12>;
 
-impl<'a> Gaining<'a> {
+impl<'a> VelocityAndForce<'a> {
     fn by_accelerometer(flight: &'a Flight, attitude_late: f64, turned: [f64; 3]) -> Self {
         let mut force = Stream::default();
         let turn = of_vector(vector(turned));
@@ -324,13 +333,13 @@ impl<'a> Gaining<'a> {
     }
 }
 
-impl Pair for Gaining<'_> {
+impl Pair for VelocityAndForce<'_> {
     fn bumps(&self) -> &[Bump] {
         &self.bumps
     }
 
-    fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
-        let gained = weigh(self.velocity, bump, |_, v| Some(vector(v.to_array())))?;
+    fn measured(&self, bump: Bump) -> Option<Vector3<f64>> {
+        let gained = integrate(self.velocity, bump, |_, v| Some(vector(v.to_array())))?;
         let mut gained = -gained.slope / bump.area();
         if self.is_level {
             gained.z = 0.0;
@@ -339,46 +348,49 @@ impl Pair for Gaining<'_> {
     }
 
     fn expected(&self, bump: Bump, _: f64, correction: &Correction) -> Option<Expected> {
-        let Weighed { value, slope } = weigh(&self.force, bump, |_, (attitude, force)| {
-            let axis = |v: Vector3<f64>| {
-                vector(attitude.to_world(Frd::from(<[f64; 3]>::from(v))).to_array())
-            };
-            let acceleration = axis(force - correction.bias) + Vector3::z() * GRAVITY;
-            let mut felt = Felt::zeros();
-            felt.fixed_rows_mut::<3>(0).copy_from(&acceleration);
-            for i in 0..3 {
-                felt.fixed_rows_mut::<3>(3 + 3 * i).copy_from(&axis(Vector3::ith(i, 1.0)));
-            }
-            Some(felt)
-        })?;
-        let part = |of: &Felt, at: usize| of.fixed_rows::<3>(at).into_owned() / bump.area();
+        let BumpIntegrals { value, slope } =
+            integrate(&self.force, bump, |_, (attitude, force)| {
+                let axis = |v: Vector3<f64>| {
+                    vector(attitude.to_world(Frd::from(<[f64; 3]>::from(v))).to_array())
+                };
+                let acceleration = axis(force - correction.bias) + Vector3::z() * GRAVITY;
+                let mut columns_of_force = ForceColumns::zeros();
+                columns_of_force.fixed_rows_mut::<3>(0).copy_from(&acceleration);
+                for i in 0..3 {
+                    columns_of_force
+                        .fixed_rows_mut::<3>(3 + 3 * i)
+                        .copy_from(&axis(Vector3::ith(i, 1.0)));
+                }
+                Some(columns_of_force)
+            })?;
+        let part = |of: &ForceColumns, at: usize| of.fixed_rows::<3>(at).into_owned() / bump.area();
         let columns = [part(&value, 3), part(&value, 6), part(&value, 9)];
-        let mut plain = part(&value, 0);
-        let mut late = part(&slope, 0);
+        let mut unbiased = part(&value, 0);
+        let mut by_delay = part(&slope, 0);
         let mut bias = -Matrix3::from_columns(&columns);
         if self.is_level {
-            (plain.z, late.z) = (0.0, 0.0);
+            (unbiased.z, by_delay.z) = (0.0, 0.0);
             bias.row_mut(2).fill(0.0);
             // Along the thrust, a bias is a scale.
             bias.column_mut(2).fill(0.0);
         }
         let map = correction.map;
-        Some(Expected { value: map * plain, late: map * late, plain, bias })
+        Some(Expected { value: map * unbiased, by_delay: map * by_delay, unbiased, bias })
     }
 
-    fn turns(&self) -> [bool; 3] {
+    fn rotatable_axes(&self) -> [bool; 3] {
         [false, false, true]
     }
 }
 
 /// Attitude against its setpoint: lean and heading themselves, not their derivatives.
-struct Following {
+struct AttitudeAndSetpoint {
     attitude: Stream<Vector3<f64>>,
     setpoint: Stream<Vector3<f64>>,
     bumps: Vec<Bump>,
 }
 
-impl Following {
+impl AttitudeAndSetpoint {
     fn of(flight: &Flight) -> Self {
         let attitude = leans(&flight.attitude);
         let setpoint = leans(&flight.setpoint.filter_map(|setpoint| setpoint.attitude));
@@ -399,22 +411,23 @@ fn leans(attitude: &Stream<Attitude>) -> Stream<Vector3<f64>> {
     })
 }
 
-impl Pair for Following {
+impl Pair for AttitudeAndSetpoint {
     fn bumps(&self) -> &[Bump] {
         &self.bumps
     }
 
-    fn seen(&self, bump: Bump) -> Option<Vector3<f64>> {
-        Some(weigh(&self.attitude, bump, |_, lean| Some(*lean))?.value / bump.area())
+    fn measured(&self, bump: Bump) -> Option<Vector3<f64>> {
+        Some(integrate(&self.attitude, bump, |_, lean| Some(*lean))?.value / bump.area())
     }
 
     fn expected(&self, bump: Bump, _: f64, correction: &Correction) -> Option<Expected> {
-        let Weighed { value, slope } = weigh(&self.setpoint, bump, |_, lean| Some(*lean))?;
-        let plain = value / bump.area() - correction.bias;
+        let BumpIntegrals { value, slope } =
+            integrate(&self.setpoint, bump, |_, lean| Some(*lean))?;
+        let unbiased = value / bump.area() - correction.bias;
         Some(Expected {
-            value: correction.map * plain,
-            late: correction.map * slope / bump.area(),
-            plain,
+            value: correction.map * unbiased,
+            by_delay: correction.map * slope / bump.area(),
+            unbiased,
             bias: -Matrix3::identity(),
         })
     }

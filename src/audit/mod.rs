@@ -9,6 +9,7 @@ mod conventions;
 mod duplicates;
 mod finding;
 mod frames;
+mod initial_fit;
 mod kinematics;
 mod motors;
 mod pair;
@@ -16,7 +17,6 @@ mod rates;
 mod rotors;
 mod tier;
 mod timing;
-mod trial;
 mod values;
 mod vehicle;
 mod weak;
@@ -148,7 +148,7 @@ impl Audit {
     /// log. `whose` says where from.
     pub(crate) fn check_order(&mut self, rotors: &[RotorFact; 4], whose: &str) {
         let is_known = self.findings.iter().any(|finding| finding.check == rotors::MOTOR_ORDER);
-        let fault = self.rotors.and_then(|effects| effects.misordered(rotors, whose));
+        let fault = self.rotors.and_then(|effects| effects.order_fault(rotors, whose));
         self.findings.extend(fault.filter(|_| !is_known));
         self.sort();
     }

@@ -16,21 +16,21 @@ const STUCK: f64 = 1e-3;
 /// Share of the time at a limit that is reported.
 const SATURATED: f64 = 0.05;
 /// Share of changing samples during motion below which outputs drive no motors.
-const CHANGES: f64 = 0.01;
+const CHANGING_SHARE_MAX: f64 = 0.01;
 /// Limits of roll and pitch rate or speed above which the vehicle moves, rad/s and m/s.
-const TURNS: f64 = 0.05;
-const TRAVELS: f64 = 0.2;
+const ROTATION_RATE_MIN: f64 = 0.05;
+const SPEED_MIN: f64 = 0.2;
 /// Least time and number of samples in motion for a check, s.
 const MOTION_MIN: f64 = 2.0;
 const MOTION_SAMPLES: u32 = 20;
 /// Mean output, as a share of the full range, below which the vehicle does not fly.
-const FLIES: f64 = 0.1;
+const FLYING_SHARE: f64 = 0.1;
 
 pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     if flight.outputs.is_empty() {
         return;
     }
-    if check_movement(flight, audit) {
+    if has_still_outputs(flight, audit) {
         return;
     }
     check_order(flight, audit);
@@ -54,12 +54,12 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
 
 /// Whether outputs stand still while the vehicle moves. They are then not its motors', and the
 /// other checks do not apply.
-fn check_movement(flight: &Flight, audit: &mut Audit) -> bool {
+fn has_still_outputs(flight: &Flight, audit: &mut Audit) -> bool {
     let turns = flight.body_rate.map(|rate| {
         let [p, q, _] = rate.to_array();
-        p.hypot(q) > TURNS
+        p.hypot(q) > ROTATION_RATE_MIN
     });
-    let travels = flight.velocity.map(|velocity| velocity.norm() > TRAVELS);
+    let travels = flight.velocity.map(|velocity| velocity.norm() > SPEED_MIN);
     let in_motion =
         |time: f64| turns.held_at(time) == Some(&true) || travels.held_at(time) == Some(&true);
     let outputs = &flight.outputs;
@@ -72,7 +72,7 @@ fn check_movement(flight: &Flight, audit: &mut Audit) -> bool {
         }
     }
     let share = f64::from(changes as u32) / f64::from(count.max(1));
-    if moving_s < MOTION_MIN || count < MOTION_SAMPLES || share > CHANGES {
+    if moving_s < MOTION_MIN || count < MOTION_SAMPLES || share > CHANGING_SHARE_MAX {
         return false;
     }
     let [a, b, c, d] = outputs.values().last().copied().unwrap_or_default();
@@ -81,7 +81,7 @@ fn check_movement(flight: &Flight, audit: &mut Audit) -> bool {
         check: "still_outputs",
         stream: Some("outputs"),
         found: share,
-        expected: CHANGES,
+        expected: CHANGING_SHARE_MAX,
         unit: "",
         what: format!(
             "all four stay at {a:.3}, {b:.3}, {c:.3}, {d:.3} for {moving_s:.1} s while the vehicle \
@@ -96,13 +96,13 @@ fn check_movement(flight: &Flight, audit: &mut Audit) -> bool {
 /// Checks that outputs have the effect of rotors at the autopilot's configured places.
 fn check_order(flight: &Flight, audit: &mut Audit) {
     if let (Some(effects), [a, b, c, d]) = (&audit.rotors, flight.facts.rotors.as_slice()) {
-        let fault = effects.misordered(&[*a, *b, *c, *d], "the autopilot's motors");
+        let fault = effects.order_fault(&[*a, *b, *c, *d], "the autopilot's motors");
         audit.findings.extend(fault);
     }
 }
 
 /// The valid range of outputs in their unit; `None` where it takes a vehicle file to know.
-fn legal(flight: &Flight) -> Option<(f64, f64, &'static str)> {
+fn valid_range(flight: &Flight) -> Option<(f64, f64, &'static str)> {
     match flight.motor_unit {
         MotorUnit::ThrustFraction => Some((-ROUNDING, 1.0 + ROUNDING, "")),
         MotorUnit::Newton => Some((-ROUNDING, f64::INFINITY, "N")),
@@ -115,10 +115,10 @@ fn legal(flight: &Flight) -> Option<(f64, f64, &'static str)> {
 }
 
 fn check_range(flight: &Flight, audit: &mut Audit) {
-    let Some((low, high, unit)) = legal(flight) else { return };
+    let Some((low, high, unit)) = valid_range(flight) else { return };
     // A pulse of 0 means that the motor is off.
-    let is_legal = |u: f64| (low..=high).contains(&u) || u == 0.0;
-    let wrong = flight.outputs.values().iter().filter(|u| !u.iter().all(|u| is_legal(*u)));
+    let is_valid = |u: f64| (low..=high).contains(&u) || u == 0.0;
+    let wrong = flight.outputs.values().iter().filter(|u| !u.iter().all(|u| is_valid(*u)));
     let (count, worst) = wrong.fold((0_usize, 0.0_f64), |(count, worst), outputs| {
         let beyond = |u: f64| (u - high).max(low - u);
         let own = outputs.iter().copied().max_by(|a, b| beyond(*a).total_cmp(&beyond(*b)));
@@ -150,7 +150,7 @@ fn check_channels(flight: &Flight, audit: &mut Audit) {
     let values = flight.outputs.values();
     let top = values.iter().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
     let bottom = values.iter().flatten().copied().fold(f64::INFINITY, f64::min);
-    let floor = bottom + FLIES * (top - bottom);
+    let floor = bottom + FLYING_SHARE * (top - bottom);
     let flying: Vec<&[f64; 4]> =
         values.iter().filter(|u| u.iter().sum::<f64>() > 4.0 * floor).collect();
     if flying.len() < 50 || top <= bottom {

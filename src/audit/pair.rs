@@ -10,10 +10,10 @@ pub(super) struct Expected {
     /// In the stream's axes: without the bias, scaled and rotated.
     pub value: Vector3<f64>,
     /// Derivative of the value with respect to the delay, 1/s.
-    pub late: Vector3<f64>,
+    pub by_delay: Vector3<f64>,
     /// In the sensor's axes: without the bias.
-    pub plain: Vector3<f64>,
-    /// Derivative of `plain` with respect to the bias.
+    pub unbiased: Vector3<f64>,
+    /// Derivative of `unbiased` with respect to the bias.
     pub bias: Matrix3<f64>,
 }
 
@@ -37,13 +37,13 @@ pub(super) trait Pair {
     fn bumps(&self) -> &[Bump];
 
     /// The stream's derivative, averaged over a bump.
-    fn seen(&self, bump: Bump) -> Option<Vector3<f64>>;
+    fn measured(&self, bump: Bump) -> Option<Vector3<f64>>;
 
     /// The other sensor's prediction under a bump of its own time, if the stream is `delay` later.
     fn expected(&self, bump: Bump, delay: f64, correction: &Correction) -> Option<Expected>;
 
     /// Axes about which the stream may be rotated.
-    fn turns(&self) -> [bool; 3] {
+    fn rotatable_axes(&self) -> [bool; 3] {
         [true; 3]
     }
 }

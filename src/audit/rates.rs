@@ -11,12 +11,12 @@ use super::weak::median;
 use crate::log::import::{Flight, Stream};
 
 /// Pauses of more than this many periods do not count for the rate.
-const PAUSE: f64 = 3.0;
+const PAUSE_PERIODS: f64 = 3.0;
 /// A sample is on the line between its neighbours if it is off by less than this share of the
 /// stream's range; single precision rounds by less.
 const ON_LINE: f64 = 1e-5;
 /// A stream is interpolated if more than this share of its samples is on lines.
-const DRAWN: f64 = 0.5;
+const INTERPOLATED_SHARE_MIN: f64 = 0.5;
 /// Fewest new values for a rate.
 const VALUES_MIN: usize = 20;
 
@@ -91,12 +91,16 @@ fn rate<T, const N: usize>(stream: &Stream<T>, value: impl Fn(&T) -> [f64; N]) -
     let knots: Vec<f64> =
         news.windows(3).filter(|triple| !is_drawn(triple)).map(|triple| triple[1].0).collect();
     let drawn = 1.0 - knots.len() as f64 / news.len().saturating_sub(2).max(1) as f64;
-    let times = if drawn > DRAWN { knots } else { news.iter().map(|(time, _)| *time).collect() };
+    let times = if drawn > INTERPOLATED_SHARE_MIN {
+        knots
+    } else {
+        news.iter().map(|(time, _)| *time).collect()
+    };
     if times.len() < VALUES_MIN {
         return None;
     }
     let intervals = || times.windows(2).map(|pair| pair[1] - pair[0]);
-    let longest = PAUSE * median(intervals().collect());
+    let longest = PAUSE_PERIODS * median(intervals().collect());
     let (count, sum) = intervals()
         .filter(|interval| *interval <= longest)
         .fold((0.0, 0.0), |(count, sum), interval| (count + 1.0, sum + interval));

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::agreement::Estimate;
 use super::rates::Rates;
 use super::tier::FAST_HZ;
-use super::weak::{Bump, Row, bumps, fit, weigh};
+use super::weak::{Bump, Row, bumps, fit, integrate};
 use super::{Finding, Severity};
 use crate::log::import::{Flight, RotorFact};
 
@@ -25,7 +25,7 @@ const DELAY_STEP: f64 = 0.015;
 /// Least share of the angular acceleration that the outputs must explain.
 const EXPLAINED_MIN: f64 = 0.4;
 /// Intervals by which an effect must differ from zero to have a sign.
-const SURE: f64 = 2.0;
+const CERTAIN_INTERVALS: f64 = 2.0;
 /// Distance from an axis, as a share of the arm, below which a rotor has no side.
 const ON_AXIS: f64 = 0.2;
 /// Fewest contradictions that are not due to chance.
@@ -74,9 +74,10 @@ impl RotorEffects {
         let mut pairs: Vec<(Vector3<f64>, SVector<f64, 4>)> = Vec::new();
         let mut times = Vec::new();
         for bump in bumps {
-            let turning = weigh(&flight.body_rate, *bump, |_, w| Some(Vector3::from(w.to_array())));
+            let turning =
+                integrate(&flight.body_rate, *bump, |_, w| Some(Vector3::from(w.to_array())));
             let outputs =
-                weigh(&flight.outputs, bump.shifted(-delay_s), |_, u| Some(SVector::from(*u)));
+                integrate(&flight.outputs, bump.shifted(-delay_s), |_, u| Some(SVector::from(*u)));
             if let (Some(turning), Some(outputs)) = (turning, outputs) {
                 pairs.push((-turning.slope, outputs.value));
                 times.push(bump.centre);
@@ -87,20 +88,21 @@ impl RotorEffects {
         let outputs = pairs.iter().map(|(_, outputs)| outputs).sum::<SVector<f64, 4>>() / count;
         let rows = |effects: &[f64; 12]| {
             let effects = SMatrix::<f64, 3, 4>::from_column_slice(effects);
-            let row = |(time, (seen, output)): (&f64, &(Vector3<f64>, SVector<f64, 4>))| {
-                let (seen, output) = (seen - turning, output - outputs);
+            let row = |(time, (measured, output)): (&f64, &(Vector3<f64>, SVector<f64, 4>))| {
+                let (measured, output) = (measured - turning, output - outputs);
                 let mut slopes = SMatrix::<f64, 3, 12>::zeros();
                 for i in 0..4 {
                     for axis in 0..3 {
                         slopes[(axis, 3 * i + axis)] = output[i];
                     }
                 }
-                Row { time: *time, group: 0, seen, misfit: seen - effects * output, slopes }
+                Row { time: *time, group: 0, measured, misfit: measured - effects * output, slopes }
             };
             times.iter().zip(&pairs).map(row).collect()
         };
         // An effect matters if the output's changes cause rotation as large as the body's.
-        let turns: f64 = pairs.iter().map(|(seen, _)| (seen - turning).norm_squared()).sum();
+        let turns: f64 =
+            pairs.iter().map(|(measured, _)| (measured - turning).norm_squared()).sum();
         let size = |output: usize| {
             let moved = |of: &SVector<f64, 4>| (of[output] - outputs[output]).powi(2);
             let moves: f64 = pairs.iter().map(|(_, of)| moved(of)).sum();
@@ -124,7 +126,7 @@ impl RotorEffects {
             for ((axis, effect), expected) in
                 ["roll", "pitch", "yaw"].into_iter().zip(turning).zip(expected)
             {
-                if effect.differs_from_zero(SURE) && effect.value * expected < 0.0 {
+                if effect.differs_from_zero(CERTAIN_INTERVALS) && effect.value * expected < 0.0 {
                     found.push(Contradiction { output, axis });
                 }
             }
@@ -134,7 +136,7 @@ impl RotorEffects {
 
     /// The fault of outputs that do not turn the vehicle as `rotors` would; `whose` says where
     /// those places come from.
-    pub fn misordered(&self, rotors: &[RotorFact; 4], whose: &str) -> Option<Finding> {
+    pub fn order_fault(&self, rotors: &[RotorFact; 4], whose: &str) -> Option<Finding> {
         let wrong = self.contradictions(rotors);
         let named = wrong.iter().map(|wrong| format!("{} in {}", wrong.output + 1, wrong.axis));
         let named = named.collect::<Vec<_>>().join(", ");

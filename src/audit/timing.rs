@@ -12,7 +12,7 @@ const GAP_PERIODS: f64 = 3.0;
 const GAP_LONG: f64 = 0.5;
 /// Share of lost samples that is reported as a note, and as a flaw of the measurement.
 const LOST_NOTE: f64 = 0.01;
-const LOST_MUCH: f64 = 0.05;
+const LOST_FLAW: f64 = 0.05;
 /// Half of the range of nine tenths of the intervals, in periods, above which stamps are uneven.
 const JITTER_MAX: f64 = 0.35;
 /// Relative rate error of the ground's clock that is reported; ordinary quartz stays below 1e-4.
@@ -125,7 +125,7 @@ fn check_gaps(name: &'static str, times: &[f64], timing: &StreamTiming, audit: &
     if gaps == 0 || lost < LOST_NOTE && longest <= limit {
         return;
     }
-    let much = lost > LOST_MUCH || longest > limit;
+    let much = lost > LOST_FLAW || longest > limit;
     audit.findings.push(Finding {
         severity: if much { Severity::Measurement } else { Severity::Note },
         check: "gap",

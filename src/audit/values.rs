@@ -11,10 +11,10 @@ pub(super) const STOOD_STILL: &str = "frozen";
 /// Share of repeated samples that is reported.
 const REPEATED_NOTE: f64 = 0.05;
 /// Time without change during motion after which a stream counts as frozen, s.
-const FROZEN: f64 = 0.4;
+const FROZEN_S: f64 = 0.4;
 /// Limits of body rate and speed above which the vehicle moves, rad/s and m/s.
-const TURNS: f64 = 0.08;
-const TRAVELS: f64 = 0.15;
+const ROTATION_RATE_MIN: f64 = 0.08;
+const SPEED_MIN: f64 = 0.15;
 /// Steps that no motion explains: position m, velocity m/s, attitude rad.
 const POSITION_STEP: f64 = 0.3;
 const VELOCITY_STEP: f64 = 0.8;
@@ -70,8 +70,9 @@ fn repeated<T>(
     }
     // According to streams other than the one in question.
     let moves = |from: f64, to: f64| {
-        name != "body_rate" && mean_size(&flight.body_rate, from, to, |w| w.norm()) > TURNS
-            || name != "velocity" && mean_size(&flight.velocity, from, to, |v| v.norm()) > TRAVELS
+        name != "body_rate"
+            && mean_size(&flight.body_rate, from, to, |w| w.norm()) > ROTATION_RATE_MIN
+            || name != "velocity" && mean_size(&flight.velocity, from, to, |v| v.norm()) > SPEED_MIN
     };
     let times = stream.times();
     let (mut same, mut frozen) = (0_usize, Vec::new());
@@ -85,7 +86,7 @@ fn repeated<T>(
         if !is_same || is_last {
             let end = if is_same { at } else { at.saturating_sub(1) };
             let few = end <= start + 2;
-            if !few && times[end] - times[start] > FROZEN && moves(times[start], times[end]) {
+            if !few && times[end] - times[start] > FROZEN_S && moves(times[start], times[end]) {
                 frozen.push((times[start], times[end]));
             }
             start = at;

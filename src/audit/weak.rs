@@ -41,7 +41,7 @@ impl Bump {
 
 /// Integrals of a signal weighted by a bump and by its slope.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Weighed<const N: usize> {
+pub(super) struct BumpIntegrals<const N: usize> {
     pub value: SVector<f64, N>,
     pub slope: SVector<f64, N>,
 }
@@ -51,15 +51,15 @@ const GAP_MAX: f64 = 0.5;
 
 /// Weights a signal, which is linear between samples; `None` where the samples do not cover the
 /// bump.
-pub(super) fn weigh<V, const N: usize>(
+pub(super) fn integrate<V, const N: usize>(
     stream: &Stream<V>,
     bump: Bump,
     mut signal: impl FnMut(f64, &V) -> Option<SVector<f64, N>>,
-) -> Option<Weighed<N>> {
+) -> Option<BumpIntegrals<N>> {
     let (from, to) = (bump.centre - bump.half, bump.centre + bump.half);
     let mut at = stream.index_at(from)?;
     let times = stream.times();
-    let mut weighed = Weighed { value: SVector::zeros(), slope: SVector::zeros() };
+    let mut integrals = BumpIntegrals { value: SVector::zeros(), slope: SVector::zeros() };
     let mut left = signal(times[at], &stream.values()[at])?;
     while times[at] < to {
         let (a, b) = (times[at], *times.get(at + 1)?);
@@ -73,13 +73,13 @@ pub(super) fn weigh<V, const N: usize>(
         let line = |t: f64| left + (right - left) * ((t - a) / (b - a));
         for (time, weight) in [(start, 1.0), (middle, 4.0), (end, 1.0)] {
             let share = weight * (end - start) / 6.0;
-            weighed.value += line(time) * (share * bump.value(time));
-            weighed.slope += line(time) * (share * bump.slope(time));
+            integrals.value += line(time) * (share * bump.value(time));
+            integrals.slope += line(time) * (share * bump.slope(time));
         }
         left = right;
         at += 1;
     }
-    Some(weighed)
+    Some(integrals)
 }
 
 /// Bumps of each half width over the samples, in the order of their centres. Bumps of a width
@@ -108,7 +108,7 @@ pub(super) struct Row<const P: usize> {
     /// Index of the bump's half width.
     pub group: usize,
     /// The stream's derivative.
-    pub seen: SVector<f64, 3>,
+    pub measured: SVector<f64, 3>,
     /// The stream's derivative minus the expected one.
     pub misfit: SVector<f64, 3>,
     /// Derivatives of the expected value by the unknowns.
@@ -123,7 +123,7 @@ pub(super) struct Fit<const P: usize> {
     /// Covariance in half widths of the interval: see [`interval`].
     pub covariance: SMatrix<f64, P, P>,
     /// Projection onto the directions that the rows do not show.
-    pub hidden: SMatrix<f64, P, P>,
+    pub unidentifiable: SMatrix<f64, P, P>,
     /// Explained share of the stream's motion.
     pub explained: f64,
     /// Weight of each row.
@@ -133,17 +133,17 @@ pub(super) struct Fit<const P: usize> {
 impl<const P: usize> Fit<P> {
     /// Half width of an unknown's interval; `None` where the rows do not show it.
     pub fn half_width(&self, of: usize) -> Option<f64> {
-        half_width(&self.covariance, &self.hidden, of)
+        half_width(&self.covariance, &self.unidentifiable, of)
     }
 }
 
-/// Half width of the unknown with index `of`; `None` where it is hidden.
+/// Half width of the unknown with index `of`; `None` where it is unidentifiable.
 pub(super) fn half_width<const P: usize>(
     covariance: &SMatrix<f64, P, P>,
-    hidden: &SMatrix<f64, P, P>,
+    unidentifiable: &SMatrix<f64, P, P>,
     of: usize,
 ) -> Option<f64> {
-    (hidden[(of, of)] < HIDDEN_MAX).then(|| covariance[(of, of)].max(0.0).sqrt())
+    (unidentifiable[(of, of)] < UNIDENTIFIABLE_MAX).then(|| covariance[(of, of)].max(0.0).sqrt())
 }
 
 /// Range of the number of blocks of time that are left out in turn. Few blocks are long, so that
@@ -157,11 +157,11 @@ const ROWS_MIN: usize = 24;
 const HUBER: f64 = 2.5;
 /// Iterations of Gauss-Newton.
 const ITERATIONS: usize = 12;
-/// A direction of the unknowns is hidden if a significant step along it changes the expected value
-/// by less than this share of the motion.
-const SHOWN_MIN: f64 = 1e-3;
-/// An unknown is hidden if more than this share of it is along hidden directions.
-const HIDDEN_MAX: f64 = 1e-3;
+/// A direction of the unknowns is unidentifiable if a significant step along it changes the
+/// expected value by less than this share of the motion.
+const IDENTIFIABLE_MIN: f64 = 1e-3;
+/// An unknown is unidentifiable if more than this share of it is along unidentifiable directions.
+const UNIDENTIFIABLE_MAX: f64 = 1e-3;
 /// Most sweeps of a decomposition; ten are usual.
 const SWEEPS: usize = 200;
 /// Standard deviations over this many blocks that contain a value in at least 95 of 100 cases, and
@@ -172,7 +172,7 @@ fn interval(blocks: usize) -> f64 {
 }
 
 /// Added to the Gram matrix without a block, against rounding.
-const LEFT_MIN: f64 = 1e-9;
+const GRAM_RIDGE: f64 = 1e-9;
 /// Number of half widths of bumps.
 const GROUPS: usize = 2;
 
@@ -188,8 +188,8 @@ pub(super) fn fit<const P: usize>(
     let mut value = start;
     let mut step_before = f64::INFINITY;
     for _ in 0..ITERATIONS {
-        let normal = Normal::of(&rows(&value))?;
-        let step = normal.shown(&sizes)?.step(&normal);
+        let normal = NormalEquations::of(&rows(&value))?;
+        let step = normal.identifiable(&sizes)?.step(&normal);
         for (value, step) in value.iter_mut().zip(&step) {
             *value += step;
         }
@@ -203,28 +203,28 @@ pub(super) fn fit<const P: usize>(
         step_before = size;
     }
     let rows = rows(&value);
-    let normal = Normal::of(&rows)?;
-    let shown = normal.shown(&sizes)?;
-    let covariance = shown.jackknife(&rows, &normal);
+    let normal = NormalEquations::of(&rows)?;
+    let identifiable = normal.identifiable(&sizes)?;
+    let covariance = identifiable.jackknife(&rows, &normal);
     let weights = normal.weights;
     let sum = |of: &dyn Fn(&Row<P>) -> f64| -> f64 {
         rows.iter().zip(&weights).map(|(row, w)| w * of(row)).sum()
     };
-    let mean = rows.iter().zip(&weights).map(|(row, w)| row.seen * *w).sum::<SVector<f64, 3>>()
+    let mean = rows.iter().zip(&weights).map(|(row, w)| row.measured * *w).sum::<SVector<f64, 3>>()
         / weights.iter().sum::<f64>();
-    let total = sum(&|row| (row.seen - mean).norm_squared());
+    let total = sum(&|row| (row.measured - mean).norm_squared());
     let left = sum(&|row| row.misfit.norm_squared());
     Some(Fit {
         value,
         covariance,
-        hidden: shown.hidden,
+        unidentifiable: identifiable.unidentifiable,
         explained: if total > 0.0 { 1.0 - left / total } else { 0.0 },
         weights,
     })
 }
 
 /// The normal equations, and the weight of each row.
-struct Normal<const P: usize> {
+struct NormalEquations<const P: usize> {
     gram: SMatrix<f64, P, P>,
     gradient: SVector<f64, P>,
     /// Weighted power of the stream's derivative.
@@ -232,7 +232,7 @@ struct Normal<const P: usize> {
     weights: Vec<f64>,
 }
 
-impl<const P: usize> Normal<P> {
+impl<const P: usize> NormalEquations<P> {
     /// `None` if there are too few rows.
     fn of(rows: &[Row<P>]) -> Option<Self> {
         if rows.len() < ROWS_MIN {
@@ -253,13 +253,13 @@ impl<const P: usize> Normal<P> {
         for (row, weight) in rows.iter().zip(&weights) {
             gram += row.slopes.transpose() * row.slopes * *weight;
             gradient += row.slopes.transpose() * row.misfit * *weight;
-            power += row.seen.norm_squared() * *weight;
+            power += row.measured.norm_squared() * *weight;
         }
         Some(Self { gram, gradient, power, weights })
     }
 
     /// `None` if nothing moves, or the numbers are not finite.
-    fn shown(&self, sizes: &[f64; P]) -> Option<Shown<P>> {
+    fn identifiable(&self, sizes: &[f64; P]) -> Option<IdentifiableDirections<P>> {
         let sensitivity =
             DMatrix::from_fn(P, P, |i, j| self.gram[(i, j)] * sizes[i] * sizes[j] / self.power);
         if !sensitivity.iter().all(|value| value.is_finite()) {
@@ -267,36 +267,36 @@ impl<const P: usize> Normal<P> {
         }
         let SymmetricEigen { eigenvalues, eigenvectors } =
             SymmetricEigen::try_new(sensitivity, f64::EPSILON, SWEEPS)?;
-        let (mut steps, mut hidden) = (Vec::new(), SMatrix::zeros());
+        let (mut steps, mut unidentifiable) = (Vec::new(), SMatrix::zeros());
         for (value, vector) in eigenvalues.iter().zip(eigenvectors.column_iter()) {
             let direction = SVector::<f64, P>::from_fn(|i, _| vector[i]);
-            if *value < SHOWN_MIN * SHOWN_MIN {
-                hidden += direction * direction.transpose();
+            if *value < IDENTIFIABLE_MIN * IDENTIFIABLE_MIN {
+                unidentifiable += direction * direction.transpose();
             } else {
                 let step = SVector::<f64, P>::from_fn(|i, _| direction[i] * sizes[i]);
                 steps.push(step / (*value * self.power).sqrt());
             }
         }
-        Some(Shown { steps, hidden })
+        Some(IdentifiableDirections { steps, unidentifiable })
     }
 }
 
 /// The directions of the unknowns that the rows show, as steps in which the Gram matrix is the
 /// identity, and the projection onto the rest.
-struct Shown<const P: usize> {
+struct IdentifiableDirections<const P: usize> {
     steps: Vec<SVector<f64, P>>,
-    hidden: SMatrix<f64, P, P>,
+    unidentifiable: SMatrix<f64, P, P>,
 }
 
-impl<const P: usize> Shown<P> {
+impl<const P: usize> IdentifiableDirections<P> {
     /// The least-squares step.
-    fn step(&self, normal: &Normal<P>) -> SVector<f64, P> {
+    fn step(&self, normal: &NormalEquations<P>) -> SVector<f64, P> {
         self.steps.iter().map(|step| step * step.dot(&normal.gradient)).sum()
     }
 
     /// Covariance in half widths of the interval, from the changes of the unknowns as each block of
     /// rows is left out.
-    fn jackknife(&self, rows: &[Row<P>], normal: &Normal<P>) -> SMatrix<f64, P, P> {
+    fn jackknife(&self, rows: &[Row<P>], normal: &NormalEquations<P>) -> SMatrix<f64, P, P> {
         let size = self.steps.len();
         let span = rows.first().zip(rows.last()).map_or(0.0, |(a, b)| b.time - a.time);
         let blocks = ((span / BLOCK_S) as usize).clamp(*BLOCKS.start(), *BLOCKS.end());
@@ -319,7 +319,7 @@ impl<const P: usize> Shown<P> {
             // Directions that only this block shows become singular without it, and their change is
             // unbounded.
             for i in 0..size {
-                gram[(i, i)] += LEFT_MIN;
+                gram[(i, i)] += GRAM_RIDGE;
             }
             let Some(left) = gram.cholesky() else { return SMatrix::repeat(f64::INFINITY) };
             let change = left.solve(&score);
@@ -356,11 +356,11 @@ mod tests {
         let (x, v) = (sampled(|t| (3.0 * t).sin()), sampled(|t| 3.0 * (3.0 * t).cos()));
         let of = |_, value: &f64| Some(SVector::<f64, 1>::new(*value));
         for bump in &bumps(x.times(), &[0.25])[1..70] {
-            let seen = -weigh(&x, *bump, of).expect("samples").slope[0];
-            let expected = weigh(&v, *bump, of).expect("samples").value[0];
-            assert!((seen - expected).abs() < 1e-3, "{seen} {expected}");
+            let measured = -integrate(&x, *bump, of).expect("samples").slope[0];
+            let expected = integrate(&v, *bump, of).expect("samples").value[0];
+            assert!((measured - expected).abs() < 1e-3, "{measured} {expected}");
         }
-        let one = weigh(&sampled(|_| 1.0), Bump { centre: 5.0, half: 0.3, group: 0 }, of)
+        let one = integrate(&sampled(|_| 1.0), Bump { centre: 5.0, half: 0.3, group: 0 }, of)
             .expect("samples");
         let area = Bump { centre: 0.0, half: 0.3, group: 0 }.area();
         assert!((one.value[0] - area).abs() < 1e-4 && one.slope[0].abs() < 1e-3);
@@ -376,9 +376,9 @@ mod tests {
     fn bump_functions_do_not_span_gaps_or_ends() {
         let x = sampled(|t| t).filter_map(|t| (!(5.0..5.3).contains(t)).then_some(*t));
         let of = |_, value: &f64| Some(SVector::<f64, 1>::new(*value));
-        assert!(weigh(&x, Bump { centre: 5.0, half: 0.25, group: 0 }, of).is_none());
-        assert!(weigh(&x, Bump { centre: 0.1, half: 0.25, group: 0 }, of).is_none());
-        assert!(weigh(&x, Bump { centre: 19.9, half: 0.25, group: 0 }, of).is_none());
-        assert!(weigh(&x, Bump { centre: 8.0, half: 0.25, group: 0 }, of).is_some());
+        assert!(integrate(&x, Bump { centre: 5.0, half: 0.25, group: 0 }, of).is_none());
+        assert!(integrate(&x, Bump { centre: 0.1, half: 0.25, group: 0 }, of).is_none());
+        assert!(integrate(&x, Bump { centre: 19.9, half: 0.25, group: 0 }, of).is_none());
+        assert!(integrate(&x, Bump { centre: 8.0, half: 0.25, group: 0 }, of).is_some());
     }
 }

@@ -34,7 +34,7 @@ use crate::cli::{CollectArgs, DemoArgs, SimulationArgs};
 use crate::config::Config;
 use crate::diagnose::answer::Answer;
 use crate::diagnose::catalogue::hypothesis::Catalogue;
-use crate::diagnose::flights::case::{Case, Settings};
+use crate::diagnose::flights::input::{DiagnosisInput, Settings};
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::likelihood::noise::ReportNoise;
 use crate::diagnose::next_flight::typical;
@@ -268,7 +268,7 @@ impl Loop<'_> {
             ))
             .or_exit(Exit::Usage);
         }
-        let case = Case {
+        let case = DiagnosisInput {
             vehicle: &self.shipped.params,
             fitted: &fitted,
             held_out: &held_out,

@@ -24,13 +24,13 @@ use super::{
 };
 use crate::audit::{Audit, UnusableSpan};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
-use crate::diagnose::answer::words::report;
+use crate::diagnose::answer::text::report;
 use crate::diagnose::answer::{Answer, LogAnswer};
-use crate::diagnose::flights::case::{Case, Settings};
+use crate::diagnose::flights::input::{DiagnosisInput, Settings};
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::flights::rotor_order;
 use crate::diagnose::next_flight::{NextFlight, Proposal, next_flight};
-use crate::diagnose::onset::{Seen, changes};
+use crate::diagnose::onset::{OnsetReport, changes};
 use crate::diagnose::pipeline::{Diagnosis, diagnose};
 use crate::diagnose::verdict::Verdict;
 use crate::learn::commands::Onboard;
@@ -56,7 +56,7 @@ pub struct Finding {
     pub answer: Answer,
     effects: EffectSet,
     /// What the change detector saw of each flight, for the report.
-    seen: Vec<(String, Seen)>,
+    seen: Vec<(String, OnsetReport)>,
 }
 
 /// Guard between the halves of a single flight, s.
@@ -169,7 +169,7 @@ pub fn find(
         (fitted, held_out) = parted(fitted).with_context(|| listed(&paths)).or_exit(Exit::Usage)?;
     }
     fitted.append(&mut new);
-    let case = Case {
+    let case = DiagnosisInput {
         vehicle: &vehicle,
         fitted: &fitted,
         held_out: &held_out,
@@ -196,7 +196,7 @@ pub fn find(
         let evidence = serde_json::to_vec(&diagnosis.evidence).context("the evidence")?;
         write_file(path, &evidence)?;
     }
-    diagnosis.answer.take_up(logs);
+    diagnosis.answer.add_logs(logs);
     let (answer, effects) = (diagnosis.answer, diagnosis.effects);
     Ok(Finding { args: args.clone(), vehicle, answer, effects, seen })
 }

@@ -38,7 +38,7 @@ use super::{
     Exit, ExitContext, Interruption, in_words, print_json, print_status, print_text, write_file,
 };
 use crate::cli::ExamArgs;
-use crate::exam::answer::Given;
+use crate::exam::answer::GivenAnswer;
 use crate::exam::case::Case;
 use crate::exam::key::{Key, commitment, entropy};
 use crate::exam::order::Order;
@@ -238,7 +238,7 @@ impl Hall<'_> {
             let seconds = began.elapsed().as_secs_f64();
             let given = answer.and_then(|bytes| {
                 write_file(&answers.join(format!("{}.json", case.name)), &bytes)?;
-                serde_json::from_slice::<Given>(&bytes).context("its answer")
+                serde_json::from_slice::<GivenAnswer>(&bytes).context("its answer")
             });
             let folder = self.folder(&case.name);
             let closed = given.as_ref().ok().and_then(|given| case.closed(&folder, given));

@@ -34,8 +34,8 @@ use crate::diagnose::answer::LogAnswer;
 use crate::diagnose::fleet::answer::{FleetAnswer, State, VehicleAnswer, effects_of};
 use crate::diagnose::fleet::shared::Fleet;
 use crate::diagnose::fleet::survey::{Beside, Survey, scales, survey};
-use crate::diagnose::fleet::words::{report, sentence};
-use crate::diagnose::flights::case::{Case, Settings};
+use crate::diagnose::fleet::text::{report, sentence};
+use crate::diagnose::flights::input::{DiagnosisInput, Settings};
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::pipeline::diagnose;
 use crate::report::fleet::html;
@@ -235,7 +235,7 @@ impl Work<'_> {
                 .collect();
             let all: Vec<&Survey> = surveys.iter().map(|(_, survey)| survey).collect();
             round += 1;
-            if !fleet.take_up(&all) || SURVEYS + round >= OWN {
+            if !fleet.update(&all) || SURVEYS + round >= OWN {
                 break;
             }
         }
@@ -263,9 +263,9 @@ impl Work<'_> {
         vehicle: &'b VehicleParams,
         fitted: &'b [PreparedFlight],
         held_out: &'b [PreparedFlight],
-    ) -> Case<'b> {
+    ) -> DiagnosisInput<'b> {
         let without = &self.args.without;
-        Case { vehicle, fitted, held_out, blocked: false, without, stop: self.stop }
+        DiagnosisInput { vehicle, fitted, held_out, blocked: false, without, stop: self.stop }
     }
 
     /// The scale of the tolerances that the file does not state, under which the flights of some

@@ -14,7 +14,7 @@ use super::vehicle_file::warn;
 use super::{Exit, ExitContext, in_words, print_json, print_status, print_text, write_file};
 use crate::cli::OnsetArgs;
 use crate::diagnose::flights::preparation::PreparedFlight;
-use crate::diagnose::onset::{Seen, changes};
+use crate::diagnose::onset::{OnsetReport, changes};
 use crate::onset::change::Change;
 use crate::onset::detector::Settings;
 use crate::onset::history::{Step, of_flight, steps};
@@ -47,7 +47,7 @@ pub(super) struct FlightAnswer {
 /// The changes, and the samples that show them.
 pub struct Changes {
     answer: OnsetAnswer,
-    seen: Vec<Seen>,
+    seen: Vec<OnsetReport>,
     bound: f64,
 }
 
@@ -93,7 +93,7 @@ pub fn changed(args: &OnsetArgs) -> anyhow::Result<Changes> {
         return Err(anyhow!("none of the logs can be used: {}", listed(&args.logs)))
             .or_exit(Exit::Usage);
     }
-    let seen: Result<Vec<Seen>, _> =
+    let seen: Result<Vec<OnsetReport>, _> =
         flights.par_iter().map(|(_, flight)| changes(flight, &vehicle, settings)).collect();
     let seen = seen.or_exit(Exit::Usage)?;
     // A flight too short to examine shows nothing of the vehicle.

@@ -4,7 +4,7 @@ pub mod additions;
 pub(super) mod assembly;
 pub(super) mod open_questions;
 pub mod quantities;
-pub mod words;
+pub mod text;
 
 use std::collections::BTreeMap;
 
@@ -14,12 +14,12 @@ use vehicle::effects::{EffectId, ParameterValue};
 
 use crate::audit::{Audit, Severity, Tier};
 use crate::diagnose::discovery::law::LawAnswer;
-use crate::diagnose::flights::case::Case;
+use crate::diagnose::flights::input::DiagnosisInput;
 use crate::diagnose::flights::preparation::{Channels, PreparedFlight};
 use crate::diagnose::likelihood::noise::ReportNoise;
 use crate::diagnose::next_flight::NextFlight;
-use crate::diagnose::remainder::leftover::UnmodelledForce;
-use crate::diagnose::remainder::map::ResidualMap;
+use crate::diagnose::residual_analysis::map::ResidualMap;
+use crate::diagnose::residual_analysis::unmodelled_force::UnmodelledForce;
 use crate::diagnose::search::twins::Twins;
 use crate::diagnose::simulate::gap::{Errors, OverNoise};
 use crate::diagnose::simulate::reflight::ClosedLoop;
@@ -198,8 +198,11 @@ pub struct FlightAnswer {
 }
 
 impl FlightAnswer {
-    /// Every flight of a case, with its gap from `gap`.
-    pub fn all(case: &Case<'_>, gap: impl Fn(&PreparedFlight) -> Option<OverNoise>) -> Vec<Self> {
+    /// Every flight of the input, with its gap from `gap`.
+    pub fn all(
+        input: &DiagnosisInput<'_>,
+        gap: impl Fn(&PreparedFlight) -> Option<OverNoise>,
+    ) -> Vec<Self> {
         let of = |flight: &PreparedFlight, held_out: bool| Self {
             name: flight.name.clone(),
             held_out,
@@ -207,8 +210,8 @@ impl FlightAnswer {
             channels: flight.channels,
             over_noise: gap(flight),
         };
-        let fitted = case.fitted.iter().map(|flight| of(flight, false));
-        fitted.chain(case.held_out.iter().map(|flight| of(flight, true))).collect()
+        let fitted = input.fitted.iter().map(|flight| of(flight, false));
+        fitted.chain(input.held_out.iter().map(|flight| of(flight, true))).collect()
     }
 }
 

@@ -9,8 +9,8 @@
 pub mod law;
 pub mod terms;
 
-mod weighed;
-mod written;
+mod assessment;
+mod description;
 
 use rayon::prelude::*;
 use vehicle::VehicleError;
@@ -18,11 +18,11 @@ use vehicle::effects::EffectSet;
 
 use crate::diagnose::catalogue::hypothesis::Catalogue;
 use crate::diagnose::catalogue::term::{Factor, Term};
+use crate::diagnose::context::DiagnosisContext;
 use crate::diagnose::discovery::law::LawAnswer;
 use crate::diagnose::discovery::terms::terms;
 use crate::diagnose::error::DiagnoseError;
 use crate::diagnose::flights::preparation::Channels;
-use crate::diagnose::inquiry::Inquiry;
 use crate::diagnose::likelihood::fit::{Fit, fit_numbers};
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::observed::Observed;
@@ -32,14 +32,14 @@ use crate::diagnose::simulate::gap::Errors;
 use crate::diagnose::verdict::Decision;
 use crate::diagnose::verdict::calibration::Calibration;
 use crate::diagnose::verdict::evidence::Evidence;
-use crate::diagnose::verdict::posterior::{CARRIES, CHANGES, OPEN};
+use crate::diagnose::verdict::posterior::{EVIDENCE_SHARE_MIN, OPEN_GAP, PREDICTION_SHARE_MIN};
 
 /// Most terms of a law.
 const TERMS_MAX: usize = 5;
 /// Steps of the golden-section search for a shape; each keeps 0.62 of its range.
 const SHAPE_STEPS: usize = 10;
 /// Rounds in which every term may be exchanged.
-const EXCHANGES: usize = 2;
+const EXCHANGE_ROUNDS: usize = 2;
 
 /// A law that was found.
 pub(super) struct Discovered {
@@ -68,13 +68,13 @@ struct Draft {
 
 impl Draft {
     /// The catalogue with its terms, whose numbers come last.
-    fn catalogue(&self, inquiry: &Inquiry<'_>) -> Catalogue {
-        inquiry.catalogue.with_terms(self.terms.clone())
+    fn catalogue(&self, context: &DiagnosisContext<'_>) -> Catalogue {
+        context.catalogue.with_terms(self.terms.clone())
     }
 
     /// The numbers with wide priors.
-    fn active(&self, inquiry: &Inquiry<'_>) -> Vec<usize> {
-        active(inquiry.catalogue, &self.beside, self.terms.len())
+    fn active(&self, context: &DiagnosisContext<'_>) -> Vec<usize> {
+        active(context.catalogue, &self.beside, self.terms.len())
     }
 }
 
@@ -85,7 +85,7 @@ fn active(catalogue: &Catalogue, beside: &[usize], terms: usize) -> Vec<usize> {
     own.chain(first..first + terms).collect()
 }
 
-impl Inquiry<'_> {
+impl DiagnosisContext<'_> {
     /// The law that best explains the flights beside `found` and `evidence`; `None` where no term
     /// is worth its price.
     pub(super) fn discover(
@@ -94,14 +94,14 @@ impl Inquiry<'_> {
         evidence: &Evidence,
         decision: &Decision,
     ) -> Result<Option<Discovered>, DiagnoseError> {
-        let library = terms(self.case.vehicle, self.channels());
+        let library = terms(self.input.vehicle, self.channels());
         let price = (library.len() as f64).ln();
         let chosen = decision.explanation.checked_sub(1).and_then(|rank| found.sets.get(rank));
         let starts = std::iter::once(&found.file).chain(chosen);
         let best = found.best();
         let everything = self.simulator_of(best, &self.effects_of(best), true)?;
-        let floor = |look: &Observed<'_>| {
-            let floor = everything.floor(look.flights, &found.noise, self.settings.seed);
+        let floor = |observed: &Observed<'_>| {
+            let floor = everything.floor(observed.flights, &found.noise, self.settings.seed);
             floor.map(|floor| floor.errors)
         };
         let floors = [floor(&self.choosing), floor(&self.reported)];
@@ -114,13 +114,13 @@ impl Inquiry<'_> {
             drafts.extend(explanation.map(|explanation| (draft, explanation)));
         }
         let best = drafts.into_iter().max_by(|a, b| a.1.score().total_cmp(&b.1.score()));
-        let Some(chosen) = best else { return Ok(None) };
-        self.weigh(evidence, &floors, chosen).map(Some)
+        let Some((draft, explanation)) = best else { return Ok(None) };
+        self.assess(evidence, &floors, draft, &explanation).map(Some)
     }
 
     /// The channels that all logs hold.
     fn channels(&self) -> Channels {
-        let all = |has: fn(&Channels) -> bool| self.case.fitted.iter().all(|f| has(&f.channels));
+        let all = |has: fn(&Channels) -> bool| self.input.fitted.iter().all(|f| has(&f.channels));
         Channels {
             velocity: all(|c| c.velocity),
             attitude: all(|c| c.attitude),
@@ -136,7 +136,7 @@ impl Inquiry<'_> {
     /// Terms beside the effects of `start`, chosen on the flights for fitting.
     fn draft(&self, start: &Explanation, library: &[(Term, f64)], price: f64) -> Option<Draft> {
         let catalogue = self.catalogue.with_terms(library.to_vec());
-        let observed = self.fitted.by(&catalogue);
+        let observed = self.fitted.with_catalogue(&catalogue);
         let first = self.catalogue.numbers.len();
         let mut values = start.fit.values.clone();
         values.resize(catalogue.numbers.len(), 0.0);
@@ -171,7 +171,7 @@ impl Inquiry<'_> {
             set.push(term);
             now = with;
         }
-        for _ in 0..EXCHANGES {
+        for _ in 0..EXCHANGE_ROUNDS {
             let before = now;
             for place in 0..set.len() {
                 let mut others = set.clone();
@@ -207,7 +207,9 @@ impl Inquiry<'_> {
             let gaps = self.law_gaps(floor, &self.all, draft)?;
             Ok(gaps.map(|gaps| [gaps.both.min(gaps.effects).powi(2).max(1.0), gaps.file.powi(2)]))
                 .map(|gaps| {
-                    gaps.map(|[own, file]| own / (file - 1.0).max(2.0 * (OPEN * OPEN - 1.0)))
+                    gaps.map(|[own, file]| {
+                        own / (file - 1.0).max(2.0 * (OPEN_GAP * OPEN_GAP - 1.0))
+                    })
                 })
         };
         while draft.terms.len() > 1 {
@@ -215,14 +217,16 @@ impl Inquiry<'_> {
             let total: f64 = draft.gains.iter().sum();
             let mut least: Option<(f64, Draft)> = None;
             for index in 0..draft.terms.len() {
-                if draft.gains[index] > CARRIES * total {
+                if draft.gains[index] > EVIDENCE_SHARE_MIN * total {
                     continue;
                 }
                 let mut terms = draft.terms.clone();
                 terms.remove(index);
                 let Some(less) = self.refined(start, terms) else { continue };
                 let share = square(&less)?.zip(all).map_or(0.0, |(less, all)| less - all);
-                if share < CHANGES && least.as_ref().is_none_or(|(least, _)| share < *least) {
+                if share < PREDICTION_SHARE_MIN
+                    && least.as_ref().is_none_or(|(least, _)| share < *least)
+                {
                     least = Some((share, less));
                 }
             }
@@ -237,7 +241,7 @@ impl Inquiry<'_> {
     /// Refines the powers and lengths of the terms, and fits the result.
     fn refined(&self, start: &Explanation, mut terms: Vec<(Term, f64)>) -> Option<Draft> {
         let beside = &start.fit.hypotheses;
-        let look = Shaping { inquiry: self, start, about: self.nuisances(start)? };
+        let shaping = Shaping { context: self, start, about: self.nuisances(start)? };
         let (mut shapes, mut deviations) = (0.0, vec![0.0; terms.len()]);
         for index in 0..terms.len() {
             let Some((shape, [low, high])) = terms[index].0.factor.shape() else { continue };
@@ -245,11 +249,11 @@ impl Inquiry<'_> {
             let with = |shape: f64| -> Option<f64> {
                 let mut terms = unrefined.clone();
                 terms[index].0.factor = terms[index].0.factor.shaped(shape);
-                look.evidence(&terms)
+                shaping.evidence(&terms)
             };
             let width = if shape < 1.0 { shape.abs().max(0.5) } else { 1.0 };
             let range = [(shape - width).max(low), (shape + width).min(high)];
-            let Some((shape, top)) = greatest(range, &with) else { continue };
+            let Some((shape, top)) = golden_section_maximum(range, &with) else { continue };
             terms[index].0.factor = terms[index].0.factor.shaped(shape);
             // A fitted shape pays for the narrowing of its range, like any other number.
             let step = 0.02 * (high - low);
@@ -261,7 +265,7 @@ impl Inquiry<'_> {
             let plain = |factor: Factor| -> Option<(f64, Factor)> {
                 let mut terms = terms.clone();
                 terms[index].0.factor = factor;
-                Some((look.evidence(&terms)?, factor))
+                Some((shaping.evidence(&terms)?, factor))
             };
             let simpler = match terms[index].0.factor {
                 Factor::Power(quantity, _) => vec![Factor::One, Factor::Quantity(quantity)],
@@ -284,7 +288,7 @@ impl Inquiry<'_> {
             .map(|index| {
                 let mut less = terms.clone();
                 less.remove(index);
-                Some(look.evidence(&terms)? - look.evidence(&less)?)
+                Some(shaping.evidence(&terms)? - shaping.evidence(&less)?)
             })
             .collect::<Option<Vec<f64>>>()?;
         let fit = self.fitted_terms(&self.fitted, &start.fit, beside, &terms)?;
@@ -307,7 +311,7 @@ impl Inquiry<'_> {
         terms: &[(Term, f64)],
     ) -> Option<Fit> {
         let catalogue = self.catalogue.with_terms(terms.to_vec());
-        let observed = flights.by(&catalogue);
+        let observed = flights.with_catalogue(&catalogue);
         let active = active(self.catalogue, beside, terms.len());
         let mut values = from.values.clone();
         values.resize(catalogue.numbers.len(), 0.0);
@@ -315,13 +319,14 @@ impl Inquiry<'_> {
         let about = Linearised::new(&observed, &values, &numbers)?;
         let linear = about.solve(&catalogue, observed.counts(), &active)?;
         let start = active.iter().map(|number| (*number, linear.values[*number])).collect();
-        fit_numbers(&observed, &about, (beside, &active), &[start])
+        fit_numbers(&observed, &about, beside, &active, &[start])
     }
 
     /// A draft as an explanation, which pays the price of choosing its terms.
     fn explanation(&self, draft: &Draft, price: f64) -> Option<Explanation> {
         let catalogue = draft.catalogue(self);
-        let [fitted, choosing] = [&self.fitted, &self.choosing].map(|look| look.by(&catalogue));
+        let [fitted, choosing] =
+            [&self.fitted, &self.choosing].map(|observed| observed.with_catalogue(&catalogue));
         let chance = price * draft.terms.len() as f64 - draft.shapes;
         Explanation::new(draft.fit.clone(), chance, &fitted, &choosing)
     }
@@ -329,32 +334,32 @@ impl Inquiry<'_> {
 
 /// The evidence of terms in other shapes, with derivatives computed once.
 struct Shaping<'a> {
-    inquiry: &'a Inquiry<'a>,
+    context: &'a DiagnosisContext<'a>,
     start: &'a Explanation,
     about: Linearised,
 }
 
 impl Shaping<'_> {
     fn evidence(&self, terms: &[(Term, f64)]) -> Option<f64> {
-        let Self { inquiry, start, about } = self;
-        let catalogue = inquiry.catalogue.with_terms(terms.to_vec());
-        let observed = inquiry.fitted.by(&catalogue);
+        let Self { context, start, about } = self;
+        let catalogue = context.catalogue.with_terms(terms.to_vec());
+        let observed = context.fitted.with_catalogue(&catalogue);
         let mut values = start.fit.values.clone();
         values.resize(catalogue.numbers.len(), 0.0);
         let base = observed.residuals(&values)?;
-        let first = inquiry.catalogue.numbers.len();
+        let first = context.catalogue.numbers.len();
         let columns: Vec<_> = (first..catalogue.numbers.len())
             .filter_map(|number| Some((number, observed.column(&values, &base, number)?)))
             .collect();
         let keep: Vec<usize> = (0..first).collect();
         let about = about.with(&observed, &values, &base, &keep, &columns);
-        let active = active(inquiry.catalogue, &start.fit.hypotheses, terms.len());
+        let active = active(context.catalogue, &start.fit.hypotheses, terms.len());
         Some(about.solve(&catalogue, observed.counts(), &active)?.evidence)
     }
 }
 
 /// The maximum of a function of one number and its position, by golden sections.
-fn greatest(range: [f64; 2], of: &dyn Fn(f64) -> Option<f64>) -> Option<(f64, f64)> {
+fn golden_section_maximum(range: [f64; 2], of: &dyn Fn(f64) -> Option<f64>) -> Option<(f64, f64)> {
     const GOLDEN: f64 = 0.618_033_988_749_895;
     let [mut low, mut high] = range;
     let mut a = (high - GOLDEN * (high - low), 0.0);
@@ -380,8 +385,9 @@ mod tests {
 
     #[test]
     fn golden_section_search_finds_the_maximum() {
-        let (at, top) = greatest([-1.0, 3.0], &|x| Some(5.0 - (x - 1.3).powi(2))).unwrap();
+        let (at, top) =
+            golden_section_maximum([-1.0, 3.0], &|x| Some(5.0 - (x - 1.3).powi(2))).unwrap();
         assert!((at - 1.3).abs() < 0.02 && (top - 5.0).abs() < 1e-3, "{at} {top}");
-        assert!(greatest([0.0, 1.0], &|_| None).is_none());
+        assert!(golden_section_maximum([0.0, 1.0], &|_| None).is_none());
     }
 }

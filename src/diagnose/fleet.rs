@@ -11,4 +11,4 @@ pub mod answer;
 pub mod mixture;
 pub mod shared;
 pub mod survey;
-pub mod words;
+pub mod text;

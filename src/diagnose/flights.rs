@@ -1,11 +1,11 @@
 //! Logs as data: streams as plain numbers, blocks of airborne time, their spectra, and the on-board
 //! loop's response to setpoints.
 
-pub mod arrival;
-pub mod case;
-pub mod normal;
+pub mod command_delay;
+pub(super) mod data_split;
+pub mod input;
+pub mod normal_draws;
 pub mod onboard;
-pub(super) mod parts;
 pub mod preparation;
 pub mod rotor_order;
 pub mod series;

@@ -1,5 +1,6 @@
 //! The likelihood of flights: equations of motion over cells of time, by frequency, and their fit.
 
+mod bounded_minimum;
 pub mod channels;
 pub mod fit;
 pub mod layout;

@@ -3,16 +3,16 @@
 
 pub mod answer;
 pub mod catalogue;
+mod context;
 pub mod discovery;
 pub mod error;
 pub mod fleet;
 pub mod flights;
-mod inquiry;
 pub mod likelihood;
 pub mod next_flight;
 pub mod onset;
 pub mod pipeline;
-pub mod remainder;
+pub mod residual_analysis;
 pub mod search;
 pub mod simulate;
 pub mod verdict;

@@ -7,7 +7,7 @@
 //! differ from the new one's. The best manoeuvre has the largest worst-case evidence against a
 //! rival. Among those with plenty of it, and with half of the best one's, the shortest wins.
 
-mod live;
+mod live_hypothesis;
 mod rehearsal;
 
 use rayon::prelude::*;
@@ -15,8 +15,8 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 
-pub use self::live::{Live, OpenQuestions, typical};
-use self::rehearsal::{Rehearsal, Stage};
+pub use self::live_hypothesis::{LiveHypothesis, OpenQuestions, typical};
+use self::rehearsal::{Rehearsal, Rehearsals};
 use crate::diagnose::likelihood::noise::ReportNoise;
 use crate::diagnose::simulate::flight_simulator::NotSimulated;
 use crate::plan::FlightEnvelope;
@@ -24,13 +24,13 @@ use crate::plan::manoeuvres::{Manoeuvre, Room, library};
 
 /// Plenty of evidence against every rival, nats. It is far beyond the need in simulation, because
 /// models are never quite right.
-const PLENTY: f64 = 100.0;
+const AMPLE_EVIDENCE: f64 = 100.0;
 /// A shorter manoeuvre wins with this share of the best one's evidence.
-const COMPARABLE: f64 = 0.5;
+const COMPARABLE_SHARE: f64 = 0.5;
 /// Share of the simulated evidence that counts: model errors are common to the channels.
-const INDEPENDENT: f64 = 0.25;
+const INDEPENDENT_SHARE: f64 = 0.25;
 /// Least evidence for an effect to be visible, nats.
-const VISIBLE: f64 = 20.0;
+const VISIBLE_EVIDENCE_MIN: f64 = 20.0;
 
 /// The constraints of a proposal.
 #[derive(Clone, Copy, Debug)]
@@ -107,15 +107,15 @@ pub struct Tried {
 /// [`NotSimulated`].
 pub fn separating(
     proposal: &Proposal<'_>,
-    hypotheses: &[Live],
+    hypotheses: &[LiveHypothesis],
 ) -> Result<Option<NextFlight>, NotSimulated> {
     if hypotheses.len() < 2 {
         return Ok(None);
     }
-    let stage = Stage::new(proposal, hypotheses)?;
+    let rehearsals = Rehearsals::new(proposal, hypotheses)?;
     let truths: Vec<usize> = (0..hypotheses.len()).collect();
-    let judged = judge(&stage, &library(&proposal.room, &proposal.envelope), &truths);
-    Ok(choose(judged, hypotheses, PLENTY))
+    let assessed = assess(&rehearsals, &library(&proposal.room, &proposal.envelope), &truths);
+    Ok(choose(assessed, hypotheses, AMPLE_EVIDENCE))
 }
 
 /// The manoeuvre that shows the most of `effects`, each at its typical strength, against a vehicle
@@ -125,15 +125,15 @@ pub fn separating(
 /// [`NotSimulated`].
 pub fn showing(
     proposal: &Proposal<'_>,
-    effects: &[Live],
+    effects: &[LiveHypothesis],
 ) -> Result<Option<NextFlight>, NotSimulated> {
     let library = library(&proposal.room, &proposal.envelope);
     let mut shown: Vec<NextFlight> = Vec::new();
     for effect in effects {
-        let hypotheses = [effect.clone(), Live::none(1.0 - effect.probability)];
-        let stage = Stage::new(proposal, &hypotheses)?;
-        let next = choose(judge(&stage, &library, &[0]), &hypotheses, VISIBLE);
-        let is_shown = |next: &NextFlight| next.tried[0].least_nats >= Some(VISIBLE);
+        let hypotheses = [effect.clone(), LiveHypothesis::none(1.0 - effect.probability)];
+        let rehearsals = Rehearsals::new(proposal, &hypotheses)?;
+        let next = choose(assess(&rehearsals, &library, &[0]), &hypotheses, VISIBLE_EVIDENCE_MIN);
+        let is_shown = |next: &NextFlight| next.tried[0].least_nats >= Some(VISIBLE_EVIDENCE_MIN);
         shown.extend(next.filter(is_shown));
     }
     // The choice of most effects; of equals, the first in the library.
@@ -165,12 +165,12 @@ pub fn next_flight(
 }
 
 /// A manoeuvre with its expected result for each truth; `None` where it breaks a limit.
-struct Judged {
+struct AssessedManoeuvre {
     manoeuvre: Manoeuvre,
     rehearsals: Option<Vec<Rehearsal>>,
 }
 
-impl Judged {
+impl AssessedManoeuvre {
     /// Least evidence of a truth against one of its rivals, nats.
     fn least(&self) -> Option<f64> {
         let rehearsals = self.rehearsals.as_ref()?.iter();
@@ -187,32 +187,41 @@ impl Judged {
     }
 }
 
-fn judge(stage: &Stage<'_>, library: &[Manoeuvre], truths: &[usize]) -> Vec<Judged> {
+fn assess(
+    rehearsals: &Rehearsals<'_>,
+    library: &[Manoeuvre],
+    truths: &[usize],
+) -> Vec<AssessedManoeuvre> {
     library
         .par_iter()
         .map(|manoeuvre| {
-            let rehearsals = truths.par_iter().map(|truth| stage.rehearse(manoeuvre, *truth));
-            Judged { manoeuvre: manoeuvre.clone(), rehearsals: rehearsals.collect() }
+            let rehearsals = truths.par_iter().map(|truth| rehearsals.rehearse(manoeuvre, *truth));
+            AssessedManoeuvre { manoeuvre: manoeuvre.clone(), rehearsals: rehearsals.collect() }
         })
         .collect()
 }
 
-fn choose(mut judged: Vec<Judged>, hypotheses: &[Live], plenty: f64) -> Option<NextFlight> {
-    let most = judged.iter().filter_map(Judged::least).fold(f64::NEG_INFINITY, f64::max);
-    let enough = plenty.max(COMPARABLE * most);
-    judged.sort_by(|a, b| {
+fn choose(
+    mut assessed: Vec<AssessedManoeuvre>,
+    hypotheses: &[LiveHypothesis],
+    plenty: f64,
+) -> Option<NextFlight> {
+    let most =
+        assessed.iter().filter_map(AssessedManoeuvre::least).fold(f64::NEG_INFINITY, f64::max);
+    let enough = plenty.max(COMPARABLE_SHARE * most);
+    assessed.sort_by(|a, b| {
         let (a, b) = (a.merit(enough), b.merit(enough));
         b.0.cmp(&a.0).then(b.1.total_cmp(&a.1))
     });
-    let tried = judged
+    let tried = assessed
         .iter()
-        .map(|judged| Tried {
-            manoeuvre: judged.manoeuvre.name,
-            seconds: judged.manoeuvre.trajectory.duration(),
-            least_nats: judged.least(),
+        .map(|assessed| Tried {
+            manoeuvre: assessed.manoeuvre.name,
+            seconds: assessed.manoeuvre.trajectory.duration(),
+            least_nats: assessed.least(),
         })
         .collect();
-    let Judged { manoeuvre, rehearsals } = judged.into_iter().next()?;
+    let AssessedManoeuvre { manoeuvre, rehearsals } = assessed.into_iter().next()?;
     Some(NextFlight {
         manoeuvre: manoeuvre.name,
         seconds: manoeuvre.trajectory.duration(),
@@ -223,7 +232,7 @@ fn choose(mut judged: Vec<Judged>, hypotheses: &[Live], plenty: f64) -> Option<N
     })
 }
 
-fn outlook(rehearsal: &Rehearsal, hypotheses: &[Live]) -> Outlook {
+fn outlook(rehearsal: &Rehearsal, hypotheses: &[LiveHypothesis]) -> Outlook {
     let truth = &hypotheses[rehearsal.truth];
     // Odds relative to the truth. The evidence is reduced because channels share noise.
     let others: f64 = rehearsal
@@ -231,7 +240,7 @@ fn outlook(rehearsal: &Rehearsal, hypotheses: &[Live]) -> Outlook {
         .iter()
         .map(|(rival, nats)| {
             let odds = hypotheses[*rival].probability / truth.probability.max(1e-9);
-            odds * (-INDEPENDENT * nats).exp()
+            odds * (-INDEPENDENT_SHARE * nats).exp()
         })
         .sum();
     Outlook {

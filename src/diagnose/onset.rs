@@ -13,7 +13,7 @@ const PRESENT_S: f64 = 30.0;
 
 /// The detector's results on a flight.
 #[derive(Clone, Debug)]
-pub struct Seen {
+pub struct OnsetReport {
     /// Detected changes, in order of time.
     pub changes: Vec<Change>,
     /// The detector's looks, in order of time.
@@ -32,21 +32,21 @@ pub fn changes(
     flight: &PreparedFlight,
     vehicle: &VehicleParams,
     settings: Settings,
-) -> Result<Seen, VehicleError> {
+) -> Result<OnsetReport, VehicleError> {
     let mut detector = Detector::new(vehicle, settings)?;
     let mut seen =
-        Seen { changes: Vec::new(), looks: Vec::new(), present: Vec::new(), seconds: 0.0 };
+        OnsetReport { changes: Vec::new(), looks: Vec::new(), present: Vec::new(), seconds: 0.0 };
     for span in &flight.spans {
         seen.seconds += span.end - span.start;
         let mut hear = |event| match event {
             Event::Change(change) => seen.changes.push(*change),
             Event::Look(look) => seen.looks.push(look),
         };
-        let mut told = span.start;
+        let mut last_present = span.start;
         for (time, sample) in samples(flight, span) {
             detector.push(time, sample, &mut hear);
-            if time >= told + PRESENT_S {
-                told = time;
+            if time >= last_present + PRESENT_S {
+                last_present = time;
                 seen.present.extend(detector.present());
             }
         }

@@ -7,11 +7,11 @@ use vehicle::effects::{EffectId, EffectSet};
 use crate::diagnose::answer::Answer;
 use crate::diagnose::answer::assembly::Assembly;
 use crate::diagnose::answer::open_questions::open_questions;
+use crate::diagnose::context::{DiagnosisContext, Preliminaries};
 use crate::diagnose::discovery::Discovered;
 use crate::diagnose::error::DiagnoseError;
-use crate::diagnose::flights::case::{Case, Settings};
-use crate::diagnose::flights::parts::Parts;
-use crate::diagnose::inquiry::{Inquiry, Premises};
+use crate::diagnose::flights::data_split::DataSplit;
+use crate::diagnose::flights::input::{DiagnosisInput, Settings};
 use crate::diagnose::likelihood::fit::fit;
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::noise::{ReportNoise, report_noise};
@@ -20,10 +20,10 @@ use crate::diagnose::next_flight::OpenQuestions;
 use crate::diagnose::search::Search;
 use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::search::explanations::Explanations;
+use crate::diagnose::search::rotation_prediction::RotationPrediction;
+use crate::diagnose::search::rotation_prediction::rotation_predictions;
 use crate::diagnose::search::scale::scale;
-use crate::diagnose::search::turning::Turning;
-use crate::diagnose::search::turning::turning;
-use crate::diagnose::search::twins::{TwinFits, Twins, screened};
+use crate::diagnose::search::twins::{Draws, TwinFits, Twins, screened};
 use crate::diagnose::simulate::metric::Metric;
 use crate::diagnose::verdict::evidence::Evidence;
 use crate::diagnose::verdict::{Decision, decide};
@@ -54,65 +54,66 @@ pub struct Diagnosis {
 /// # Errors
 /// [`DiagnoseError`].
 pub fn diagnose(
-    case: &Case<'_>,
+    input: &DiagnosisInput<'_>,
     settings: &Settings,
     progress: &dyn Fn(&str),
 ) -> Result<Diagnosis, DiagnoseError> {
-    let stages = Stages { progress, stop: case.stop };
-    let premises = Premises::of(case);
-    let Premises { evaluator, leg, arrival, .. } = &premises;
-    let (leg, onboard) = (*leg, premises.onboard());
-    let at_scale = |scale: f64| premises.catalogue(case, scale);
-    let parts = Parts::of(case);
+    let stages = Stages { progress, stop: input.stop };
+    let preliminaries = Preliminaries::of(input);
+    let Preliminaries { evaluator, is_loop_known, measured_delay, .. } = &preliminaries;
+    let (is_loop_known, onboard) = (*is_loop_known, preliminaries.onboard());
+    let at_scale = |scale: f64| preliminaries.catalogue(input, scale);
+    let split = DataSplit::of(input);
     stages.begin("assessing the vehicle file")?;
     let first = at_scale(1.0);
     first.candidate(&first.references())?;
-    let look = |flights, unused: &[usize]| Observed::without(flights, evaluator, &first, unused);
-    let fitted = look(&parts.fitted, &[]);
+    let observed =
+        |flights, unused: &[usize]| Observed::without(flights, evaluator, &first, unused);
+    let fitted = observed(&split.fitted, &[]);
     let search = Search::without_chance(&fitted, &first);
     let (file, about) = search.file().ok_or(DiagnoseError::Nothing)?;
-    let (turning, unused) = turning(&search, (&file, &about), leg);
+    let (turning, unused) = rotation_predictions(&search, &file, &about, is_loop_known);
     let (scale, scales) = if unused.is_empty() {
         scale(&search, &about, at_scale)
     } else {
-        let fitted = look(&parts.fitted, &unused);
+        let fitted = observed(&split.fitted, &unused);
         let search = Search::without_chance(&fitted, &first);
         let (_, about) = search.file().ok_or(DiagnoseError::Nothing)?;
         scale(&search, &about, at_scale)
     };
     let catalogue = at_scale(scale);
-    let look = |flights| Observed::without(flights, evaluator, &catalogue, &unused);
-    let inquiry = Inquiry {
-        case,
+    let observed = |flights| Observed::without(flights, evaluator, &catalogue, &unused);
+    let context = DiagnosisContext {
+        input,
         settings,
         evaluator,
         catalogue: &catalogue,
         onboard,
-        arrival: *arrival,
-        fitted: look(&parts.fitted),
-        choosing: look(&parts.choosing),
-        all: look(case.fitted),
-        reported: look(case.held_out),
-        metric: metric(leg, &turning),
+        measured_delay: *measured_delay,
+        fitted: observed(&split.fitted),
+        choosing: observed(&split.choosing),
+        all: observed(input.fitted),
+        reported: observed(input.held_out),
+        metric: metric(is_loop_known, &turning),
         axes: turning.map(|axis| axis.is_usable),
     };
-    let found = inquiry.explanations(&stages)?;
+    let found = context.explanations(&stages)?;
     stages.begin("measuring the gap")?;
-    let evidence = inquiry.evidence(&found, (turning, scale, scales))?;
+    let evidence = context.evidence(&found, turning, scale, scales)?;
     let decision = decide(&evidence);
     let discovered = match settings.discover {
         true => {
             stages.begin("searching for a law")?;
-            inquiry.discover(&found, &evidence, &decision)?
+            context.discover(&found, &evidence, &decision)?
         }
         false => None,
     };
-    let mut diagnosis = inquiry.diagnosis(found, evidence, decision, &stages)?;
+    let mut diagnosis = context.diagnosis(found, evidence, decision, &stages)?;
     if let Some(Discovered { answer, effects }) = discovered {
         if answer.named {
             diagnosis.effects = effects;
         }
-        diagnosis.answer.take_up_law(answer);
+        diagnosis.answer.add_law(answer);
     }
     Ok(diagnosis)
 }
@@ -137,15 +138,15 @@ impl Stages<'_> {
 
 /// The metric of the predictions. Without a known on-board loop it depends on whether moments are
 /// usable about every axis.
-fn metric(leg: bool, turning: &[Turning; 3]) -> Metric {
-    match leg {
+fn metric(is_loop_known: bool, turning: &[RotationPrediction; 3]) -> Metric {
+    match is_loop_known {
         true => Metric::Mean,
         false if turning.iter().any(|axis| axis.is_usable) => Metric::Guided,
         false => Metric::Forces,
     }
 }
 
-impl Inquiry<'_> {
+impl DiagnosisContext<'_> {
     /// Fits every explanation that is worth a fit, and measures what chance gives each hypothesis.
     fn explanations(&self, stages: &Stages<'_>) -> Result<Explanations, DiagnoseError> {
         let mut search = Search {
@@ -184,10 +185,10 @@ impl Inquiry<'_> {
         about: &Linearised,
         noise: &ReportNoise,
     ) -> Result<Twins, DiagnoseError> {
-        let draws = (self.settings.twins, self.settings.seed);
+        let draws = Draws { count: self.settings.twins, seed: self.settings.seed };
         let Some(law) = self.onboard else {
             let twins = TwinFits::of_noise(&self.fitted, &file.fit.power, draws);
-            let about = about.resting_at(self.catalogue.expected());
+            let about = about.moved_to(self.catalogue.expected());
             return Ok(screened(search, file, &about, &twins, self.settings.seed));
         };
         let twins = TwinFits::of_null(&self.fitted, about, law, noise, draws)?;
@@ -212,7 +213,7 @@ impl Inquiry<'_> {
             && let Some(about) = Linearised::new(&self.all, &again.fit.values, &numbers)
         {
             let active = again.fit.active(self.catalogue);
-            let draws = (count, self.settings.seed);
+            let draws = Draws { count, seed: self.settings.seed };
             if let Ok(twins) = TwinFits::of_effects(&self.all, &about, &active, law, noise, draws) {
                 for number in active {
                     let [low, high] = self.catalogue.numbers[number].bounds;
@@ -225,16 +226,16 @@ impl Inquiry<'_> {
                 }
             }
         }
-        self.take_up_delay(&mut again);
+        self.use_measured_delay(&mut again);
         Some(again)
     }
 
     /// Replaces a chosen `command_delay` with the delay measured from the outputs, where there is
     /// one.
-    fn take_up_delay(&self, best: &mut Explanation) {
+    fn use_measured_delay(&self, best: &mut Explanation) {
         let number = self.catalogue.number_of(EffectId::CommandDelay, 0);
         let chosen = number.filter(|n| best.fit.active(self.catalogue).contains(n));
-        if let Some((number, delay)) = chosen.zip(self.arrival) {
+        if let Some((number, delay)) = chosen.zip(self.measured_delay) {
             best.fit.values[number] = delay.mean;
             best.fit.deviation[number] = delay.deviation;
         }
@@ -255,7 +256,7 @@ impl Inquiry<'_> {
         };
         let best = self.refitted(&chosen, &found.noise).unwrap_or(chosen);
         let assembly = Assembly {
-            inquiry: self,
+            context: self,
             found: &found,
             best: &best,
             evidence: &evidence,
@@ -269,7 +270,7 @@ impl Inquiry<'_> {
             evidence,
             effects,
             open,
-            setpoint_leg: self.leg(),
+            setpoint_leg: self.is_loop_known(),
             noise: found.noise,
         })
     }

@@ -6,8 +6,8 @@
 
 pub(super) mod explanation;
 pub mod explanations;
+pub(super) mod rotation_prediction;
 pub(super) mod scale;
-pub(super) mod turning;
 pub mod twins;
 
 use rayon::prelude::*;
@@ -82,7 +82,7 @@ impl<'a> Search<'a> {
         Some((self.explanation(best)?, about))
     }
 
-    /// The sum of squares at each place that the file's numbers and the hypothesis with the most
+    /// The sum of squares in each bin that the file's numbers and the hypothesis with the most
     /// evidence leave, in the linearised problem.
     pub fn least_power(&self, about: &Linearised) -> Option<Vec<f64>> {
         let (best, _) = *self.screen(about, &[]).first()?;
@@ -180,7 +180,7 @@ impl<'a> Search<'a> {
                 self.fit_of(about, &joint, &from)
             })
             .collect();
-        in_order(&mut found);
+        sort_by_score(&mut found);
         found
     }
 
@@ -229,13 +229,13 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        in_order(&mut all);
+        sort_by_score(&mut all);
         all
     }
 }
 
 /// Sorts by score, the best first.
-fn in_order(explanations: &mut [Explanation]) {
+fn sort_by_score(explanations: &mut [Explanation]) {
     explanations.sort_by(|a, b| {
         b.score().total_cmp(&a.score()).then(a.fit.hypotheses.cmp(&b.fit.hypotheses))
     });

@@ -5,15 +5,14 @@
 //! of the gap that the vehicle file's numbers leave open within their tolerances. Otherwise it is
 //! `none` where those numbers close the gap or only noise remains, and else `unknown`.
 
+pub(super) mod assessment;
 pub mod attribution;
 pub mod calibration;
 pub mod evidence;
+mod leading;
 pub mod parameter;
 pub(super) mod posterior;
 pub mod untestable;
-pub(super) mod weighing;
-
-use std::collections::BTreeSet;
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -21,7 +20,8 @@ use vehicle::effects::EffectId;
 
 use crate::diagnose::verdict::calibration::{Calibration, SIGNS};
 use crate::diagnose::verdict::evidence::{Evidence, ForceLeft};
-use crate::diagnose::verdict::posterior::{OPEN, Posterior, RIVAL, class};
+use crate::diagnose::verdict::leading::Leading;
+use crate::diagnose::verdict::posterior::{OPEN_GAP, Posterior};
 
 /// The verdict in three words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
@@ -91,44 +91,22 @@ pub struct Decision {
 }
 
 /// Share of the open squared gap that all effects together must close to be substantial.
-const SUBSTANTIAL: f64 = 0.2;
+const SUBSTANTIAL_SHARE: f64 = 0.2;
 /// Probability of gusts where a force looks like turbulence, since other forces look like it too.
-const GUSTS: f64 = 0.7;
+const GUST_PROBABILITY: f64 = 0.7;
 /// Share of the closable gap above which the remainder shows that an equation is inexact.
-const INEXACT: f64 = 0.1;
-
-/// Effects that act alike where some channel is missing, by class.
-struct Alike {
-    effects: [&'static str; 3],
-    are_told: fn(&Evidence) -> bool,
-}
-
-/// Near one throttle, only a falling pack voltage separates effects on the thrust, and only motor
-/// outputs separate effects on a moment.
-const ALIKE: [Alike; 2] = [
-    Alike {
-        effects: ["battery_sag", "thrust_curve", "thrust_scale"],
-        are_told: |evidence| evidence.voltage_differs,
-    },
-    Alike {
-        effects: ["inertia", "pd_gain", "yaw_torque"],
-        are_told: |evidence| evidence.outputs_logged,
-    },
-];
-/// Share of its probability that an effect keeps when its class is not separated.
-const UNTOLD: f64 = 0.6;
+const INEXACT_SHARE: f64 = 0.1;
 
 /// The verdict on the evidence, with the calibration that is compiled in.
 pub fn decide(evidence: &Evidence) -> Decision {
-    decide_by(evidence, Calibration::shipped())
+    decide_with(evidence, Calibration::shipped())
 }
 
 /// The verdict on the evidence with another calibration.
-pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
+pub fn decide_with(evidence: &Evidence, calibration: &Calibration) -> Decision {
     let posterior = Posterior::new(evidence, calibration);
     let best = posterior.best();
-    let inclusion = posterior.inclusion();
-    let mut decision = Decision {
+    let decision = Decision {
         verdict: Verdict::None,
         because: None,
         explanation: best,
@@ -141,109 +119,97 @@ pub fn decide_by(evidence: &Evidence, calibration: &Calibration) -> Decision {
         noise: 1.0,
     };
     let Some(explained) = evidence.explanations.get(best) else { return decision };
-    let practical: Vec<&String> =
-        explained.effects.iter().filter(|effect| explained.is_practical(effect)).collect();
+    let leading = Leading::new(evidence, &posterior, best, explained);
+    match posterior.reported(0).zip(evidence.shipped[1]) {
+        Some((file, shipped)) => by_predictions(&leading, calibration, file, shipped, decision),
+        None => by_equations(&leading, decision),
+    }
+}
+
+/// The largest probability of effects that are sorted by it.
+fn surest(effects: &[(String, f64)]) -> f64 {
+    effects.first().map_or(0.0, |(_, probability)| *probability)
+}
+
+/// Without predictions, the equations alone decide.
+fn by_equations(leading: &Leading<'_>, mut decision: Decision) -> Decision {
+    decision.effects = leading.probabilities(decision.outside);
+    let is_file_unlikely = leading.posterior.masses.first().is_some_and(|file| *file < NAMED);
+    if surest(&decision.effects) >= NAMED {
+        decision.verdict = Verdict::Effect;
+        decision.ambiguous_with = leading.rivals();
+    } else if !leading.is_within_tolerances() && is_file_unlikely {
+        decision.verdict = Verdict::Unknown;
+        decision.because = Some(Unexplained::Doubt);
+    }
+    decision
+}
+
+/// The decision from predictions of the held-out flights. `file` is the squared gap that the
+/// file's numbers leave, `shipped` the gap as shipped.
+fn by_predictions(
+    leading: &Leading<'_>,
+    calibration: &Calibration,
+    file: f64,
+    shipped: f64,
+    mut decision: Decision,
+) -> Decision {
+    let Leading { evidence, posterior, explained, .. } = leading;
+    let after = posterior.reported(leading.index).unwrap_or(file);
     // The file explains whatever is within its tolerances.
-    let is_files = practical.is_empty() && !explained.effects.is_empty();
-    let mut rivals: Vec<String> = {
-        let own: BTreeSet<&str> = explained.effects.iter().map(|effect| class(effect)).collect();
-        let others = inclusion.iter().filter(|(effect, mass)| {
-            !own.contains(*effect) && **mass > RIVAL && posterior.is_in_place(best, effect)
-        });
-        others.map(|(effect, _)| (*effect).to_owned()).collect()
-    };
-    let is_own = |effect: &&str| explained.effects.iter().any(|own| class(own) == *effect);
-    let untold: Vec<&str> = ALIKE
-        .iter()
-        .filter(|alike| alike.effects.iter().any(is_own) && !(alike.are_told)(evidence))
-        .flat_map(|alike| alike.effects)
-        .collect();
-    rivals.extend(untold.iter().filter(|effect| !is_own(effect)).map(|e| (*e).to_owned()));
-    rivals.sort_unstable();
-    rivals.dedup();
-    let weighed = |outside: f64| -> Vec<(String, f64)> {
-        let mut own: Vec<(String, f64)> = practical
-            .iter()
-            .map(|effect| {
-                let mass = inclusion.get(class(effect)).copied().unwrap_or(0.0);
-                let told = if untold.contains(&class(effect)) { UNTOLD } else { 1.0 };
-                ((*effect).clone(), told * (1.0 - outside) * mass.min(1.0))
-            })
-            .collect();
-        own.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-        own
-    };
-    let Some((file, shipped)) = posterior.reported(0).zip(evidence.shipped[1]) else {
-        // Without predictions, the equations alone decide.
-        decision.effects = weighed(decision.outside);
-        let surest = decision.effects.first().map_or(0.0, |(_, probability)| *probability);
-        if surest >= NAMED {
-            decision.verdict = Verdict::Effect;
-            decision.ambiguous_with = rivals;
-        } else if !is_files && posterior.masses.first().is_some_and(|file| *file < NAMED) {
-            decision.verdict = Verdict::Unknown;
-            decision.because = Some(Unexplained::Doubt);
-        }
-        return decision;
-    };
-    let after = posterior.reported(best).unwrap_or(file);
-    let file = if is_files { file.min(after) } else { file };
+    let file = if leading.is_within_tolerances() { file.min(after) } else { file };
     let is_forced = evidence.force.is_some_and(ForceLeft::is_practical);
     let noise = evidence.noise(after, is_forced);
     if evidence.learned.is_some() {
         decision.noise = noise.sqrt();
     }
-    let open = (OPEN + 4.0 * evidence.scatter).powi(2);
     let closable = (file - noise).max(f64::MIN_POSITIVE);
     let closed = file - after;
     let remainder = ((after - noise) / closable).clamp(0.0, 1.0);
     decision.signs = [1.0, remainder];
     decision.outside = calibration.discrepancy(&decision.signs);
     // A share of the open gap, and more than noise scatters the gap by.
-    let is_substantial = closed > SUBSTANTIAL * (file - 1.0).max(f64::MIN_POSITIVE)
+    let is_substantial = closed > SUBSTANTIAL_SHARE * (file - 1.0).max(f64::MIN_POSITIVE)
         && closed > 0.1 + 4.0 * evidence.scatter;
     let file_gaps = evidence.explanations.first().and_then(|file| file.reported);
     let is_worse = evidence.is_worse([file_gaps, explained.reported], 1);
-    if !practical.is_empty() && is_substantial && !is_worse {
-        decision.effects = weighed(decision.outside);
-        let surest = decision.effects.first().map_or(0.0, |(_, probability)| *probability);
-        if surest >= NAMED || remainder < 0.5 {
+    if !leading.practical.is_empty() && is_substantial && !is_worse {
+        decision.effects = leading.probabilities(decision.outside);
+        if surest(&decision.effects) >= NAMED || remainder < 0.5 {
             decision.verdict = Verdict::Effect;
-            decision.is_inexact = remainder > INEXACT;
-            decision.ambiguous_with = rivals;
+            decision.is_inexact = remainder > INEXACT_SHARE;
+            decision.ambiguous_with = leading.rivals();
         } else {
             decision.verdict = Verdict::Unknown;
             decision.because = Some(Unexplained::Doubt);
         }
         return decision;
     }
+    // No effect explains the gap: a force may, or the gap stays open.
+    decision.explanation = 0;
+    let open = (OPEN_GAP + 4.0 * evidence.scatter).powi(2);
     let is_open = shipped.powi(2) > open;
-    if is_forced && is_open {
-        if evidence.gusts_m_s.is_some() {
-            decision.verdict = Verdict::Effect;
-            decision.effects = vec![(EffectId::Gusts.name().to_owned(), GUSTS)];
-        } else {
-            decision.verdict = Verdict::Unknown;
-            decision.because = Some(Unexplained::Force);
-        }
-        decision.explanation = 0;
-        return decision;
-    }
     // A gap of twice the noise is open, however much the file's numbers close.
-    let is_much = file - noise > SUBSTANTIAL * (shipped.powi(2) - noise) || file > 4.0 * noise;
-    let is_left = file > noise * open && is_much;
-    if is_open && is_left {
+    let is_large =
+        file - noise > SUBSTANTIAL_SHARE * (shipped.powi(2) - noise) || file > 4.0 * noise;
+    let is_left = file > noise * open && is_large;
+    if is_forced && is_open && evidence.gusts_m_s.is_some() {
+        decision.verdict = Verdict::Effect;
+        decision.effects = vec![(EffectId::Gusts.name().to_owned(), GUST_PROBABILITY)];
+    } else if is_forced && is_open {
+        decision.verdict = Verdict::Unknown;
+        decision.because = Some(Unexplained::Force);
+    } else if is_open && is_left {
         decision.verdict = Verdict::Unknown;
         decision.because = Some(Unexplained::Remainder);
     }
-    decision.explanation = 0;
     decision
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::search::turning::Turning;
+    use crate::diagnose::search::rotation_prediction::RotationPrediction;
     use crate::diagnose::verdict::evidence::{Explained, Found, Gaps};
 
     /// A set of effects with its evidence over the file's in each of four blocks, and its gaps:
@@ -275,7 +241,7 @@ mod tests {
             loop_known: true,
             metric: "mean".to_owned(),
             scale: 1.0,
-            turning: [Turning { is_usable: true, ..Turning::default() }; 3],
+            turning: [RotationPrediction { is_usable: true, ..RotationPrediction::default() }; 3],
             fitted_blocks: 4,
             chosen_s: 20.0,
             explanations,
@@ -290,7 +256,7 @@ mod tests {
     /// A fixed calibration, so that a new one does not change these tests.
     fn decide(evidence: &Evidence) -> Decision {
         let calibration = Calibration { version: 0, law: 0.06, discrepancy: [-3.5, 8.0] };
-        decide_by(evidence, &calibration)
+        decide_with(evidence, &calibration)
     }
 
     fn named(decision: &Decision) -> Vec<&str> {

@@ -11,7 +11,7 @@ pub const NAMED: f64 = 0.5;
 
 /// An answer to a case.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Given {
+pub struct GivenAnswer {
     /// `effect`, `none` or `unknown`.
     pub verdict: String,
     /// Effects with their probabilities.
@@ -80,7 +80,7 @@ pub struct Untestable {
     pub id: String,
 }
 
-impl Given {
+impl GivenAnswer {
     /// Probability of each class of effects that act alike, the most probable first.
     pub fn probabilities(&self) -> Vec<(String, f64)> {
         let mut by_class: BTreeMap<String, f64> = BTreeMap::new();
@@ -144,7 +144,7 @@ mod tests {
             {"id":"wind","probability":0.2},
             {"id":"mass","probability":0.4,"parameters":{"mass_kg":1.5}},
             {"id":"thrust_scale","probability":0.5}],"ambiguous_with":["wind"]}"#;
-        let given: Given = serde_json::from_str(text).expect("an answer");
+        let given: GivenAnswer = serde_json::from_str(text).expect("an answer");
         let all = given.probabilities();
         assert_eq!(all[0].0, "thrust_scale");
         assert!((all[0].1 - 0.9).abs() < 1e-12 && all.len() == 2);

@@ -18,10 +18,10 @@ use super::airframe;
 use super::case::Case;
 use super::condition::Condition;
 use super::deviations::Deviations;
+use super::direction::Direction;
 use super::draw::Draw;
 use super::flight::{FlightError, Link, Sortie, Track};
 use super::ground::Rates;
-use super::magnitude::Direction;
 use super::motion::Motion;
 use super::order::{Kind, Order, Settings};
 use super::programme::{Restriction, Vigour, programme};
@@ -37,7 +37,7 @@ const DRAGS: [EffectId; 2] = [EffectId::RotorDrag, EffectId::ParasiticDrag];
 const NEED_DRAG: [EffectId; 2] = [EffectId::Wind, EffectId::Gusts];
 
 /// The real vehicle with a truth.
-struct Real {
+struct RealVehicle {
     body: VehicleParams,
     effects: EffectSet,
     foreign: Vec<Foreign>,
@@ -185,16 +185,20 @@ impl Bench {
         self.deviations.beside(&truth.effects, truth.causes, truth.rotor)
     }
 
-    fn real(&self, truth: &Truth) -> Real {
+    fn real(&self, truth: &Truth) -> RealVehicle {
         let deviations = self.deviations_beside(truth);
-        Real {
+        RealVehicle {
             body: deviations.body(&self.believed),
             effects: deviations.effects().overlay(&truth.effects),
             foreign: deviations.foreign().into_iter().chain(&truth.foreign).cloned().collect(),
         }
     }
 
-    fn sorties<'a>(&'a self, real: &'a Real, ideal: bool) -> impl Iterator<Item = Sortie<'a>> {
+    fn sorties<'a>(
+        &'a self,
+        real: &'a RealVehicle,
+        ideal: bool,
+    ) -> impl Iterator<Item = Sortie<'a>> {
         self.motions.iter().zip(&self.configs).enumerate().map(move |(number, flight)| {
             let (motion, config) = flight;
             let mut config = config.clone();
@@ -224,7 +228,7 @@ impl Bench {
     }
 
     /// Adds `count` flights of another programme after the others.
-    pub(super) fn also_fly(&mut self, draw: &mut Draw, count: usize) {
+    pub(super) fn add_flights(&mut self, draw: &mut Draw, count: usize) {
         let vigour = Vigour::draw(draw, self.nominal.rotor_radius_m);
         self.motions.extend(programme(draw, &vigour, Restriction::None, count, self.seconds));
         let more = self.configs.iter().cycle().take(count).cloned().map(|mut config| {
@@ -395,7 +399,7 @@ mod tests {
         let shown = |scale: f64| {
             let mut effects = EffectSet::new();
             effects.insert_argument(&format!("thrust_scale:scale={scale}")).expect("an effect");
-            bench.shown(&baseline, &effects.into()).expect("a flight")
+            bench.truth_strength(&baseline, &effects.into()).expect("a flight")
         };
         let (small, large) = (shown(0.96), shown(0.8));
         assert!(small.beyond.ratio < 0.1 * small.strength.ratio, "{small:?}");

@@ -11,41 +11,41 @@ use super::score::Row;
 use super::stored::StoredCase;
 use super::summary::Summary;
 use crate::diagnose::verdict::calibration::{Calibration, SIGNS};
-use crate::diagnose::verdict::decide_by;
+use crate::diagnose::verdict::decide_with;
 
 /// Probability that counts for an effect that an answer does not mention.
 const UNMENTIONED: f64 = 0.02;
 /// Ridge penalty on the weights of the signs, since few cases are outside the catalogue.
 const RIDGE: f64 = 0.05;
 /// Values of `law` that are tried.
-const LAWS: [f64; 6] = [0.02, 0.03, 0.04, 0.06, 0.1, 0.15];
+const LAW_CANDIDATES: [f64; 6] = [0.02, 0.03, 0.04, 0.06, 0.1, 0.15];
 /// Smallest difference of log scores that separates laws; within it, interval coverage decides.
-const SAME: f64 = 0.002;
+const SCORE_DIFFERENCE_MIN: f64 = 0.002;
 /// Nominal coverage of the intervals.
-const HELD: f64 = 0.9;
+const NOMINAL_COVERAGE: f64 = 0.9;
 
 /// A calibration with its scores.
 #[derive(Debug)]
 pub struct Calibrated {
     /// The calibrated numbers.
     pub calibration: Calibration,
-    fitted: Fared,
-    tested: Fared,
+    fitted: CaseScores,
+    tested: CaseScores,
     /// Scores of the shipped calibration on the same cases.
-    before: [Fared; 2],
+    before: [CaseScores; 2],
     /// Log score on the fitted cases without each of the signs.
     without: [f64; SIGNS],
 }
 
 /// Scores on a set of cases.
 #[derive(Debug)]
-struct Fared {
+struct CaseScores {
     cases: usize,
     log_score: f64,
     summary: Summary,
 }
 
-impl Fared {
+impl CaseScores {
     fn of(cases: &[&StoredCase], calibration: &Calibration) -> Self {
         let rows: Vec<Row> = cases.par_iter().map(|case| case.row(calibration)).collect();
         let counted: Vec<&Row> = rows.iter().filter(|row| is_counted(row)).collect();
@@ -90,17 +90,19 @@ pub fn calibrate(cases: &[StoredCase]) -> Calibrated {
     let (tested, fitted): (Vec<&StoredCase>, Vec<&StoredCase>) =
         cases.iter().partition(|case| case.is_for_testing());
     let shipped = Calibration::shipped();
-    let score = |calibration: &Calibration| Fared::of(&fitted, calibration).log_score;
-    let trials = LAWS.map(|law| {
+    let score = |calibration: &Calibration| CaseScores::of(&fitted, calibration).log_score;
+    let trials = LAW_CANDIDATES.map(|law| {
         let trial = Calibration { law, ..shipped.clone() };
         let found = with_discrepancy(&fitted, &trial, [true; SIGNS]);
-        (Fared::of(&fitted, &found), found)
+        (CaseScores::of(&fitted, &found), found)
     });
     let top = trials.iter().map(|(fared, _)| fared.log_score).fold(f64::NEG_INFINITY, f64::max);
-    let off = |fared: &Fared| (fared.summary.covered.rate.unwrap_or(HELD) - HELD).abs();
+    let off = |fared: &CaseScores| {
+        (fared.summary.covered.rate.unwrap_or(NOMINAL_COVERAGE) - NOMINAL_COVERAGE).abs()
+    };
     let best = trials
         .iter()
-        .filter(|(fared, _)| fared.log_score > top - SAME)
+        .filter(|(fared, _)| fared.log_score > top - SCORE_DIFFERENCE_MIN)
         .min_by(|a, b| off(&a.0).total_cmp(&off(&b.0)));
     let mut calibration = best.map_or_else(|| shipped.clone(), |(_, found)| found.clone());
     let without = std::array::from_fn(|sign| {
@@ -108,7 +110,8 @@ pub fn calibrate(cases: &[StoredCase]) -> Calibrated {
         score(&with_discrepancy(&fitted, &calibration, used))
     });
     calibration.version = shipped.version + 1;
-    let fared = |calibration: &Calibration| [&fitted, &tested].map(|c| Fared::of(c, calibration));
+    let fared =
+        |calibration: &Calibration| [&fitted, &tested].map(|c| CaseScores::of(c, calibration));
     let before = fared(shipped);
     let [fitted, tested] = fared(&calibration);
     Calibrated { calibration, fitted, tested, before, without }
@@ -124,7 +127,7 @@ fn with_discrepancy(
     let sign = |case: &&StoredCase| {
         let is_outside = matches!(case.key.kind, Kind::LeftOut | Kind::Foreign);
         let counts = case.key.is_practical || case.key.kind == Kind::Null;
-        let decision = decide_by(case.evidence.as_ref()?, calibration);
+        let decision = decide_with(case.evidence.as_ref()?, calibration);
         let is_counted = counts && case.key.kind != Kind::Trap;
         is_counted.then(|| (SVector::from(decision.signs), f64::from(is_outside)))
     };
@@ -174,7 +177,7 @@ impl Display for Calibrated {
         for (name, fared, before) in
             [("made", &self.fitted, fitted_before), ("tested", &self.tested, tested_before)]
         {
-            let Fared { cases, log_score, summary } = fared;
+            let CaseScores { cases, log_score, summary } = fared;
             writeln!(f, "\n[{name}]\ncases = {cases}")?;
             writeln!(f, "log_score = {log_score:.4}")?;
             writeln!(f, "log_score_before = {:.4}", before.log_score)?;

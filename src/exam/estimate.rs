@@ -2,7 +2,7 @@
 
 use vehicle::effects::{EffectId, ParameterValue};
 
-use super::answer::{Given, GivenEffect, class_of};
+use super::answer::{GivenAnswer, GivenEffect, class_of};
 use super::deviations::Deviation;
 use super::deviations::Parameters;
 use super::key::{KeyEntry, TrueEffect};
@@ -13,35 +13,38 @@ const ERROR_MAX: f64 = 10.0;
 /// A deviation of the vehicle file counts as right within this share of it, or if the answer's 90 %
 /// interval, widened by this factor to about 99 %, contains it.
 const RIGHT_SHARE: f64 = 0.35;
-const WIDER: f64 = 1.6;
+const INTERVAL_FACTOR: f64 = 1.6;
 /// Whether an effect of an answer is a real deviation of the vehicle file with the right value.
 pub(super) fn is_deviation(given: &GivenEffect, key: &KeyEntry) -> bool {
     let class = class_of(&given.id);
     let same = |deviation: &&Deviation| class_of(&deviation.id) == class;
     key.deviations.iter().filter(same).any(|deviation| {
-        let Some(found) = renamed(given, &deviation.id, key.nominal_mass_kg) else { return false };
+        let Some(found) = converted(given, &deviation.id, key.nominal_mass_kg) else {
+            return false;
+        };
         let ways = std::iter::once(&deviation.parameters).chain(&deviation.alternatives);
         ways.into_iter().any(|way| {
             let errors = relative_errors(&deviation.id, way, &deviation.neutral, &found);
             let worst = errors.iter().copied().fold(0.0, f64::max);
             let is_nearer = !errors.is_empty() && worst < 1.0;
-            is_nearer && (worst <= RIGHT_SHARE || holds(given, &deviation.id, way))
+            is_nearer && (worst <= RIGHT_SHARE || intervals_contain(given, &deviation.id, way))
         })
     })
 }
 
 /// Whether the answer's widened intervals contain these values under the same id.
-fn holds(given: &GivenEffect, id: &str, values: &Parameters) -> bool {
+fn intervals_contain(given: &GivenEffect, id: &str, values: &Parameters) -> bool {
     if given.id != id || given.intervals.is_empty() {
         return false;
     }
-    judged(id).iter().flatten().all(|name| {
+    compared_parameters(id).iter().flatten().all(|name| {
         let values = numbers(values, name);
         values.iter().enumerate().all(|(place, value)| {
             let key =
                 if values.len() > 1 { format!("{name}[{place}]") } else { (*name).to_owned() };
             given.intervals.get(&key).is_some_and(|[low, high]| {
-                let (middle, half) = (0.5 * (low + high), 0.5 * WIDER * (high - low).abs());
+                let (middle, half) =
+                    (0.5 * (low + high), 0.5 * INTERVAL_FACTOR * (high - low).abs());
                 (value - middle).abs() <= half
             })
         })
@@ -49,17 +52,21 @@ fn holds(given: &GivenEffect, id: &str, values: &Parameters) -> bool {
 }
 
 /// The compared parameters; each group is one vector.
-fn judged(id: &str) -> Vec<Vec<&'static str>> {
+fn compared_parameters(id: &str) -> Vec<Vec<&'static str>> {
     id.parse::<EffectId>().map_or_else(|_| Vec::new(), |id| id.spec().judged())
 }
 
 /// The answer's parameters of a true effect, converted to its id.
-pub(super) fn estimate(given: &Given, truth: &TrueEffect, nominal_mass: f64) -> Option<Parameters> {
-    renamed(given.effect(&truth.id)?, &truth.id, nominal_mass)
+pub(super) fn estimate(
+    given: &GivenAnswer,
+    truth: &TrueEffect,
+    nominal_mass: f64,
+) -> Option<Parameters> {
+    converted(given.effect(&truth.id)?, &truth.id, nominal_mass)
 }
 
 /// An effect's parameters, converted to the id of an effect that acts alike.
-fn renamed(found: &GivenEffect, id: &str, nominal_mass: f64) -> Option<Parameters> {
+fn converted(found: &GivenEffect, id: &str, nominal_mass: f64) -> Option<Parameters> {
     if found.id == id {
         return Some(found.parameters.clone());
     }
@@ -87,7 +94,7 @@ pub(super) fn relative_errors(
     neutral: &Parameters,
     found: &Parameters,
 ) -> Vec<f64> {
-    let groups = judged(id);
+    let groups = compared_parameters(id);
     let same_rotor = numbers(found, "rotor") == numbers(truth, "rotor");
     groups
         .iter()
@@ -125,7 +132,7 @@ fn component_of(name: &str) -> Option<(&str, usize)> {
 }
 
 /// Whether each interval that the answer gives for a true effect under its id contains the truth.
-pub(super) fn coverage(given: &Given, truth: &TrueEffect) -> Vec<bool> {
+pub(super) fn coverage(given: &GivenAnswer, truth: &TrueEffect) -> Vec<bool> {
     let Some(found) = given.effects.iter().find(|effect| effect.id == truth.id) else {
         return Vec::new();
     };

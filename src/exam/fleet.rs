@@ -37,9 +37,9 @@ pub struct FleetCase {
     pub shared: Option<EffectSet>,
     /// The vehicles.
     pub vehicles: Vec<FleetVehicle>,
-    /// Quality of the file, and the loop on board.
+    /// Quality of the file.
     pub file: FileKind,
-    /// See [`file`](Self::file).
+    /// The loop on board.
     pub on_board: LoopKind,
 }
 
@@ -61,7 +61,8 @@ impl FleetCase {
     /// [`CaseError`].
     pub fn fly(
         settings: &Settings,
-        (seed, number): (u64, u64),
+        seed: u64,
+        number: u64,
         shape: &Shape,
     ) -> Result<Self, CaseError> {
         let mut last = FlightError::Lost(0.0);
@@ -86,7 +87,6 @@ impl FleetCase {
         } else {
             None
         };
-        let shared_class = shared.as_ref().and_then(|set| Some(set.iter().next()?.0.class()));
         let count = (shape.damaged * shape.vehicles as f64).round() as usize;
         let mut damaged: Vec<bool> = (0..shape.vehicles).map(|v| v < count).collect();
         draw.shuffle(&mut damaged);
@@ -95,7 +95,7 @@ impl FleetCase {
             let mut flown = Err(FlightError::Lost(0.0));
             for _ in 0..ATTEMPTS {
                 let sibling = bench.sibling(draw);
-                flown = Self::vehicle(&sibling, draw, (shared.as_ref(), shared_class), is_damaged);
+                flown = Self::vehicle(&sibling, draw, shared.as_ref(), is_damaged);
                 if flown.is_ok() {
                     break;
                 }
@@ -109,9 +109,10 @@ impl FleetCase {
     fn vehicle(
         bench: &Bench,
         draw: &mut Draw,
-        (shared, class): (Option<&EffectSet>, Option<EffectId>),
+        shared: Option<&EffectSet>,
         is_damaged: bool,
     ) -> Result<FleetVehicle, FlightError> {
+        let class = shared.and_then(|set| Some(set.iter().next()?.0.class()));
         let mut effects = shared.cloned().unwrap_or_default();
         let mut own = None;
         if is_damaged {
@@ -136,7 +137,7 @@ mod tests {
         let settings =
             Settings { flights: 1, seconds: 12.0, world: World::Builders, ..Settings::default() };
         let shape = Shape { vehicles: 3, damaged: 0.34, shares: true };
-        let fly = || FleetCase::fly(&settings, (5, 0), &shape).expect("a fleet");
+        let fly = || FleetCase::fly(&settings, 5, 0, &shape).expect("a fleet");
         let case = fly();
         assert_eq!(case.vehicles.iter().filter(|v| v.own.is_some()).count(), 1);
         let shared = case.shared.as_ref().and_then(|set| set.iter().next()).map(|(id, _)| id);

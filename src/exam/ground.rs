@@ -232,8 +232,8 @@ impl Ground {
     /// acceleration, which with the yaw determines the attitude.
     fn reference(&self, motion: &Motion, time: f64) -> Reference {
         let point = motion.sample(time);
-        let (thrust_n, attitude) = self.carry(&point);
-        let (_, later) = self.carry(&motion.sample(time + RATE_SPAN_S));
+        let (thrust_n, attitude) = self.thrust_and_attitude(&point);
+        let (_, later) = self.thrust_and_attitude(&motion.sample(time + RATE_SPAN_S));
         let rates = [
             (later.roll - attitude.roll) / RATE_SPAN_S,
             (later.pitch - attitude.pitch) / RATE_SPAN_S,
@@ -251,7 +251,7 @@ impl Ground {
         }
     }
 
-    fn carry(&self, point: &DesiredPoint) -> (f64, Euler) {
+    fn thrust_and_attitude(&self, point: &DesiredPoint) -> (f64, Euler) {
         let [n, e, d] = (Ned::new(0.0, 0.0, self.hover.gravity) - point.acceleration).to_array();
         let down = d.max(0.3 * self.hover.gravity);
         let (sin, cos) = point.yaw.sin_cos();

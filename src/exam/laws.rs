@@ -171,7 +171,7 @@ impl LawCase {
             let name = format!("case_{number:03}");
             let order = Order::from(Kind::Null);
             let mut bench = Bench::draw(&mut draw, settings, &name, &order)?;
-            bench.also_fly(&mut draw, MISSION);
+            bench.add_flights(&mut draw, MISSION);
             let law = if has_law { draw_law(&mut draw, &bench.nominal) } else { None };
             let mut effects = EffectSet::new();
             if let Some(drawn) = &law {

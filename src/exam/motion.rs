@@ -7,9 +7,9 @@ use vehicle::frame::Ned;
 use crate::plan::DesiredPoint;
 
 /// North, east, down (m) and yaw (rad).
-pub type Place = [f64; 4];
+pub type Waypoint = [f64; 4];
 
-/// Coordinates of a [`Place`].
+/// Coordinates of a [`Waypoint`].
 const AXES: usize = 4;
 /// Ratio of a move's peak speed to its mean, and of its peak acceleration to distance / time^2.
 const PEAK_SPEED: f64 = 1.875;
@@ -20,7 +20,7 @@ const RAMP_S: f64 = 1.5;
 /// A sinusoid along one coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tone {
-    /// Index of the coordinate in a [`Place`].
+    /// Index of the coordinate in a [`Waypoint`].
     pub axis: usize,
     /// Amplitude, m or rad.
     pub amplitude: f64,
@@ -34,34 +34,34 @@ pub struct Tone {
 #[derive(Clone, Debug, PartialEq)]
 enum Leg {
     /// A straight move with minimum jerk, from rest to rest; in no time, a jump.
-    Move { from: Place, to: Place },
+    Move { from: Waypoint, to: Waypoint },
     /// Sinusoids about a place, which fade in and out.
-    Wave { about: Place, tones: Vec<Tone> },
+    Wave { about: Waypoint, tones: Vec<Tone> },
 }
 
 /// A motion that starts in hover.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Motion {
-    start: Place,
+    start: Waypoint,
     /// The legs with the end time of each, s.
     legs: Vec<(f64, Leg)>,
-    here: Place,
+    here: Waypoint,
     duration: f64,
 }
 
 impl Motion {
     /// A motion that starts in hover at a place.
-    pub fn at(start: Place) -> Self {
+    pub fn at(start: Waypoint) -> Self {
         Self { start, legs: Vec::new(), here: start, duration: 0.0 }
     }
 
     /// The place where it starts.
-    pub fn start(&self) -> Place {
+    pub fn start(&self) -> Waypoint {
         self.start
     }
 
     /// The place where it ends so far.
-    pub fn here(&self) -> Place {
+    pub fn end(&self) -> Waypoint {
         self.here
     }
 
@@ -77,29 +77,29 @@ impl Motion {
 
     /// Adds a hover at the present place.
     pub fn hold(&mut self, seconds: f64) {
-        self.go_to(self.here, seconds);
+        self.move_to(self.here, seconds);
     }
 
     /// Adds a move to a place in a given time.
-    pub fn go_to(&mut self, to: Place, seconds: f64) {
+    pub fn move_to(&mut self, to: Waypoint, seconds: f64) {
         let from = std::mem::replace(&mut self.here, to);
         self.push(seconds, Leg::Move { from, to });
     }
 
     /// Adds a move to a place as fast as a peak speed (m/s) and a peak acceleration (m/s^2) allow.
     /// Yaw turns with the move, at up to 2.5 rad/s.
-    pub fn hurry_to(&mut self, to: Place, speed: f64, acceleration: f64) {
+    pub fn move_at_limits(&mut self, to: Waypoint, speed: f64, acceleration: f64) {
         let distance = (0..3).map(|i| (to[i] - self.here[i]).powi(2)).sum::<f64>().sqrt();
         let turn = (to[3] - self.here[3]).abs();
         let seconds = (PEAK_SPEED * distance / speed)
             .max((PEAK_ACCELERATION * distance / acceleration).sqrt())
             .max(PEAK_SPEED * turn / 2.5)
             .max(0.3);
-        self.go_to(to, seconds);
+        self.move_to(to, seconds);
     }
 
     /// Adds a jump to a place, and a hover there.
-    pub fn jump_to(&mut self, to: Place, seconds: f64) {
+    pub fn jump_to(&mut self, to: Waypoint, seconds: f64) {
         self.here = to;
         self.hold(seconds);
     }
@@ -186,7 +186,7 @@ mod tests {
     fn motion_derivatives_match_finite_differences() {
         let mut motion = Motion::at([0.0, 1.0, -2.0, 0.3]);
         motion.hold(1.0);
-        motion.go_to([1.0, -1.0, -3.0, 2.0], 2.0);
+        motion.move_to([1.0, -1.0, -3.0, 2.0], 2.0);
         motion.wave(vec![Tone { axis: 1, amplitude: 0.7, period_s: 1.9, phase: 0.4 }], 5.0);
         assert_eq!(motion.duration(), 8.0);
         let h = 1e-5;

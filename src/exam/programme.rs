@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::draw::Draw;
-use super::motion::{Motion, Place, Tone};
+use super::motion::{Motion, Tone, Waypoint};
 
 /// How boldly flights move, and how low.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -148,15 +148,15 @@ impl Composer<'_> {
     }
 
     fn spin(&mut self) {
-        let mut to = self.motion.here();
+        let mut to = self.motion.end();
         to[3] += self.draw.sign() * self.draw.within([0.7, 1.2]) * TAU;
         let speed = self.vigour.speed;
-        self.motion.hurry_to(to, speed, self.vigour.acceleration);
+        self.motion.move_at_limits(to, speed, self.vigour.acceleration);
     }
 
     fn steps(&mut self) {
         for _ in 0..2 {
-            let mut to = self.motion.here();
+            let mut to = self.motion.end();
             to[self.draw.below(3)] += self.draw.sign() * self.draw.within([0.4, 0.8]);
             if self.turns() {
                 to[3] += self.draw.within([-0.6, 0.6]);
@@ -169,35 +169,35 @@ impl Composer<'_> {
 
     fn low_pass(&mut self) {
         let (speed, acceleration) = (0.6 * self.vigour.speed, 0.6 * self.vigour.acceleration);
-        let mut to = self.motion.here();
+        let mut to = self.motion.end();
         let height = -to[2];
         to[2] = -self.vigour.low - self.above;
-        self.motion.hurry_to(to, speed, acceleration);
+        self.motion.move_at_limits(to, speed, acceleration);
         let direction = self.draw.within([0.0, TAU]);
         let way = self.draw.within([1.5, 3.0]);
         to[0] += way * direction.cos();
         to[1] += way * direction.sin();
-        self.motion.hurry_to(to, speed, acceleration);
+        self.motion.move_at_limits(to, speed, acceleration);
         self.motion.hold(0.4);
         to[2] = -height;
-        self.motion.hurry_to(to, speed, acceleration);
+        self.motion.move_at_limits(to, speed, acceleration);
     }
 
     fn climb(&mut self) {
-        let mut to = self.motion.here();
+        let mut to = self.motion.end();
         let height = -to[2];
         to[2] = -(height + self.draw.within([3.0, 5.0]));
         let speed = self.vigour.speed;
-        self.motion.hurry_to(to, speed, self.vigour.acceleration);
+        self.motion.move_at_limits(to, speed, self.vigour.acceleration);
         to[2] = -height;
-        self.motion.hurry_to(to, speed, self.vigour.acceleration);
+        self.motion.move_at_limits(to, speed, self.vigour.acceleration);
     }
 
     /// A figure-eight, then a circle that rises and falls.
     fn fast(&mut self, seconds: f64) {
-        let mut to = self.motion.here();
+        let mut to = self.motion.end();
         to[2] -= 1.0;
-        self.motion.hurry_to(to, self.vigour.speed, self.vigour.acceleration);
+        self.motion.move_at_limits(to, self.vigour.speed, self.vigour.acceleration);
         let half = 0.5 * (seconds - self.motion.duration());
         for (shape, share) in [(2.0, [0.4, 0.55]), (1.0, [0.6, 0.85])] {
             let long = self.tone(0, share);
@@ -220,16 +220,16 @@ impl Composer<'_> {
 
     fn points(&mut self, seconds: f64) {
         while self.motion.duration() < seconds {
-            let here = self.motion.here();
+            let here = self.motion.end();
             let low = self.vigour.low + 0.1;
-            let to: Place = [
+            let to: Waypoint = [
                 self.draw.within([-2.5, 2.5]),
                 self.draw.within([-2.5, 2.5]),
                 -self.draw.within([low, 4.0]) - self.above,
                 if self.turns() { here[3] + self.draw.within([-2.0, 2.0]) } else { here[3] },
             ];
             let speed = self.vigour.speed * self.draw.within([0.5, 1.0]);
-            self.motion.hurry_to(to, speed, self.vigour.acceleration);
+            self.motion.move_at_limits(to, speed, self.vigour.acceleration);
             if self.draw.chance(0.4) {
                 self.motion.hold(0.5);
             }
@@ -239,13 +239,13 @@ impl Composer<'_> {
     /// Small moves at one height.
     fn hover(&mut self, seconds: f64) {
         while self.motion.duration() < seconds {
-            let mut to = self.motion.here();
+            let mut to = self.motion.end();
             to[0] = self.motion.start()[0] + self.draw.within([-0.15, 0.15]);
             to[1] = self.motion.start()[1] + self.draw.within([-0.15, 0.15]);
             if self.restriction == Restriction::SteadyThrust {
                 to[3] += self.draw.within([-2.0, 2.0]);
             }
-            self.motion.go_to(to, 3.0);
+            self.motion.move_to(to, 3.0);
         }
     }
 }

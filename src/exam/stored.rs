@@ -3,14 +3,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::answer::{Given, GivenEffect, GivenGap};
+use super::answer::{GivenAnswer, GivenEffect, GivenGap};
 use super::key::KeyEntry;
 use super::order::Kind;
 use super::score::Row;
 use super::world::LoopKind;
 use crate::diagnose::likelihood::fit::interval;
 use crate::diagnose::verdict::calibration::Calibration;
-use crate::diagnose::verdict::decide_by;
+use crate::diagnose::verdict::decide_with;
 use crate::diagnose::verdict::evidence::{Evidence, Explained};
 
 /// A case as `exam --evidence` writes it.
@@ -23,7 +23,7 @@ pub struct StoredCase {
     /// The evidence of the verdict; `None` without a diagnosis, or with data at fault.
     pub evidence: Option<Evidence>,
     /// The answer, or the reason that there is none.
-    pub answer: Result<Given, String>,
+    pub answer: Result<GivenAnswer, String>,
     /// The true closure of the answer.
     pub true_closure: Option<f64>,
     /// Duration of the diagnosis, s.
@@ -46,7 +46,7 @@ impl StoredCase {
             .ok()
             .and_then(|given| Some(decided(given, self.evidence.as_ref()?, calibration)));
         let is_same = decided.as_ref().zip(answer.ok()).is_some_and(|(new, old)| {
-            let ids = |given: &Given| -> Vec<String> {
+            let ids = |given: &GivenAnswer| -> Vec<String> {
                 given.effects.iter().map(|effect| effect.id.clone()).collect()
             };
             ids(new) == ids(old)
@@ -59,8 +59,8 @@ impl StoredCase {
 
 /// The answer after a new decision on the evidence. An effect that was named before keeps its
 /// numbers and intervals; others have those of the fit to the flights for fitting.
-fn decided(given: &Given, evidence: &Evidence, calibration: &Calibration) -> Given {
-    let decision = decide_by(evidence, calibration);
+fn decided(given: &GivenAnswer, evidence: &Evidence, calibration: &Calibration) -> GivenAnswer {
+    let decision = decide_with(evidence, calibration);
     let explained = evidence.explanations.get(decision.explanation);
     let effect = |(id, probability): &(String, f64)| {
         let old = given.effects.iter().find(|effect| effect.id == *id);
@@ -80,7 +80,7 @@ fn decided(given: &Given, evidence: &Evidence, calibration: &Calibration) -> Giv
         let (before, after) = (evidence.shipped[1]?, explained.reported?.effects);
         Some(GivenGap { before, after, floor: 1.0 })
     });
-    Given {
+    GivenAnswer {
         verdict: decision.verdict.name().to_owned(),
         effects: decision.effects.iter().map(effect).collect(),
         gap: gap.or(given.gap),

@@ -212,9 +212,9 @@ impl Predictor {
             let reports = HORIZONS.map(|horizon| reporter.report(track, start + horizon));
             let from = reporter.report(track, start);
             let predicted = self.predict(track, start, &from);
-            errors.window_errors.push(apart(&reports, &predicted));
+            errors.window_errors.push(differences(&reports, &predicted));
             let noisy = self.predict(track, start, &self.noisy(&from, &mut rng));
-            let noise = apart(&predicted.map(|s| self.noisy(&s, &mut rng)), &noisy);
+            let noise = differences(&predicted.map(|s| self.noisy(&s, &mut rng)), &noisy);
             errors.noise = each(|i, j| errors.noise[i][j] + noise[i][j].powi(2));
         }
         errors
@@ -239,7 +239,7 @@ impl Predictor {
                 .map(|(track, start)| {
                     let reports = HORIZONS.map(|horizon| reporter.report(track, start + horizon));
                     let from = reporter.report(track, start);
-                    let error = apart(&reports, &predictor.predict(track, start, &from));
+                    let error = differences(&reports, &predictor.predict(track, start, &from));
                     each(|i, j| error[i][j] * scale[i][j])
                 })
                 .collect()
@@ -270,7 +270,7 @@ impl Predictor {
         }
     }
 
-    fn set_off(&self, track: &Track, start: usize, state: &State) -> Plant {
+    fn plant_at(&self, track: &Track, start: usize, state: &State) -> Plant {
         let mut plant = self.plant.clone();
         plant.hold_voltage(track.voltage[start]);
         plant.set_rotor_states(self.rotors(track, start));
@@ -282,7 +282,7 @@ impl Predictor {
     /// yields position and velocity with the reported rotation, since a small moment would hide
     /// every force.
     fn by_outputs(&self, track: &Track, start: usize, state: &State) -> [State; HORIZONS.len()] {
-        let mut plant = self.set_off(track, start, state);
+        let mut plant = self.plant_at(track, start, state);
         let mut turned = plant.clone();
         let off = track.states[start].attitude.inverse().compose(state.attitude);
         let mut ahead = [*state; HORIZONS.len()];
@@ -314,18 +314,19 @@ impl Predictor {
         start: usize,
         state: &State,
     ) -> [State; HORIZONS.len()] {
-        let mut plant = self.set_off(track, start, state);
+        let mut plant = self.plant_at(track, start, state);
         let mut ahead = [*state; HORIZONS.len()];
         let mut outputs = track.outputs[start];
         let mut ticked = None;
-        let mut sent = track.setpoints.partition_point(|(us, _)| self.rules_at(track, *us, start));
+        let mut sent =
+            track.setpoints.partition_point(|(us, _)| self.has_arrived(track, *us, start));
         for step in 0..HORIZONS[2] {
             let time = self.seconds(track, start + step);
             let tick = (time * rate_hz + 1e-6).floor() as u64;
             if ticked != Some(tick) {
                 ticked = Some(tick);
                 let next = |sent: usize| track.setpoints.get(sent);
-                while next(sent).is_some_and(|(us, _)| self.rules_at(track, *us, start + step)) {
+                while next(sent).is_some_and(|(us, _)| self.has_arrived(track, *us, start + step)) {
                     sent += 1;
                 }
                 let setpoint: Option<AttitudeSetpoint> =
@@ -352,7 +353,7 @@ impl Predictor {
     }
 
     /// Whether a setpoint sent at `us` has reached the nominal vehicle at a step.
-    fn rules_at(&self, track: &Track, us: u64, step: usize) -> bool {
+    fn has_arrived(&self, track: &Track, us: u64, step: usize) -> bool {
         us as f64 * 1e-6 + self.delay_s <= self.seconds(track, step) + 1e-9
     }
 
@@ -427,7 +428,7 @@ fn windows(tracks: &[Track], spacing: usize) -> impl Iterator<Item = (&Track, us
 }
 
 /// Reported minus predicted states.
-fn apart(reports: &[State; HORIZONS.len()], predicted: &[State; HORIZONS.len()]) -> Table {
+fn differences(reports: &[State; HORIZONS.len()], predicted: &[State; HORIZONS.len()]) -> Table {
     std::array::from_fn(|place| {
         let (a, b) = (&reports[place], &predicted[place]);
         let turn = b.attitude.inverse().compose(a.attitude);
@@ -481,68 +482,4 @@ fn turned(attitude: Attitude, [x, y, z]: [f64; 3]) -> Attitude {
 }
 
 #[cfg(test)]
-mod tests {
-    use sitl::config::SitlConfig;
-
-    use super::*;
-    use crate::exam::airframe;
-    use crate::exam::draw::Draw;
-    use crate::exam::flight::{Link, Sortie};
-    use crate::exam::ground::Rates;
-    use crate::exam::programme::{Restriction, Vigour, programme};
-
-    #[test]
-    fn nominal_flight_is_predicted_and_an_effect_stands_out() {
-        let mut draw = Draw::new(2, 0);
-        let mut nominal = airframe::vehicle(&mut draw, "quad");
-        // Without a delay there is no jitter, so the test is deterministic.
-        nominal.command_delay_s = 0.0;
-        let vigour = Vigour::draw(&mut draw, nominal.rotor_radius_m);
-        let motions = programme(&mut draw, &vigour, Restriction::None, 2, 8.0);
-        let noise = SensorConfig::default();
-        let nothing = EffectSet::new();
-        let model = Model {
-            believed: &nominal,
-            body: &nominal,
-            effects: &nothing,
-            foreign: &[],
-            trim: Attitude::default(),
-            outputs_hz: None,
-        };
-        let predictor = Predictor::new(&model, noise).expect("a vehicle");
-        let errors = |argument: Option<&str>| {
-            let mut effects = EffectSet::new();
-            argument.into_iter().for_each(|text| effects.insert_argument(text).expect("an effect"));
-            let fly = |motion| {
-                let sortie = Sortie {
-                    believed: &nominal,
-                    body: &nominal,
-                    effects: &effects,
-                    foreign: &[],
-                    config: SitlConfig { sensors: SensorConfig::IDEAL, ..SitlConfig::default() },
-                    rates: Rates {
-                        attitude: 250.0,
-                        imu: 100.0,
-                        position: 100.0,
-                        outputs: 100.0,
-                        battery: 5.0,
-                        rpm: 0.0,
-                    },
-                    link: Link { delay_s: 1.5e-3, jitter_s: 1e-3, offset_s: 5.0, skew: 1e-5 },
-                    motion,
-                    seconds: 8.0,
-                    seed: 3,
-                };
-                sortie.fly().expect("a flight").track
-            };
-            let tracks: Vec<Track> = motions.iter().map(fly).collect();
-            predictor.errors(&tracks, &effects, 1)
-        };
-        let (null, none) = (errors(None), Errors::default());
-        assert!(null.strength(&none).ratio < 1e-3, "{:?}", null.strength(&none));
-        let weak = errors(Some("thrust_scale:scale=0.99")).strength(&null);
-        let strong = errors(Some("thrust_scale:scale=0.98")).strength(&null);
-        assert!((strong.ratio / weak.ratio - 2.0).abs() < 0.2, "{weak:?} {strong:?}");
-        assert!(strong.channel.contains('z'), "{strong:?}");
-    }
-}
+mod tests;

@@ -1,12 +1,14 @@
 //! Summarises all answers of an exam.
 
+mod measures;
+
 use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use self::measures::{Cases, measures};
 use super::condition::Condition;
-use super::grade::Grade;
 use super::interval::{Rate, median, ranges};
 use super::order::Kind;
 use super::reliability::{Reliability, calibration_error, reliability};
@@ -45,7 +47,7 @@ pub enum Bound {
 
 /// The result of comparing a rate with its target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Standing {
+pub enum TargetResult {
     /// The rate meets its target, or has none.
     Kept,
     /// The rate misses its target, but a single case decides that, and chance may have.
@@ -73,17 +75,17 @@ impl Bound {
 
 impl Measure {
     /// Compares the rate with its target.
-    pub fn standing(&self) -> Standing {
+    pub fn result(&self) -> TargetResult {
         let (Some(rate), Some(bound)) = (self.rate.rate, self.wanted) else {
-            return Standing::Kept;
+            return TargetResult::Kept;
         };
         if bound.keeps(rate) {
-            return Standing::Kept;
+            return TargetResult::Kept;
         }
         let by_chance = self.rate.interval.into_iter().any(|end| bound.keeps(end));
         match (self.rate.of as f64) < bound.cases_min() && by_chance {
-            true => Standing::TooFew,
-            false => Standing::Missed,
+            true => TargetResult::TooFew,
+            false => TargetResult::Missed,
         }
     }
 }
@@ -251,127 +253,8 @@ pub struct Summary {
 impl Summary {
     /// Summarises all rows.
     pub fn new(rows: &[Row]) -> Self {
-        let of = |kind: Kind| rows.iter().filter(move |row| row.kind == kind);
-        let detectable = |row: &&Row| row.is_practical;
-        let all_singles = || of(Kind::Single).chain(of(Kind::Modelled)).chain(of(Kind::RoundTrip));
-        let singles = || all_singles().filter(detectable);
-        let known = || {
-            rows.iter()
-                .filter(|row| !matches!(row.kind, Kind::LeftOut | Kind::Trap))
-                .filter(detectable)
-        };
-        let intervals =
-            || known().flat_map(|row| row.covered.values().flatten().copied()).collect();
-        let measure =
-            |name, outcomes: Vec<bool>, wanted| Measure { name, rate: Rate::of(outcomes), wanted };
-        let at_least = |bound| Some(Bound::AtLeast(bound));
-        let at_most = |bound| Some(Bound::AtMost(bound));
-        let measures = vec![
-            measure(
-                "verdict right",
-                rows.iter()
-                    .filter(|row| row.is_practical || row.kind == Kind::Null)
-                    .map(Row::verdict_right)
-                    .collect(),
-                at_least(0.9),
-            ),
-            measure(
-                "named first, singles of practical size",
-                singles().map(|r| r.top_right).collect(),
-                at_least(0.95),
-            ),
-            measure(
-                "truth in the named or ambiguous set",
-                singles().map(|r| r.in_set).collect(),
-                at_least(0.99),
-            ),
-            measure(
-                "named without ambiguity",
-                singles().map(|r| r.is_definite).collect(),
-                at_least(0.8),
-            ),
-            measure(
-                "confidently wrong, practical singles",
-                singles().map(|r| r.confidently_wrong.is_some()).collect(),
-                at_most(0.02),
-            ),
-            measure(
-                "confidently wrong, everything",
-                rows.iter().map(|r| r.confidently_wrong.is_some()).collect(),
-                at_most(0.02),
-            ),
-            measure(
-                "right or acceptable, below practical size",
-                rows.iter()
-                    .filter(|r| matches!(r.law, Law::Catalogue | Law::Other) && !r.is_practical)
-                    .filter(|r| !r.kind.is_trap())
-                    .map(|r| r.grade.is_good())
-                    .collect(),
-                None,
-            ),
-            measure(
-                "top-1, wrong values in the file",
-                of(Kind::Modelled).filter(detectable).map(|r| r.top_right).collect(),
-                None,
-            ),
-            measure(
-                "pairs, both named",
-                of(Kind::Pair).filter(detectable).map(|r| r.all_named).collect(),
-                at_least(0.8),
-            ),
-            measure(
-                "pairs, exactly both",
-                of(Kind::Pair).filter(detectable).map(|r| r.exact).collect(),
-                None,
-            ),
-            measure(
-                "false alarms on nulls",
-                of(Kind::Null).map(|r| !r.grade.is_good()).collect(),
-                at_most(0.01),
-            ),
-            measure(
-                "nulls that name only errors of the file",
-                of(Kind::Null).map(|r| r.grade == Grade::Acceptable).collect(),
-                None,
-            ),
-            measure(
-                "left out: unknown or ambiguous",
-                of(Kind::LeftOut).filter(detectable).map(Row::admits_ignorance).collect(),
-                at_least(0.85),
-            ),
-            measure(
-                "left out: unknown",
-                of(Kind::LeftOut).filter(detectable).map(|r| r.verdict == "unknown").collect(),
-                None,
-            ),
-            measure(
-                "out of the catalogue: unknown",
-                of(Kind::Foreign).filter(detectable).map(|r| r.verdict == "unknown").collect(),
-                at_least(0.9),
-            ),
-            measure(
-                "top-1, other laws",
-                of(Kind::OtherLaw).filter(detectable).map(|r| r.top_right).collect(),
-                at_least(0.9),
-            ),
-            measure(
-                "traps: ambiguous or not testable",
-                of(Kind::Trap).map(|r| r.trap_right).collect(),
-                at_least(0.95),
-            ),
-            measure(
-                "confidently wrong, traps",
-                of(Kind::Trap).map(|r| r.confidently_wrong.is_some()).collect(),
-                at_most(0.03),
-            ),
-            measure("90 % intervals that hold, at least", intervals(), at_least(0.85)),
-            measure("90 % intervals that hold, at most", intervals(), at_most(0.95)),
-            measure(
-                "no answer",
-                rows.iter().map(|r| r.verdict == "missing").collect(),
-                at_most(0.0),
-            ),
-        ];
+        let cases = Cases(rows);
+        let known: Vec<&Row> = cases.known().collect();
         let errors = |rows: &mut dyn Iterator<Item = &Row>| -> Option<f64> {
             median(rows.flat_map(|row| row.errors.values().flatten().copied()).collect())
         };
@@ -379,24 +262,25 @@ impl Summary {
             Rate::of(rows.flat_map(|row| row.covered.values().flatten().copied()))
         };
         // Both over the same cases, to be comparable.
-        let closed = || known().filter_map(|row| Some([row.claimed_closure?, row.true_closure?]));
+        let closed =
+            || known.iter().filter_map(|row| Some([row.claimed_closure?, row.true_closure?]));
         let closure = |i: usize| median(closed().map(|both| both[i]).collect());
         let shows = |row: &&Row| row.is_practical || row.kind == Kind::Null;
         let bins = reliability(rows);
         let off = closed().map(|[claimed, is]| (claimed - is).abs()).collect();
         Self {
             count: rows.len(),
-            measures,
+            measures: measures(cases),
             brier: mean(rows.iter().filter(shows).map(|row| row.brier)),
             brier_of_all: mean(rows.iter().map(|row| row.brier)),
             calibration_error: calibration_error(&bins),
-            error: errors(&mut known().filter(|row| row.top_right)),
-            covered: covered(&mut known()),
+            error: errors(&mut known.iter().copied().filter(|row| row.top_right)),
+            covered: covered(&mut known.iter().copied()),
             closure: [closure(0), closure(1)],
             closure_off: median(off),
             reliability: bins,
             families: families(rows),
-            detection: detection(&all_singles().collect::<Vec<_>>()),
+            detection: detection(&cases.singles().collect::<Vec<_>>()),
             effects: effects(rows),
             conditions: conditions(rows),
             seconds: median(rows.iter().map(|row| row.seconds).collect()),
@@ -404,39 +288,39 @@ impl Summary {
     }
 
     /// Compares the Brier score with its limit, which a single confident mistake may exceed.
-    pub fn brier_standing(&self) -> Standing {
+    pub fn brier_result(&self) -> TargetResult {
         match self.brier {
-            Some(brier) if brier > BRIER_MAX && self.is_of_few() => Standing::TooFew,
-            Some(brier) if brier > BRIER_MAX => Standing::Missed,
-            _ => Standing::Kept,
+            Some(brier) if brier > BRIER_MAX && self.has_few_cases() => TargetResult::TooFew,
+            Some(brier) if brier > BRIER_MAX => TargetResult::Missed,
+            _ => TargetResult::Kept,
         }
     }
 
     /// Whether the exam has so few cases that a single one decides the result.
-    pub fn is_of_few(&self) -> bool {
+    pub fn has_few_cases(&self) -> bool {
         (self.count as f64) < 1.0 / BRIER_MAX
     }
 
     /// Compares the expected calibration error with its limit.
-    pub fn calibration_standing(&self) -> Standing {
+    pub fn calibration_result(&self) -> TargetResult {
         match self.calibration_error {
-            Some(error) if error > CALIBRATION_MAX && self.is_of_few() => Standing::TooFew,
-            Some(error) if error > CALIBRATION_MAX => Standing::Missed,
-            _ => Standing::Kept,
+            Some(error) if error > CALIBRATION_MAX && self.has_few_cases() => TargetResult::TooFew,
+            Some(error) if error > CALIBRATION_MAX => TargetResult::Missed,
+            _ => TargetResult::Kept,
         }
     }
 
     /// Whether no measure misses its target, and the Brier score and the calibration meet theirs.
     pub fn holds(&self) -> bool {
-        self.brier_standing() != Standing::Missed
-            && self.calibration_standing() != Standing::Missed
+        self.brier_result() != TargetResult::Missed
+            && self.calibration_result() != TargetResult::Missed
             && self.reliability.iter().all(Reliability::holds)
-            && self.of(Standing::Missed).next().is_none()
+            && self.of(TargetResult::Missed).next().is_none()
     }
 
     /// The measures with this result.
-    pub fn of(&self, standing: Standing) -> impl Iterator<Item = &Measure> {
-        self.measures.iter().filter(move |measure| measure.standing() == standing)
+    pub fn of(&self, result: TargetResult) -> impl Iterator<Item = &Measure> {
+        self.measures.iter().filter(move |measure| measure.result() == result)
     }
 }
 
@@ -516,25 +400,25 @@ mod tests {
         assert!(!summary.holds());
         // With six cases, a single confident mistake does as much.
         summary.count = 6;
-        assert_eq!(summary.brier_standing(), Standing::TooFew);
+        assert_eq!(summary.brier_result(), TargetResult::TooFew);
         assert!(summary.holds());
     }
 
     #[test]
     fn few_cases_fail_a_bound_only_beyond_chance() {
-        let standing = |count, of, wanted| {
-            Measure { name: "rate", rate: Rate::new(count, of), wanted: Some(wanted) }.standing()
+        let result = |count, of, wanted| {
+            Measure { name: "rate", rate: Rate::new(count, of), wanted: Some(wanted) }.result()
         };
         let (nine_tenths, none) = (Bound::AtLeast(0.9), Bound::AtMost(0.0));
-        assert_eq!(standing(6, 6, nine_tenths), Standing::Kept);
-        assert_eq!(standing(5, 6, nine_tenths), Standing::TooFew);
-        assert_eq!(standing(0, 6, nine_tenths), Standing::Missed);
-        assert_eq!(standing(40, 60, nine_tenths), Standing::Missed);
-        assert_eq!(standing(1, 6, none), Standing::Missed);
-        assert_eq!(standing(1, 10, Bound::AtMost(0.03)), Standing::TooFew);
+        assert_eq!(result(6, 6, nine_tenths), TargetResult::Kept);
+        assert_eq!(result(5, 6, nine_tenths), TargetResult::TooFew);
+        assert_eq!(result(0, 6, nine_tenths), TargetResult::Missed);
+        assert_eq!(result(40, 60, nine_tenths), TargetResult::Missed);
+        assert_eq!(result(1, 6, none), TargetResult::Missed);
+        assert_eq!(result(1, 10, Bound::AtMost(0.03)), TargetResult::TooFew);
         // Both of two, where at most 95 % may: deciding takes twenty cases.
-        assert_eq!(standing(2, 2, Bound::AtMost(0.95)), Standing::TooFew);
-        assert_eq!(standing(60, 60, Bound::AtMost(0.95)), Standing::Missed);
-        assert_eq!(standing(0, 0, nine_tenths), Standing::Kept);
+        assert_eq!(result(2, 2, Bound::AtMost(0.95)), TargetResult::TooFew);
+        assert_eq!(result(60, 60, Bound::AtMost(0.95)), TargetResult::Missed);
+        assert_eq!(result(0, 0, nine_tenths), TargetResult::Kept);
     }
 }

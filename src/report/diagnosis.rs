@@ -13,9 +13,9 @@ use super::bars::{self, Bar};
 use super::page::{Mood, Page, escape};
 use super::table::{Table, definitions};
 use crate::diagnose::answer::quantities::{bounded, numbered, one};
-use crate::diagnose::answer::words::{self, closed_loop};
+use crate::diagnose::answer::text::{self, closed_loop};
 use crate::diagnose::answer::{Answer, Gap};
-use crate::diagnose::remainder::map::Regime;
+use crate::diagnose::residual_analysis::map::Regime;
 use crate::diagnose::simulate::gap::QUANTITIES;
 use crate::diagnose::simulate::open_loop::HORIZONS_S;
 use crate::diagnose::verdict::Verdict;
@@ -70,14 +70,14 @@ pub fn html(answer: &Answer, vehicle: &str, seen: &[SeenFlight<'_>]) -> String {
             "Flown again",
             &format!(
                 "{} Feedback hides a plant's errors in the trajectory and shows them in the commands.",
-                closed_loop(flown, words::explanation(answer.finding.verdict))
+                closed_loop(flown, text::explanation(answer.finding.verdict))
             ),
-            &reflight::html(flown, words::explanation(answer.finding.verdict)),
+            &reflight::html(flown, text::explanation(answer.finding.verdict)),
         );
     }
     page.section("What these logs cannot show", "", &open_effects(answer));
     if let Some(next) = &answer.next_flight {
-        page.section("Next flight", &words::next_flight(next), &next_flight::html(next));
+        page.section("Next flight", &text::next_flight(next), &next_flight::html(next));
     }
     page.section("How this was computed", "", &provenance(answer));
     page.into_html()
@@ -94,7 +94,7 @@ fn verdict(answer: &Answer, page: &mut Page) {
         .map(|effect| format!("{}: probability {:.0} %", one(effect), 100.0 * effect.probability))
         .collect();
     reasons
-        .extend(words::equivalent(answer).map(|other| format!("or {}", words::alternative(other))));
+        .extend(text::equivalent(answer).map(|other| format!("or {}", text::alternative(other))));
     page.verdict(mood, &answer.finding.sentence, &reasons);
     if let Some(gap) = &answer.gap {
         let mut figures = vec![
@@ -218,7 +218,7 @@ fn which(answer: &Answer) -> String {
 }
 
 fn how_far(answer: &Answer, gap: &Gap) -> String {
-    let explanation = words::explanation(answer.finding.verdict);
+    let explanation = text::explanation(answer.finding.verdict);
     let floor_mark = Some(gap.floor);
     let mut rows = vec![
         ("as shipped".to_owned(), gap.before, floor_mark),

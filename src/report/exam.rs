@@ -10,7 +10,7 @@ use super::table::{Table, definitions};
 use crate::exam::interval::Rate;
 use crate::exam::score::Row;
 use crate::exam::summary::{
-    BRIER_MAX, Bound, CALIBRATION_MAX, Detection, FamilySummary, Measure, Standing, Summary,
+    BRIER_MAX, Bound, CALIBRATION_MAX, Detection, FamilySummary, Measure, Summary, TargetResult,
 };
 use crate::exam::world::{FileKind, LoopKind};
 
@@ -41,19 +41,19 @@ pub fn text(summary: &Summary, rows: &[Row]) -> String {
     }
     text.push('\n');
     for measure in &summary.measures {
-        let mark = mark(measure.standing());
+        let mark = mark(measure.result());
         let (name, rate) = (measure.name, percent(&measure.rate));
         let _ = writeln!(text, "{name:42} {rate:30} {}{mark}", bound_text(measure));
     }
-    let mark = mark(summary.brier_standing());
+    let mark = mark(summary.brier_result());
     let _ = writeln!(text, "{:42} {}{mark}", brier_name(), number(summary.brier));
-    let mark = self::mark(summary.calibration_standing());
+    let mark = self::mark(summary.calibration_result());
     let error = number(summary.calibration_error);
     let _ = writeln!(text, "{:42} {error}{mark}", calibration_name());
     for (name, value) in numbers(summary) {
         let _ = writeln!(text, "{name:42} {value}");
     }
-    if summary.is_of_few() {
+    if summary.has_few_cases() {
         text += &format!("\n{}\n", too_few(summary));
     }
     text += "\nprobability     mean   true\n";
@@ -105,23 +105,24 @@ pub fn text(summary: &Summary, rows: &[Row]) -> String {
 
 /// The page, self-contained.
 pub fn html(summary: &Summary, rows: &[Row], provenance: &Provenance<'_>) -> String {
-    let standing = |standing: Standing| -> Vec<String> {
+    let result = |result: TargetResult| -> Vec<String> {
         let lines = |measure: &Measure| {
             format!("{}: {} ({})", measure.name, percent(&measure.rate), bound_text(measure))
         };
-        let mut all: Vec<String> = summary.of(standing).map(lines).collect();
+        let mut all: Vec<String> = summary.of(result).map(lines).collect();
         let scores = [
-            (summary.brier_standing(), brier_name(), summary.brier),
-            (summary.calibration_standing(), calibration_name(), summary.calibration_error),
+            (summary.brier_result(), brier_name(), summary.brier),
+            (summary.calibration_result(), calibration_name(), summary.calibration_error),
         ];
-        let lines = scores.into_iter().filter(|(is, ..)| *is == standing && *is != Standing::Kept);
+        let lines =
+            scores.into_iter().filter(|(is, ..)| *is == result && *is != TargetResult::Kept);
         all.extend(lines.map(|(_, name, value)| format!("{name}: {}", number(value))));
         all
     };
-    let (failures, open) = (standing(Standing::Missed), standing(Standing::TooFew));
+    let (failures, open) = (result(TargetResult::Missed), result(TargetResult::TooFew));
     let subtitle = format!("{} cases, seed {}", rows.len(), provenance.seed);
     let mut page = Page::new("Exam of the diagnosis", &subtitle);
-    if failures.is_empty() && (summary.is_of_few() || !open.is_empty()) {
+    if failures.is_empty() && (summary.has_few_cases() || !open.is_empty()) {
         page.verdict(Mood::Plain, &too_few(summary), &open);
     } else if failures.is_empty() {
         page.verdict(Mood::Good, "Every rate meets its target.", &[]);
@@ -193,20 +194,20 @@ fn too_few(summary: &Summary) -> String {
     )
 }
 
-fn mood(standing: Standing) -> Mood {
-    match standing {
-        Standing::Kept => Mood::Good,
-        Standing::TooFew => Mood::Plain,
-        Standing::Missed => Mood::Bad,
+fn mood(result: TargetResult) -> Mood {
+    match result {
+        TargetResult::Kept => Mood::Good,
+        TargetResult::TooFew => Mood::Plain,
+        TargetResult::Missed => Mood::Bad,
     }
 }
 
 /// The remark after a rate in the table.
-fn mark(standing: Standing) -> &'static str {
-    match standing {
-        Standing::Kept => "",
-        Standing::TooFew => "  too few to tell",
-        Standing::Missed => "  missed",
+fn mark(result: TargetResult) -> &'static str {
+    match result {
+        TargetResult::Kept => "",
+        TargetResult::TooFew => "  too few to tell",
+        TargetResult::Missed => "  missed",
     }
 }
 
@@ -303,16 +304,15 @@ fn measures(summary: &Summary) -> String {
     for measure in &summary.measures {
         let mood = match (measure.wanted, measure.rate.of) {
             (None, _) | (_, 0) => Mood::Plain,
-            _ => mood(measure.standing()),
+            _ => mood(measure.result()),
         };
         let cells = [measure.name.to_owned(), unbroken(&measure.rate), bound_text(measure)];
         table.row(mood, &cells);
     }
-    table
-        .row(mood(summary.brier_standing()), &[brier_name(), number(summary.brier), String::new()]);
+    table.row(mood(summary.brier_result()), &[brier_name(), number(summary.brier), String::new()]);
     let error = number(summary.calibration_error);
     let cells = [calibration_name(), error, String::new()];
-    table.row(mood(summary.calibration_standing()), &cells);
+    table.row(mood(summary.calibration_result()), &cells);
     for (name, value) in numbers(summary) {
         table.row(Mood::Plain, &[name.to_owned(), value, String::new()]);
     }

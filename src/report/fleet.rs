@@ -5,7 +5,7 @@ use super::page::{Mood, Page};
 use super::table::Table;
 use crate::diagnose::answer::quantities::short;
 use crate::diagnose::fleet::answer::{CauseAnswer, FleetAnswer, FleetNumber, State};
-use crate::diagnose::fleet::words::{told, with_unit};
+use crate::diagnose::fleet::text::{state_line, with_unit};
 
 /// 90 % of a normal distribution lie within so many standard deviations.
 const Z90: f64 = 1.645;
@@ -104,7 +104,7 @@ fn vehicles(answer: &FleetAnswer) -> String {
         };
         let [before, after] =
             vehicle.gap.map(|gap| gap.map_or("-".to_owned(), |gap| format!("{gap:.2}")));
-        table.row(mood, &[vehicle.name.clone(), told(vehicle), before, after]);
+        table.row(mood, &[vehicle.name.clone(), state_line(vehicle), before, after]);
     }
     table.into_html()
 }

@@ -3,7 +3,7 @@
 use super::chart::{Band, Chart, Curve, Mark, Panel, Style};
 use super::page::{Mood, Page};
 use super::table::Table;
-use crate::diagnose::onset::Seen;
+use crate::diagnose::onset::OnsetReport;
 use crate::onset::change::Change;
 use crate::onset::history::Step;
 use crate::onset::words::{line, step_line, what};
@@ -17,7 +17,7 @@ pub struct SeenFlight<'a> {
     /// The log.
     pub log: &'a str,
     /// What was seen.
-    pub seen: &'a Seen,
+    pub seen: &'a OnsetReport,
 }
 
 /// The whole page, self-contained.
@@ -55,7 +55,7 @@ pub const EXPLANATION: &str = "How much more likely the flight is with a change 
                                the shading its 90 % interval.";
 
 /// The statistic over time, with onsets and their intervals, and a table of the changes.
-pub fn picture(bound: f64, seen: &Seen) -> String {
+pub fn picture(bound: f64, seen: &OnsetReport) -> String {
     let (mut x, mut y): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
     for look in &seen.looks {
         // After a change, and after a pause, nothing is examined for a while.

@@ -17,7 +17,7 @@ use crate::command::logs::open_for;
 use crate::command::{program, write_file};
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::likelihood::noise::ReportNoise;
-use crate::exam::answer::Given;
+use crate::exam::answer::GivenAnswer;
 use crate::exam::case::Case;
 use crate::exam::closure::closure;
 use crate::exam::key::KeyEntry;
@@ -91,7 +91,7 @@ impl Flown {
     /// The share of the effects' own gap on the held-out flight that the answer truly closes, given
     /// the true values of the named effects that exist. `None` if the answer names nothing, or if
     /// the truth is outside the catalogue.
-    pub fn closed(&self, folder: &Path, given: &Given) -> Option<f64> {
+    pub fn closed(&self, folder: &Path, given: &GivenAnswer) -> Option<f64> {
         let last = log_names(self.logs).last()?;
         if self.truth.is_empty() || given.verdict != "effect" {
             return None;

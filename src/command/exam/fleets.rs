@@ -107,7 +107,7 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
     let rows = alone.each(count + args.nulls, "diagnosing fleets of", |number| {
         let shape =
             Shape { vehicles: args.vehicles, damaged: args.damaged, shares: number < count };
-        let case = match FleetCase::fly(&settings, (hall.seed, number as u64), &shape) {
+        let case = match FleetCase::fly(&settings, hall.seed, number as u64, &shape) {
             Ok(case) => case,
             Err(error) => {
                 print_status(format_args!("fleet {number}: left out: {error}"));

@@ -14,7 +14,7 @@ use serde_json::Value;
 
 use super::{Hall, Sheet};
 use crate::command::{Exit, ExitContext, in_words, print_status, write_file};
-use crate::exam::answer::Given;
+use crate::exam::answer::GivenAnswer;
 
 /// Paths of a set's scripts, relative to its folder. One set may use another's.
 const BESIDE: [&str; 4] = [".", "../practice", "../practice-mismatch", "../practice-real"];
@@ -119,7 +119,7 @@ pub(super) fn run(set: &Path, hall: &Hall<'_>) -> anyhow::Result<Exit> {
         let Some(answer) = hall.answer(&sheet).transpose() else { return Ok(None) };
         let given = answer.and_then(|bytes| {
             write_file(&answers.join(format!("{}.json", case.name)), &bytes)?;
-            serde_json::from_slice::<Given>(&bytes).context("its answer")
+            serde_json::from_slice::<GivenAnswer>(&bytes).context("its answer")
         });
         Ok(Some(row(case, &key, given, began.elapsed().as_secs_f64())))
     })?;
@@ -189,7 +189,7 @@ fn flights(folder: &Path) -> anyhow::Result<Vec<String>> {
 fn row(
     case: &PracticeCase,
     key: &PracticeKey,
-    given: anyhow::Result<Given>,
+    given: anyhow::Result<GivenAnswer>,
     seconds: f64,
 ) -> PracticeRow {
     let truth = key.cases.get(&case.name).map_or_else(|| "-".to_owned(), PracticeEntry::truth);

@@ -17,7 +17,7 @@ use super::exam_inputs::Given;
 use super::manifest::{Manifest, Point};
 use crate::command::exam::{Candidate, Flown, Sheet, settings};
 use crate::command::in_words;
-use crate::exam::answer::Given as GivenAnswer;
+use crate::exam::answer::GivenAnswer;
 use crate::exam::case::Case;
 use crate::exam::score;
 use crate::exam::summary::Summary;

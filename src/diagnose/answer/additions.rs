@@ -2,21 +2,21 @@
 
 use vehicle::effects::EffectId;
 
-use crate::diagnose::answer::words::{law_sentence, listed};
+use crate::diagnose::answer::text::{law_sentence, listed};
 use crate::diagnose::answer::{Answer, FullVerdict, LogAnswer, NotTestable};
 use crate::diagnose::discovery::law::LawAnswer;
 use crate::diagnose::verdict::untestable::Untestable;
 
 impl Answer {
     /// Adds a law, and a sentence about it to the finding.
-    pub fn take_up_law(&mut self, law: LawAnswer) {
+    pub fn add_law(&mut self, law: LawAnswer) {
         self.finding.sentence += &format!(" {}", law_sentence(&law));
         self.law = Some(law);
     }
 
     /// Adds the audit's findings: the faults of logs, and the effects that no log's channels can
     /// show.
-    pub fn take_up(&mut self, logs: Vec<LogAnswer>) {
+    pub fn add_logs(&mut self, logs: Vec<LogAnswer>) {
         let sound: Vec<&LogAnswer> = logs.iter().filter(|log| !log.is_faulty()).collect();
         let untestable =
             |log: &LogAnswer, id: EffectId| log.untestable.iter().any(|u| u.effect == id);

@@ -4,19 +4,19 @@ use std::collections::BTreeMap;
 
 use vehicle::effects::{EffectId, EffectSet, Slots};
 
-use crate::diagnose::answer::words::finding;
+use crate::diagnose::answer::text::finding;
 use crate::diagnose::answer::{
     Answer, EffectAnswer, ExplanationAnswer, Finding, FlightAnswer, FullVerdict, Gap, NotTestable,
 };
+use crate::diagnose::context::DiagnosisContext;
 use crate::diagnose::error::DiagnoseError;
 use crate::diagnose::flights::preparation::PreparedFlight;
-use crate::diagnose::inquiry::Inquiry;
 use crate::diagnose::likelihood::fit::interval;
-use crate::diagnose::remainder::leftover::{UnmodelledForce, unmodelled_force};
-use crate::diagnose::remainder::map::{ResidualMap, depends_on, map, samples};
+use crate::diagnose::residual_analysis::map::{ResidualMap, depends_on, map, samples};
+use crate::diagnose::residual_analysis::unmodelled_force::{UnmodelledForce, unmodelled_force};
 use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::search::explanations::Explanations;
-use crate::diagnose::simulate::gap::{Errors, Floor, Window, weighted};
+use crate::diagnose::simulate::gap::{Errors, Floor, Window, weighted_errors};
 use crate::diagnose::simulate::open_loop::Simulator;
 use crate::diagnose::simulate::reflight::reflight;
 use crate::diagnose::verdict::Decision;
@@ -31,13 +31,13 @@ const GAP_MIN: f64 = 0.05;
 /// Least distance, in tolerances, of a number of the file that the answer mentions.
 const FILE_NUMBER_MIN: f64 = 1.0;
 /// Least probability of an effect that the answer mentions.
-const MENTIONED: f64 = 0.01;
+const MENTIONED_PROBABILITY_MIN: f64 = 0.01;
 /// An effect is testable if its numbers are known to this share of their typical magnitude.
-const TESTABLE: f64 = 0.5;
+const TESTABLE_SHARE_MAX: f64 = 0.5;
 
 /// The inputs of an answer.
 pub(in crate::diagnose) struct Assembly<'a> {
-    pub inquiry: &'a Inquiry<'a>,
+    pub context: &'a DiagnosisContext<'a>,
     pub found: &'a Explanations,
     /// The explanation that the verdict rests on, fitted to all flights except the held-out ones.
     pub best: &'a Explanation,
@@ -48,9 +48,9 @@ pub(in crate::diagnose) struct Assembly<'a> {
 impl Assembly<'_> {
     /// The answer, and the named effects with the true vehicle's values.
     pub fn answer(self) -> Result<(Answer, EffectSet), DiagnoseError> {
-        let Self { inquiry, decision, evidence, .. } = &self;
-        let named: Vec<EffectId> = inquiry.effects_of(self.best);
-        let mut effects = inquiry.catalogue.effects(&self.best.fit.values, Some(&named));
+        let Self { context, decision, evidence, .. } = &self;
+        let named: Vec<EffectId> = context.effects_of(self.best);
+        let mut effects = context.catalogue.effects(&self.best.fit.values, Some(&named));
         let not_testable = self.not_testable();
         let gap = self.gap(&effects)?;
         let flights = self.flights()?;
@@ -60,7 +60,7 @@ impl Assembly<'_> {
             let _ = effects.insert(EffectId::Gusts, slots);
         }
         let (closed_loop, closed_loop_missing) =
-            match reflight(inquiry.case, &effects, &self.found.noise, inquiry.settings) {
+            match reflight(context.input, &effects, &self.found.noise, context.settings) {
                 Ok(closed_loop) => (Some(closed_loop), None),
                 Err(reason) => (None, Some(reason.to_string())),
             };
@@ -113,7 +113,8 @@ impl Assembly<'_> {
 
     /// Effects with their probabilities and the numbers of the best explanation.
     fn effects(&self, set: &EffectSet) -> Vec<EffectAnswer> {
-        let mentioned = self.decision.effects.iter().filter(|(_, p)| *p > MENTIONED);
+        let mentioned =
+            self.decision.effects.iter().filter(|(_, p)| *p > MENTIONED_PROBABILITY_MIN);
         let answers = mentioned.filter_map(|(name, probability)| {
             let id: EffectId = name.parse().ok()?;
             Some(EffectAnswer {
@@ -139,21 +140,21 @@ impl Assembly<'_> {
 
     /// Indices of an effect's fitted numbers.
     fn numbers(&self, id: EffectId) -> impl Iterator<Item = &usize> {
-        let catalogue = self.inquiry.catalogue;
+        let catalogue = self.context.catalogue;
         let hypotheses = self.best.fit.hypotheses.iter().map(|h| &catalogue.hypotheses[*h]);
         hypotheses.filter(move |h| h.effect == id).flat_map(|h| &h.numbers)
     }
 
     /// Standard deviations of an effect's fitted numbers, from the fit alone.
     fn deviations(&self, id: EffectId) -> BTreeMap<String, f64> {
-        let catalogue = self.inquiry.catalogue;
+        let catalogue = self.context.catalogue;
         let named = |n: &usize| (catalogue.numbers[*n].target.name(), self.best.fit.deviation[*n]);
         self.numbers(id).map(named).collect()
     }
 
     /// 90 % intervals of an effect's fitted numbers, with the inexactness of its law.
     fn intervals(&self, id: EffectId) -> BTreeMap<String, [f64; 2]> {
-        let catalogue = self.inquiry.catalogue;
+        let catalogue = self.context.catalogue;
         let (fit, calibration) = (&self.best.fit, Calibration::shipped());
         let of_number = |number: &usize| {
             let (value, described) = (fit.values[*number], &catalogue.numbers[*number]);
@@ -166,20 +167,20 @@ impl Assembly<'_> {
 
     /// The gap on the held-out flights without and with `effects`.
     fn gap(&self, effects: &EffectSet) -> Result<Option<Gap>, DiagnoseError> {
-        let Self { inquiry, best, found, .. } = self;
-        let held_out = inquiry.case.held_out;
+        let Self { context, best, found, .. } = self;
+        let held_out = context.input.held_out;
         let with_all = |explanation: &Explanation| {
-            inquiry.simulator_of(explanation, &inquiry.effects_of(explanation), true)
+            context.simulator_of(explanation, &context.effects_of(explanation), true)
         };
-        let shipped = inquiry.simulator(&EffectSet::new())?;
-        let repaired = inquiry.simulator(effects)?;
-        let floor = repaired.floor(held_out, &self.found.noise, inquiry.settings.seed);
+        let shipped = context.simulator(&EffectSet::new())?;
+        let repaired = context.simulator(effects)?;
+        let floor = repaired.floor(held_out, &self.found.noise, context.settings.seed);
         let (Some(Floor { errors: floor, scatter }), Some(before), Some(mut after)) =
             (floor, shipped.errors(held_out), repaired.errors(held_out))
         else {
             return Ok(None);
         };
-        let over = |errors: &Errors| errors.over(&floor, inquiry.metric);
+        let over = |errors: &Errors| errors.over(&floor, context.metric);
         let gap = |simulator: Simulator| simulator.errors(held_out).map(|errors| over(&errors));
         let both = with_all(best)?.errors(held_out);
         let with_file = !effects.is_empty()
@@ -191,7 +192,7 @@ impl Assembly<'_> {
         let [b, a, f] = [before, after, floor].map(|errors| over(&errors));
         let f = f.max(self.decision.noise);
         Ok(Some(Gap {
-            metric: inquiry.metric.name(),
+            metric: context.metric.name(),
             before: b,
             after: a,
             with_file,
@@ -212,21 +213,21 @@ impl Assembly<'_> {
         gap: Option<&Gap>,
         named: &[EffectId],
     ) -> Result<Vec<Share>, DiagnoseError> {
-        let Self { inquiry, best, .. } = self;
+        let Self { context, best, .. } = self;
         let Some(gap) = gap else { return Ok(Vec::new()) };
-        let held_out = inquiry.case.held_out;
+        let held_out = context.input.held_out;
         let players = named.len() + 1;
         let windows = |set: usize| -> Result<Vec<Window>, DiagnoseError> {
             let is_in = |bit: usize| set & (1 << bit) != 0;
             let which: Vec<EffectId> =
                 (0..named.len()).filter(|bit| is_in(*bit)).map(|bit| named[bit]).collect();
-            let simulator = inquiry.simulator_of(best, &which, is_in(named.len()))?;
+            let simulator = context.simulator_of(best, &which, is_in(named.len()))?;
             Ok(simulator.windows(held_out))
         };
         let all = (0..1 << players).map(windows).collect::<Result<Vec<_>, _>>()?;
         let squares = |weights: &[f64]| -> Option<Vec<f64>> {
-            let over = |errors: Errors| errors.over(&gap.errors[2], inquiry.metric).powi(2);
-            all.iter().map(|windows| weighted(windows, weights).map(over)).collect()
+            let over = |errors: Errors| errors.over(&gap.errors[2], context.metric).powi(2);
+            all.iter().map(|windows| weighted_errors(windows, weights).map(over)).collect()
         };
         let names: Vec<&str> =
             named.iter().map(|id| id.name()).chain(["file", "remainder", "noise"]).collect();
@@ -236,38 +237,38 @@ impl Assembly<'_> {
 
     /// The flights, each with its gap as shipped.
     fn flights(&self) -> Result<Vec<FlightAnswer>, DiagnoseError> {
-        let Self { inquiry, found, .. } = self;
-        let shipped = inquiry.simulator(&EffectSet::new())?;
+        let Self { context, found, .. } = self;
+        let shipped = context.simulator(&EffectSet::new())?;
         let gap =
-            |flight: &PreparedFlight| shipped.gap(flight, &found.noise, inquiry.settings.seed);
-        Ok(FlightAnswer::all(inquiry.case, gap))
+            |flight: &PreparedFlight| shipped.gap(flight, &found.noise, context.settings.seed);
+        Ok(FlightAnswer::all(context.input, gap))
     }
 
     /// The location of the gap.
     fn map(&self) -> Result<ResidualMap, DiagnoseError> {
-        let Self { inquiry, best, .. } = self;
-        let references = inquiry.catalogue.references();
-        let shipped = inquiry.catalogue.candidate(&references)?;
-        let explained = inquiry.catalogue.candidate(&best.fit.values)?;
-        let before = inquiry.all.residuals(&references).ok_or(DiagnoseError::Nothing)?;
-        let after = inquiry.all.residuals(&best.fit.values).ok_or(DiagnoseError::Nothing)?;
-        let [before, after] = [before, after].map(|residuals| inquiry.all.power(&residuals));
-        Ok(map(&inquiry.all, inquiry.evaluator, [&shipped, &explained], &before, &after))
+        let Self { context, best, .. } = self;
+        let references = context.catalogue.references();
+        let shipped = context.catalogue.candidate(&references)?;
+        let explained = context.catalogue.candidate(&best.fit.values)?;
+        let before = context.all.residuals(&references).ok_or(DiagnoseError::Nothing)?;
+        let after = context.all.residuals(&best.fit.values).ok_or(DiagnoseError::Nothing)?;
+        let [before, after] = [before, after].map(|residuals| context.all.power(&residuals));
+        Ok(map(&context.all, context.evaluator, [&shipped, &explained], &before, &after))
     }
 
     /// Residual force with the file alone and with the best explanation.
     fn force(&self) -> Option<[UnmodelledForce; 2]> {
-        let Self { inquiry, best, found, .. } = self;
+        let Self { context, best, found, .. } = self;
         let force = |explanation: &Explanation| {
-            let candidate = inquiry.catalogue.candidate(&explanation.fit.values).ok()?;
-            unmodelled_force(&inquiry.all, inquiry.evaluator, &candidate)
+            let candidate = context.catalogue.candidate(&explanation.fit.values).ok()?;
+            unmodelled_force(&context.all, context.evaluator, &candidate)
         };
         force(&found.file).zip(force(best)).map(|(before, after)| [before, after])
     }
 
     /// The full verdict, and the quantities that an unexplained gap depends on.
     fn full_verdict(&self) -> Result<(FullVerdict, Vec<String>), DiagnoseError> {
-        let Self { inquiry, decision, best, .. } = self;
+        let Self { context, decision, best, .. } = self;
         Ok(match decision.verdict {
             Verdict::None => (FullVerdict::None, Vec::new()),
             Verdict::Effect if !decision.ambiguous_with.is_empty() => {
@@ -276,8 +277,8 @@ impl Assembly<'_> {
             Verdict::Effect if decision.is_inexact => (FullVerdict::OtherLaw, Vec::new()),
             Verdict::Effect => (FullVerdict::Named, Vec::new()),
             Verdict::Unknown => {
-                let candidate = inquiry.catalogue.candidate(&best.fit.values)?;
-                let samples = samples(&inquiry.all, inquiry.evaluator, &candidate);
+                let candidate = context.catalogue.candidate(&best.fit.values)?;
+                let samples = samples(&context.all, context.evaluator, &candidate);
                 let depends_on = depends_on(&samples);
                 if depends_on.is_empty() {
                     (FullVerdict::UnobservedDisturbance, depends_on)
@@ -290,8 +291,8 @@ impl Assembly<'_> {
 
     /// Effects that these logs could not have shown, with the reason.
     fn not_testable(&self) -> Vec<NotTestable> {
-        let Self { inquiry, evidence, found, .. } = self;
-        let catalogue = inquiry.catalogue;
+        let Self { context, evidence, found, .. } = self;
+        let catalogue = context.catalogue;
         let axes = ["roll", "pitch", "yaw"];
         let unused: Vec<&str> = axes
             .into_iter()
@@ -300,7 +301,7 @@ impl Assembly<'_> {
             .map(|(axis, _)| axis)
             .collect();
         let reason = |effect: EffectId| {
-            if effect == EffectId::PdGain && !inquiry.leg() {
+            if effect == EffectId::PdGain && !context.is_loop_known() {
                 return Some(
                     "the setpoints or the gains of the on-board loop are unknown".to_owned(),
                 );
@@ -309,13 +310,13 @@ impl Assembly<'_> {
                 return Some("the vehicle file has no rotor_max_rpm".to_owned());
             }
             let alone = found.sets.iter().filter(|explanation| {
-                explanation.fit.hypotheses.len() == 1 && inquiry.effects_of(explanation) == [effect]
+                explanation.fit.hypotheses.len() == 1 && context.effects_of(explanation) == [effect]
             });
             let tried: Vec<&Explanation> = alone.collect();
             let is_seen = tried.iter().any(|explanation| {
                 explanation.fit.active(catalogue).into_iter().any(|number| {
                     explanation.fit.deviation[number]
-                        < TESTABLE * catalogue.numbers[number].magnitude
+                        < TESTABLE_SHARE_MAX * catalogue.numbers[number].magnitude
                 })
             });
             let turns = matches!(

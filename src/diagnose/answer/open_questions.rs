@@ -6,7 +6,7 @@ use vehicle::effects::EffectId;
 
 use crate::diagnose::answer::Answer;
 use crate::diagnose::catalogue::hypothesis::Catalogue;
-use crate::diagnose::next_flight::{Live, OpenQuestions, typical};
+use crate::diagnose::next_flight::{LiveHypothesis, OpenQuestions, typical};
 use crate::diagnose::search::explanation::Explanation;
 
 /// The explanations and the untested effects that an answer leaves open.
@@ -23,7 +23,11 @@ pub fn open_questions(
 
 /// The open explanations of an answer: fitted sets of effects that the answer mentions, and each
 /// ambiguous effect that no such set contains. Probabilities are in proportion to the answer's.
-fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -> Vec<Live> {
+fn explanations(
+    catalogue: &Catalogue,
+    found: &[Explanation],
+    answer: &Answer,
+) -> Vec<LiveHypothesis> {
     if answer.ambiguous_with.is_empty() {
         return Vec::new();
     }
@@ -33,7 +37,7 @@ fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -
     };
     let probability = |id: EffectId| {
         let found = answer.effects.iter().find(|effect| effect.id == id);
-        found.map_or(LEAST, |effect| effect.probability.max(LEAST))
+        found.map_or(PROBABILITY_MIN, |effect| effect.probability.max(PROBABILITY_MIN))
     };
     let is_open = |explanation: &&Explanation| {
         let is_in_answer = |id: &EffectId| {
@@ -41,7 +45,7 @@ fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -
         };
         ids(explanation).iter().all(is_in_answer)
     };
-    let mut live: Vec<Live> = Vec::new();
+    let mut live: Vec<LiveHypothesis> = Vec::new();
     let mut seen = BTreeSet::new();
     for explanation in found.iter().filter(is_open) {
         let ids = ids(explanation);
@@ -51,7 +55,7 @@ fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -
         let effects = catalogue.effects(&explanation.fit.values, Some(&ids));
         if !effects.is_empty() {
             let least = ids.iter().map(|id| probability(*id)).fold(1.0, f64::min);
-            live.push(Live { effects, probability: least });
+            live.push(LiveHypothesis { effects, probability: least });
             seen.extend(ids);
         }
     }
@@ -59,7 +63,9 @@ fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -
     for effect in EffectId::ALL.into_iter().filter(|id| answer.ambiguous_with.contains(id)) {
         if !seen.contains(&effect) {
             let usual = typical(catalogue, effect, 1.0);
-            live.extend(usual.map(|usual| Live { probability: probability(effect), ..usual }));
+            live.extend(
+                usual.map(|usual| LiveHypothesis { probability: probability(effect), ..usual }),
+            );
         }
     }
     let sum: f64 = live.iter().map(|one| one.probability).sum();
@@ -68,14 +74,14 @@ fn explanations(catalogue: &Catalogue, found: &[Explanation], answer: &Answer) -
 }
 
 /// Effects that these flights cannot show, each at its typical strength.
-fn untested(catalogue: &Catalogue, answer: &Answer) -> Vec<Live> {
+fn untested(catalogue: &Catalogue, answer: &Answer) -> Vec<LiveHypothesis> {
     let is_untested = |id: &EffectId| answer.not_testable.iter().any(|effect| effect.id == *id);
     let ids = EffectId::ALL.into_iter().filter(is_untested);
     ids.filter_map(|id| typical(catalogue, id, 1.0)).collect()
 }
 
 /// Least probability of an explanation that an answer mentions as possible.
-const LEAST: f64 = 0.1;
+const PROBABILITY_MIN: f64 = 0.1;
 
 #[cfg(test)]
 mod tests {
@@ -122,7 +128,7 @@ mod tests {
             ..Answer::data_fault(Vec::new())
         };
         let live = explanations(&catalogue, &found, &answer);
-        let names: Vec<_> = live.iter().flat_map(Live::names).collect();
+        let names: Vec<_> = live.iter().flat_map(LiveHypothesis::names).collect();
         assert_eq!(names, ["mass", "thrust_curve"]);
     }
 }

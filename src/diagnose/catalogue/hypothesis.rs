@@ -11,7 +11,7 @@ use vehicle::{ROTORS, VehicleParams};
 use crate::diagnose::catalogue::number::{CONTRASTS, Number, Target};
 use crate::diagnose::catalogue::term::Term;
 use crate::diagnose::catalogue::tolerances::{DAMPING_RATE, DAMPING_TIME_S, Scales, Tolerances};
-use crate::diagnose::flights::arrival::Delay;
+use crate::diagnose::flights::command_delay::MeasuredDelay;
 
 /// Limit of a nuisance, in tolerances: anything further off is an effect.
 pub const TOLERANCES_MAX: f64 = 3.0;
@@ -267,7 +267,7 @@ impl Catalogue {
     /// The catalogue with command_delay as measured from the outputs: fits start only at its
     /// reference and at the measured value. If the reference's tolerance allows the value, it
     /// becomes the expected one. Otherwise the delay is known to be off, and is no nuisance.
-    pub fn with_delay(mut self, delay: &Delay) -> Self {
+    pub fn with_delay(mut self, delay: &MeasuredDelay) -> Self {
         let index = self.number_of(EffectId::CommandDelay, 0);
         let delays = self.hypotheses.iter_mut().filter(|h| h.effect == EffectId::CommandDelay);
         for hypothesis in delays {
@@ -439,7 +439,7 @@ mod tests {
         let index = catalogue.number_of(EffectId::CommandDelay, 0).unwrap();
         let Number { reference, tolerance, .. } = catalogue.numbers[index];
         let with = |off: f64| {
-            let delay = Delay { mean: reference + off, deviation: 7e-4, by_stamps: 1e-4 };
+            let delay = MeasuredDelay { mean: reference + off, deviation: 7e-4, by_stamps: 1e-4 };
             let number = catalogue.clone().with_delay(&delay).numbers[index];
             [number.expected - reference, number.tolerance]
         };

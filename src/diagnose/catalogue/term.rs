@@ -130,7 +130,7 @@ impl Term {
     }
 
     /// The term in one line, with `c` as the coefficient.
-    pub fn in_words(&self) -> String {
+    pub fn text(&self) -> String {
         let shape = match self.factor.shape() {
             Some((length, _)) if matches!(self.factor, Factor::Decay(_)) => {
                 format!("{length:.3}[m]")

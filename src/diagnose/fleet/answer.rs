@@ -16,9 +16,9 @@ use crate::diagnose::verdict::calibration::Calibration;
 use crate::diagnose::verdict::parameter::{Parameter, parameters};
 
 /// Least probability at which a vehicle shares a cause.
-const HAS: f64 = 0.5;
+const MEMBER_PROBABILITY_MIN: f64 = 0.5;
 /// Least mean of a number over the fleet that the answer mentions, in tolerances.
-const MENTIONED: f64 = 0.7;
+const MENTIONED_TOLERANCES_MIN: f64 = 0.7;
 
 /// The state of a vehicle relative to its type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
@@ -265,11 +265,11 @@ impl CauseAnswer {
                 vehicles: names.iter().enumerate().filter_map(of_vehicle).collect(),
             }
         });
-        let has = names.iter().zip(&cause.has).filter(|(_, has)| **has > HAS);
+        let has = names.iter().zip(&cause.has).filter(|(_, has)| **has > MEMBER_PROBABILITY_MIN);
         Self {
             id: cause.effect().to_owned(),
             probability: cause.probability,
-            of_type: cause.whole,
+            of_type: cause.type_probability,
             parameters: id.map_or_else(|_| BTreeMap::new(), |id| parameters(&set, id)),
             numbers: numbers.collect(),
             vehicles: has.map(|(name, _)| (*name).to_owned()).collect(),
@@ -309,7 +309,7 @@ fn file_numbers(surveys: &[&Survey]) -> Vec<CommonNumber> {
         .filter(|(_, all)| all.len() > 2)
         .map(of_one)
         .filter(|number| {
-            number.tolerances.abs() > MENTIONED
+            number.tolerances.abs() > MENTIONED_TOLERANCES_MIN
                 && (number.mean - number.expected).abs() > 3.0 * number.error
         })
         .collect();
@@ -330,10 +330,10 @@ impl FleetAnswer {
     ) -> Self {
         let names: Vec<&str> = looked_at.iter().map(|(name, _)| *name).collect();
         let surveys: Vec<&Survey> = looked_at.iter().map(|(_, survey)| *survey).collect();
-        let told = |causes: &[Cause]| -> Vec<CauseAnswer> {
+        let answers = |causes: &[Cause]| -> Vec<CauseAnswer> {
             causes.iter().map(|cause| CauseAnswer::of(cause, vehicle, &names)).collect()
         };
-        let groups = told(&fleet.groups);
+        let groups = answers(&fleet.groups);
         for vehicle in
             vehicles.iter_mut().filter(|v| matches!(v.state, State::Own | State::Ambiguous))
         {
@@ -347,9 +347,9 @@ impl FleetAnswer {
         Self {
             sentence: String::new(),
             looked_at: looked_at.len(),
-            shared: told(&fleet.shared),
+            shared: answers(&fleet.shared),
             groups,
-            open: told(&fleet.open),
+            open: answers(&fleet.open),
             file_numbers: file_numbers(&surveys),
             file_scale: scale,
             vehicles,

@@ -119,7 +119,7 @@ pub struct Fitted {
     /// Probability that each vehicle follows the type, follows the file, and has its own effect.
     pub states: Vec<[f64; 3]>,
     /// Probability that the type has the newest effect, rather than a group of vehicles.
-    pub whole: f64,
+    pub type_probability: f64,
 }
 
 /// Rounds of expectation maximisation.
@@ -128,11 +128,11 @@ const ROUNDS: usize = 25;
 const STARTS: usize = 6;
 /// Limits of the spread between builds: at least this in magnitudes, at least this share of the
 /// value, and at most this multiple of the expected spread.
-const SPREAD_LEAST: f64 = 0.01;
+const SPREAD_MIN: f64 = 0.01;
 const SPREAD_SHARE: f64 = 0.05;
-const SPREAD_MOST: f64 = 3.0;
+const SPREAD_RATIO_MAX: f64 = 3.0;
 /// Weight of the expected spread, in vehicles.
-const SPREAD_WORTH: f64 = 4.0;
+const SPREAD_WEIGHT: f64 = 4.0;
 /// About one vehicle in this many lacks an effect of its type.
 const ALL_BUT_ONE_IN: f64 = 50.0;
 
@@ -146,19 +146,19 @@ fn log_sum(terms: impl Iterator<Item = f64> + Clone) -> f64 {
 
 /// Log evidence of a vehicle that follows the type, follows the file, and has its own effect; and
 /// the posterior of its numbers under the type.
-struct Weighed {
+struct StateEvidence {
     states: [f64; 3],
     posterior: Option<Posterior>,
 }
 
-fn weigh(member: &Member, of_type: &Normal) -> Weighed {
+fn state_evidence(member: &Member, of_type: &Normal) -> StateEvidence {
     let posterior = member.set.as_ref().and_then(|set| set.under(of_type));
     // A vehicle whose logs cannot show the effect is neutral.
     let as_type = posterior.as_ref().map_or(member.file, |posterior| posterior.evidence);
-    Weighed { states: [as_type, member.file, member.own], posterior }
+    StateEvidence { states: [as_type, member.file, member.own], posterior }
 }
 
-fn shares(states: &[f64; 3], share: f64) -> ([f64; 3], f64) {
+fn state_probabilities(states: &[f64; 3], share: f64) -> ([f64; 3], f64) {
     let [of_type, of_file, own] = *states;
     let terms = [of_type + share.ln(), of_file + (1.0 - share).ln(), own];
     let sum = log_sum(terms.iter().copied());
@@ -168,7 +168,7 @@ fn shares(states: &[f64; 3], share: f64) -> ([f64; 3], f64) {
 /// The expected spread between builds, given the type's values.
 fn expected_spread(widths: &[Width], mean: &[f64]) -> Vec<f64> {
     let of_one = |(width, mean): (&Width, &f64)| {
-        width.tolerance.max(SPREAD_SHARE * mean.abs()).max(SPREAD_LEAST)
+        width.tolerance.max(SPREAD_SHARE * mean.abs()).max(SPREAD_MIN)
     };
     widths.iter().zip(mean).map(of_one).collect()
 }
@@ -176,12 +176,12 @@ fn expected_spread(widths: &[Width], mean: &[f64]) -> Vec<f64> {
 /// The fleet's values of a set of effects, from the start with the most evidence.
 pub fn fit(members: &[Member], widths: &[Width], starts: &[Vec<f64>]) -> Option<Fitted> {
     let step = starts.len().div_ceil(STARTS).max(1);
-    let fitted = starts.iter().step_by(step).filter_map(|start| climb(members, widths, start));
+    let fitted = starts.iter().step_by(step).filter_map(|start| maximise(members, widths, start));
     let score = |fitted: &Fitted| fitted.blocks.iter().sum::<f64>();
     fitted.max_by(|a, b| score(a).total_cmp(&score(b)))
 }
 
-fn climb(members: &[Member], widths: &[Width], start: &[f64]) -> Option<Fitted> {
+fn maximise(members: &[Member], widths: &[Width], start: &[f64]) -> Option<Fitted> {
     let base = widths.iter().filter(|width| width.is_base).count();
     let n = widths.len();
     // Without a newest effect, every vehicle follows the type.
@@ -197,11 +197,11 @@ fn climb(members: &[Member], widths: &[Width], start: &[f64]) -> Option<Fitted> 
         let weights: Vec<f64> = of_type.deviation.iter().map(|d| d.powi(-2)).collect();
         let inverse = DMatrix::from_diagonal(&DVector::from_column_slice(&weights));
         for member in members {
-            let weighed = weigh(member, &of_type);
-            let (odds, _) = shares(&weighed.states, share);
+            let evidence = state_evidence(member, &of_type);
+            let (odds, _) = state_probabilities(&evidence.states, share);
             counts[0] += odds[0];
             counts[1] += odds[1];
-            let Some((posterior, set)) = weighed.posterior.zip(member.set.as_ref()) else {
+            let Some((posterior, set)) = evidence.posterior.zip(member.set.as_ref()) else {
                 continue;
             };
             let gain = &inverse * &posterior.covariance;
@@ -219,8 +219,8 @@ fn climb(members: &[Member], widths: &[Width], start: &[f64]) -> Option<Fitted> 
             .iter()
             .zip(&expected)
             .map(|(sum, expected)| {
-                let square = (sum + SPREAD_WORTH * expected * expected) / (count + SPREAD_WORTH);
-                square.sqrt().clamp(0.3 * expected, SPREAD_MOST * expected)
+                let square = (sum + SPREAD_WEIGHT * expected * expected) / (count + SPREAD_WEIGHT);
+                square.sqrt().clamp(0.3 * expected, SPREAD_RATIO_MAX * expected)
             })
             .collect();
         of_type.mean = mean.as_slice().to_vec();
@@ -233,25 +233,26 @@ fn climb(members: &[Member], widths: &[Width], start: &[f64]) -> Option<Fitted> 
     // The type's values, integrated over a prior of one magnitude.
     let square: f64 = of_type.mean.iter().map(|mean| mean * mean).sum();
     let integral = 0.5 * determinant - 0.5 * square;
-    let weighed: Vec<[f64; 3]> =
-        members.iter().map(|member| weigh(member, &of_type).states).collect();
+    let evidence: Vec<[f64; 3]> =
+        members.iter().map(|member| state_evidence(member, &of_type).states).collect();
     let share = if has_newest { share } else { 0.5 };
     let (states, mut blocks): (Vec<[f64; 3]>, Vec<f64>) =
-        weighed.iter().map(|states| shares(states, share)).unzip();
+        evidence.iter().map(|states| state_probabilities(states, share)).unzip();
     let each = integral / members.len().max(1) as f64;
     blocks.iter_mut().for_each(|block| *block += each);
-    let whole = if has_newest { whole(&weighed) } else { 1.0 };
+    let type_probability = if has_newest { type_probability(&evidence) } else { 1.0 };
     let error = (0..n).map(|i| covariance[(i, i)].max(0.0).sqrt()).collect();
-    Some(Fitted { of_type, error, share, blocks, states, whole })
+    Some(Fitted { of_type, error, share, blocks, states, type_probability })
 }
 
 /// Points of the integral over the share.
 const SHARES: usize = 200;
 
 /// Probability that nearly all vehicles have the effect, rather than any share of them.
-fn whole(weighed: &[[f64; 3]]) -> f64 {
+fn type_probability(evidence: &[[f64; 3]]) -> f64 {
     let at = |k: usize| (k as f64 + 0.5) / SHARES as f64;
-    let of_share = |k: usize| weighed.iter().map(|states| shares(states, at(k)).1).sum::<f64>();
+    let of_share =
+        |k: usize| evidence.iter().map(|states| state_probabilities(states, at(k)).1).sum::<f64>();
     let likelihood: Vec<f64> = (0..SHARES).map(of_share).collect();
     let by =
         |prior: &dyn Fn(f64) -> f64| log_sum((0..SHARES).map(|k| likelihood[k] + prior(at(k))));
@@ -348,7 +349,9 @@ mod tests {
         values.push(-0.8);
         let (fleet, gain) = fitted(&values);
         assert!(gain > 20.0 && (fleet.of_type.mean[0] - 0.51).abs() < 0.02, "{fleet:?}");
-        assert!(fleet.whole > 0.8 && fleet.states[12][2] > 0.9 && fleet.states[0][0] > 0.9);
+        assert!(
+            fleet.type_probability > 0.8 && fleet.states[12][2] > 0.9 && fleet.states[0][0] > 0.9
+        );
     }
 
     #[test]
@@ -362,15 +365,15 @@ mod tests {
     fn deviation_of_half_the_fleet_is_a_group() {
         let values: Vec<f64> = (0..20).map(|k| if k % 2 == 0 { 0.5 } else { 0.0 }).collect();
         let (fleet, gain) = fitted(&values);
-        assert!(gain > PRICE && fleet.whole < 0.1, "{fleet:?}");
+        assert!(gain > PRICE && fleet.type_probability < 0.1, "{fleet:?}");
         assert!((fleet.share - 0.5).abs() < 0.1);
     }
 
     #[test]
     fn two_equal_vehicles_do_not_establish_a_type_deviation() {
         let (two, _) = fitted(&[0.5, 0.5]);
-        assert!((0.5..0.8).contains(&two.whole), "{}", two.whole);
+        assert!((0.5..0.8).contains(&two.type_probability), "{}", two.type_probability);
         let (ten, _) = fitted(&[0.5; 10]);
-        assert!(ten.whole > 0.85, "{}", ten.whole);
+        assert!(ten.type_probability > 0.85, "{}", ten.type_probability);
     }
 }

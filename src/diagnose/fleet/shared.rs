@@ -11,9 +11,9 @@ use crate::diagnose::verdict::evidence::{Evidence, Explained, Found};
 use crate::diagnose::verdict::{NAMED, decide};
 
 /// Least probability at which the type has an effect, rather than a group.
-const WHOLE: f64 = 0.75;
+const TYPE_PROBABILITY_MIN: f64 = 0.75;
 /// Least probability at which a vehicle follows its type, or belongs to a group.
-const IS: f64 = 0.5;
+const MEMBER_PROBABILITY_MIN: f64 = 0.5;
 /// Most effects of a type, and most groups.
 const EFFECTS_MAX: usize = 3;
 const GROUPS_MAX: usize = 4;
@@ -28,7 +28,7 @@ pub struct Cause {
     /// Probability that it acts.
     pub probability: f64,
     /// Probability that the type has it, if it acts.
-    pub whole: f64,
+    pub type_probability: f64,
     /// Its numbers.
     pub numbers: Vec<CauseNumber>,
     /// Probability that each vehicle has the cause.
@@ -80,7 +80,7 @@ pub struct Fleet {
 impl Fleet {
     /// Decides on surveys made beside the type's effects so far. Returns whether to survey the
     /// vehicles again, beside one more effect of the type.
-    pub fn take_up(&mut self, surveys: &[&Survey]) -> bool {
+    pub fn update(&mut self, surveys: &[&Survey]) -> bool {
         (self.groups, self.open) = (Vec::new(), Vec::new());
         let base = self.base.as_ref().map_or_else(
             || Normal { mean: Vec::new(), deviation: Vec::new() },
@@ -90,8 +90,9 @@ impl Fleet {
         let mut kept: BTreeSet<usize> = (0..surveys.len()).collect();
         while kept.len() > 1 && self.groups.len() < GROUPS_MAX {
             let Some((set, cause)) = self.best(surveys, &alone, &kept) else { break };
-            let members: Vec<usize> = kept.iter().copied().filter(|v| cause.has[*v] > IS).collect();
-            if cause.whole >= WHOLE {
+            let members: Vec<usize> =
+                kept.iter().copied().filter(|v| cause.has[*v] > MEMBER_PROBABILITY_MIN).collect();
+            if cause.type_probability >= TYPE_PROBABILITY_MIN {
                 self.shared.push(cause);
                 self.refresh(&set.fitted);
                 self.base = Some(set.fitted);
@@ -136,7 +137,7 @@ impl Fleet {
             .collect();
         let sets: Vec<Set> = keys
             .into_iter()
-            .filter_map(|key| self.set(surveys, alone, kept, (&prefix, key)))
+            .filter_map(|key| self.set(surveys, alone, kept, &prefix, key))
             .collect();
         // The type's effects so far are the file of this round.
         let nothing = kept.iter().map(|v| without(alone[*v])).collect();
@@ -186,7 +187,7 @@ impl Fleet {
         });
         let cause = Cause {
             probability,
-            whole: set.fitted.whole,
+            type_probability: set.fitted.type_probability,
             numbers: (first..count).map(number).collect(),
             has,
             own: own.collect(),
@@ -202,13 +203,14 @@ impl Fleet {
         surveys: &[&Survey],
         alone: &[[f64; 2]],
         kept: &BTreeSet<usize>,
-        (prefix, key): (&[&str], &str),
+        prefix: &[&str],
+        key: &str,
     ) -> Option<Set> {
-        let looked = |v: &usize| newest(surveys[*v], prefix, key);
-        let mut numbers = kept.iter().find_map(looked)?.numbers.clone();
+        let survey_of = |v: &usize| newest(surveys[*v], prefix, key);
+        let mut numbers = kept.iter().find_map(survey_of)?.numbers.clone();
         for (i, number) in numbers.iter_mut().enumerate() {
             // The channels of a log add to a tolerance, by a different amount for each vehicle.
-            let all = kept.iter().filter_map(|v| looked(v)?.numbers.get(i));
+            let all = kept.iter().filter_map(|v| survey_of(v)?.numbers.get(i));
             let (sum, count) =
                 all.fold((0.0, 0.0), |(sum, n), other| (sum + other.unremarkable, n + 1.0));
             number.unremarkable = sum / f64::max(count, 1.0);
@@ -223,13 +225,13 @@ impl Fleet {
         let members: Vec<Member> = kept
             .iter()
             .map(|v| {
-                let set = looked(v).filter(|set| set.mean.len() == numbers.len());
+                let set = survey_of(v).filter(|set| set.mean.len() == numbers.len());
                 let [file, own] = alone[*v];
                 Member { set: set.and_then(Quadratic::of), file, own }
             })
             .collect();
         let starts: Vec<Vec<f64>> =
-            kept.iter().filter_map(looked).map(|s| s.mean.clone()).collect();
+            kept.iter().filter_map(survey_of).map(|s| s.mean.clone()).collect();
         let fitted = fit(&members, &widths, &starts)?;
         let found = numbers.iter().enumerate().skip(first).map(|(i, number)| {
             let value = number.reference + number.magnitude * fitted.of_type.mean[i];
@@ -284,7 +286,7 @@ pub fn effect_of(key: &str) -> &str {
 /// A vehicle's survey of the type's effects with `key` beside them.
 fn newest<'a>(survey: &'a Survey, prefix: &[&str], key: &str) -> Option<&'a Surveyed> {
     survey.beside.iter().find(|set| {
-        let whole = set.keys.iter().map(String::as_str);
-        whole.eq(prefix.iter().copied().chain(std::iter::once(key)))
+        let keys = set.keys.iter().map(String::as_str);
+        keys.eq(prefix.iter().copied().chain(std::iter::once(key)))
     })
 }

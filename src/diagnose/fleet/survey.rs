@@ -6,19 +6,19 @@ use serde::{Deserialize, Serialize};
 
 use crate::diagnose::catalogue::hypothesis::{Catalogue, Hypothesis};
 use crate::diagnose::catalogue::number::Target;
+use crate::diagnose::context::Preliminaries;
 use crate::diagnose::error::DiagnoseError;
-use crate::diagnose::flights::case::{Case, Settings};
-use crate::diagnose::inquiry::Premises;
+use crate::diagnose::flights::input::{DiagnosisInput, Settings};
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::noise::report_noise;
 use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::search::Search;
 use crate::diagnose::search::explanation::Explanation;
+use crate::diagnose::search::rotation_prediction::{RotationPrediction, rotation_predictions};
 use crate::diagnose::search::scale::scale;
-use crate::diagnose::search::turning::{Turning, turning};
-use crate::diagnose::search::twins::{TwinFits, screened};
+use crate::diagnose::search::twins::{Draws, TwinFits, screened};
+use crate::diagnose::verdict::assessment::{unremarkable, voltages_differ};
 use crate::diagnose::verdict::posterior::PRICE;
-use crate::diagnose::verdict::weighing::{unremarkable, voltages_differ};
 
 /// A number of a set of effects.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -102,7 +102,7 @@ pub struct Beside {
 }
 
 /// Least gain of evidence that justifies a fit, nats: the price of an effect.
-const WORTH_A_FIT: f64 = PRICE;
+const FIT_GAIN_MIN: f64 = PRICE;
 
 /// The key of a hypothesis over all vehicles: the effect's id, and the rotor for rotor_loss.
 pub fn key_of(catalogue: &Catalogue, hypothesis: &Hypothesis) -> String {
@@ -118,64 +118,72 @@ pub fn key_of(catalogue: &Catalogue, hypothesis: &Hypothesis) -> String {
 ///
 /// # Errors
 /// As [`survey`].
-pub fn scales(case: &Case<'_>) -> Result<Vec<[f64; 2]>, DiagnoseError> {
-    let premises = Premises::of(case);
-    let at_scale = |scale: f64| premises.catalogue(case, scale);
+pub fn scales(input: &DiagnosisInput<'_>) -> Result<Vec<[f64; 2]>, DiagnoseError> {
+    let preliminaries = Preliminaries::of(input);
+    let at_scale = |scale: f64| preliminaries.catalogue(input, scale);
     let first = at_scale(1.0);
     first.candidate(&first.references())?;
-    let unused = unused(case, &premises, &first)?.1;
-    let observed = Observed::without(case.fitted, &premises.evaluator, &first, &unused);
+    let unused = unusable_channels(input, &preliminaries, &first)?.1;
+    let observed = Observed::without(input.fitted, &preliminaries.evaluator, &first, &unused);
     let search = Search::without_chance(&observed, &first);
     let (_, about) = search.file().ok_or(DiagnoseError::Nothing)?;
     Ok(scale(&search, &about, at_scale).1)
 }
 
 /// How well moments predict the body's rotation, and the channels that are unusable.
-fn unused(
-    case: &Case<'_>,
-    premises: &Premises,
+fn unusable_channels(
+    input: &DiagnosisInput<'_>,
+    preliminaries: &Preliminaries,
     catalogue: &Catalogue,
-) -> Result<([Turning; 3], Vec<usize>), DiagnoseError> {
-    if premises.leg {
-        return Ok(([Turning { is_usable: true, ..Turning::default() }; 3], Vec::new()));
+) -> Result<([RotationPrediction; 3], Vec<usize>), DiagnoseError> {
+    if preliminaries.is_loop_known {
+        return Ok((
+            [RotationPrediction { is_usable: true, ..RotationPrediction::default() }; 3],
+            Vec::new(),
+        ));
     }
-    let observed = Observed::new(case.fitted, &premises.evaluator, catalogue);
+    let observed = Observed::new(input.fitted, &preliminaries.evaluator, catalogue);
     let search = Search::without_chance(&observed, catalogue);
     let (file, about) = search.file().ok_or(DiagnoseError::Nothing)?;
-    Ok(turning(&search, (&file, &about), premises.leg))
+    Ok(rotation_predictions(&search, &file, &about, preliminaries.is_loop_known))
 }
 
-/// Surveys the flights of a case for every effect beside the type's. `chance` is the result of an
+/// Surveys the input's flights for every effect beside the type's. `chance` is the result of an
 /// earlier survey, which the effects of the type do not change.
 ///
 /// # Errors
 /// [`DiagnoseError`].
 pub fn survey(
-    case: &Case<'_>,
+    input: &DiagnosisInput<'_>,
     settings: &Settings,
     beside: &Beside,
     chance: Option<&[f64]>,
 ) -> Result<Survey, DiagnoseError> {
-    let premises = Premises::of(case);
-    let catalogue = premises.catalogue(case, beside.scale);
+    let preliminaries = Preliminaries::of(input);
+    let catalogue = preliminaries.catalogue(input, beside.scale);
     catalogue.candidate(&catalogue.references())?;
-    let (turning, unused) = unused(case, &premises, &catalogue)?;
-    let observed = Observed::without(case.fitted, &premises.evaluator, &catalogue, &unused);
+    let (turning, unused) = unusable_channels(input, &preliminaries, &catalogue)?;
+    let observed = Observed::without(input.fitted, &preliminaries.evaluator, &catalogue, &unused);
     let search = Search::without_chance(&observed, &catalogue);
     let (file, about) = search.file().ok_or(DiagnoseError::Nothing)?;
     let chance = match chance {
         Some(known) => known.to_vec(),
-        None => by_chance(&search, (&file, &about), &premises, settings)?,
+        None => chance_evidence(&search, &file, &about, &preliminaries, settings)?,
     };
-    let look = Look { search: &search, turning: &turning, leg: premises.leg, chance: &chance };
-    let told = |base: Surveyed, beside: Vec<Surveyed>, file: Vec<OwnNumber>| Survey {
+    let fits = SetFits {
+        search: &search,
+        turning: &turning,
+        is_loop_known: preliminaries.is_loop_known,
+        chance: &chance,
+    };
+    let survey_of = |base: Surveyed, beside: Vec<Surveyed>, file: Vec<OwnNumber>| Survey {
         base,
         beside,
         chance: chance.clone(),
         file,
-        seconds: case.fitted.iter().map(|flight| flight.seconds()).sum(),
-        voltage_differs: voltages_differ(case.fitted),
-        outputs_logged: case
+        seconds: input.fitted.iter().map(|flight| flight.seconds()).sum(),
+        voltage_differs: voltages_differ(input.fitted),
+        outputs_logged: input
             .fitted
             .iter()
             .all(|flight| flight.channels.outputs || flight.channels.rotor_speed),
@@ -201,32 +209,33 @@ pub fn survey(
             covariance: Vec::new(),
         };
         let file = own_numbers(&catalogue, &file.fit.values, &[]);
-        return Ok(told(base, look.beside(&about, &[], &[]), file));
+        return Ok(survey_of(base, fits.beside(&about, &[], &[]), file));
     }
     let fit = search.fitted_from(&about, &set, &from).ok_or(DiagnoseError::Nothing)?;
     let about =
         Linearised::new(&observed, &fit.values, &search.numbers()).ok_or(DiagnoseError::Nothing)?;
     let active = fit.active(&catalogue);
     let values: Vec<(usize, f64)> = active.iter().map(|n| (*n, fit.values[*n])).collect();
-    let base = look.surveyed(&set, fit.evidence, &fit.values, &fit.joint);
+    let base = fits.surveyed(&set, fit.evidence, &fit.values, &fit.joint);
     let base = base.ok_or(DiagnoseError::Nothing)?;
     let file = own_numbers(&catalogue, &fit.values, &active);
-    Ok(told(base, look.beside(&about, &set, &values), file))
+    Ok(survey_of(base, fits.beside(&about, &set, &values), file))
 }
 
 /// Evidence that chance gives each hypothesis, nats.
-fn by_chance(
+fn chance_evidence(
     search: &Search<'_>,
-    (file, about): (&Explanation, &Linearised),
-    premises: &Premises,
+    file: &Explanation,
+    about: &Linearised,
+    preliminaries: &Preliminaries,
     settings: &Settings,
 ) -> Result<Vec<f64>, DiagnoseError> {
-    let draws = (settings.twins, settings.seed);
+    let draws = Draws { count: settings.twins, seed: settings.seed };
     let observed = search.fitted;
     if settings.twins == 0 {
         return Ok(vec![0.0; search.catalogue.hypotheses.len()]);
     }
-    let twins = match premises.onboard() {
+    let twins = match preliminaries.onboard() {
         Some(law) => {
             let noise = report_noise(observed.flights, &file.fit.power, observed.counts());
             TwinFits::of_null(observed, about, law, &noise, draws)?
@@ -236,10 +245,10 @@ fn by_chance(
     if observed.is_stopped() {
         return Err(DiagnoseError::Stopped);
     }
-    Ok(match premises.onboard() {
+    Ok(match preliminaries.onboard() {
         Some(_) => screened(search, file, about, &twins, settings.seed).chance,
         None => {
-            let about = about.resting_at(search.catalogue.expected());
+            let about = about.moved_to(search.catalogue.expected());
             screened(search, file, &about, &twins, settings.seed).chance
         }
     })
@@ -260,14 +269,14 @@ fn own_numbers(catalogue: &Catalogue, values: &[f64], active: &[usize]) -> Vec<O
 }
 
 /// The context of the fits of sets.
-struct Look<'a> {
+struct SetFits<'a> {
     search: &'a Search<'a>,
-    turning: &'a [Turning; 3],
-    leg: bool,
+    turning: &'a [RotationPrediction; 3],
+    is_loop_known: bool,
     chance: &'a [f64],
 }
 
-impl Look<'_> {
+impl SetFits<'_> {
     /// Surveys `set` with each hypothesis that can join it. `from` holds the values of its numbers,
     /// at which `about` has derivatives.
     fn beside(&self, about: &Linearised, set: &[usize], from: &[(usize, f64)]) -> Vec<Surveyed> {
@@ -287,7 +296,7 @@ impl Look<'_> {
                 || self.surveyed(&joint, solution.evidence, &solution.values, &solution.joint);
             // A hypothesis with several starts is always fitted: the linearisation may miss it.
             let is_blind = catalogue.hypotheses[h].starts.len() > 1;
-            if solution.evidence - base.evidence < WORTH_A_FIT && !is_blind {
+            if solution.evidence - base.evidence < FIT_GAIN_MIN && !is_blind {
                 return of_solution();
             }
             match self.search.fitted_from(about, &joint, from) {
@@ -329,7 +338,7 @@ impl Look<'_> {
                         slot,
                         reference: number.reference,
                         magnitude: number.magnitude,
-                        unremarkable: unremarkable(number, self.turning, self.leg),
+                        unremarkable: unremarkable(number, self.turning, self.is_loop_known),
                         bounds: number.bounds,
                         absent: number.target.absent(),
                     }

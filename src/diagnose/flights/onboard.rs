@@ -18,9 +18,9 @@ pub const AGE_MAX_S: f64 = SETPOINT_AGE_MAX;
 /// Stamps are whole microseconds: a time this close to a tick is at the tick, s.
 pub(in crate::diagnose) const TICK_TOLERANCE_S: f64 = 1e-6;
 /// One order of reports is better if the ratio of the outputs' unexplained changes is below this.
-const TOLD: f64 = 0.8;
+const ORDER_RATIO_MAX: f64 = 0.8;
 /// As above, for the ratio of the medians.
-const TIED: f64 = 0.9;
+const ORDER_MEDIAN_RATIO_MAX: f64 = 0.9;
 /// Older setpoints whose arrival may still be pending at a tick.
 const UNDER_WAY: usize = 3;
 /// Probability that is ignored.
@@ -71,12 +71,12 @@ impl OnboardLaw {
         // Jumps decide where setpoints are infrequent. Where neither order explains the jumps, they
         // came from lost or late setpoints, and the changes between them decide. Where those do not
         // either, the output at a stamp is the one in force then, from the tick before.
-        let is_first = if sums[0] < TOLD * sums[1] {
+        let is_first = if sums[0] < ORDER_RATIO_MAX * sums[1] {
             true
-        } else if sums[1] < TOLD * sums[0] {
+        } else if sums[1] < ORDER_RATIO_MAX * sums[0] {
             false
         } else {
-            median(later) > TIED * median(first)
+            median(later) > ORDER_MEDIAN_RATIO_MAX * median(first)
         };
         if is_first { reports_first } else { self }
     }
@@ -145,8 +145,10 @@ impl OnboardLaw {
             let arrived = 1.0 - (-under_way / JITTER_MEAN_S).exp();
             let share = none_yet * arrived;
             if share > NEGLIGIBLE {
-                let asked = flight.asked(index).filter(|_| is_in_force(setpoints, index, tick))?;
-                let by_law = law.outputs(&asked, reported, rate);
+                let setpoint = flight
+                    .onboard_setpoint(index)
+                    .filter(|_| is_in_force(setpoints, index, tick))?;
+                let by_law = law.outputs(&setpoint, reported, rate);
                 outputs.iter_mut().zip(by_law).for_each(|(sum, u)| *sum += share * u);
             }
             none_yet -= share;

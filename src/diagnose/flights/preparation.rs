@@ -19,13 +19,13 @@ use crate::log::import::{
 use crate::setpoint::Reference;
 
 /// Share of the hover output above which a vehicle that does not report its state is in the air.
-const LIFTS: f64 = 0.5;
+const AIRBORNE_OUTPUT_SHARE: f64 = 0.5;
 /// Shorter drops of the output are manoeuvres, s.
 const DROP_MAX_S: f64 = 0.7;
 /// Least share of the usable time with setpoints over the link without a pause. With more, the
 /// diagnosis uses the setpoints and leaves out the rest of the time, so at most half of a flight is
 /// lost.
-const LED_MIN: f64 = 0.5;
+const SETPOINT_SHARE_MIN: f64 = 0.5;
 /// Time before a block over which rotors and delays act on it, s.
 const MARGIN_S: f64 = 0.35;
 
@@ -100,7 +100,7 @@ pub struct PreparedFlight {
     /// Setpoints as sent, completed with those that the log lacks.
     pub setpoint: Stream<AttitudeSetpoint>,
     /// The setpoints as inputs of the on-board loop.
-    asked: Vec<Option<OnboardSetpoint>>,
+    onboard_setpoints: Vec<Option<OnboardSetpoint>>,
     /// The setpoints that the log lacks.
     pub inferred: Inferred,
     /// The tracked reference, where the log holds it.
@@ -204,11 +204,11 @@ impl PreparedFlight {
         let mut blocks = blocks(&spans);
         if channels.setpoint {
             // Outside that time, as in a landing, the vehicle follows laws of its own.
-            let led = intersection(&spans, &CommandSource::OnboardLaw.unbroken(&flight));
-            let of_led = self::blocks(&led);
-            channels.setpoint = cells(&of_led) > LED_MIN * cells(&blocks);
+            let commanded = intersection(&spans, &CommandSource::OnboardLaw.unbroken(&flight));
+            let of_setpoints = self::blocks(&commanded);
+            channels.setpoint = cells(&of_setpoints) > SETPOINT_SHARE_MIN * cells(&blocks);
             if channels.setpoint {
-                (spans, blocks) = (led, of_led);
+                (spans, blocks) = (commanded, of_setpoints);
             }
         }
         if blocks.is_empty() {
@@ -224,7 +224,7 @@ impl PreparedFlight {
             specific_force,
             outputs,
             voltage: Series::of(&flight.voltage, |v| [*v]),
-            asked: setpoint.values().iter().map(as_onboard).collect(),
+            onboard_setpoints: setpoint.values().iter().map(as_onboard).collect(),
             setpoint,
             inferred,
             reference: flight.reference,
@@ -235,13 +235,13 @@ impl PreparedFlight {
 
     /// The input of the on-board loop from setpoint number `index`; `None` for a setpoint without
     /// thrust.
-    pub fn asked(&self, index: usize) -> Option<OnboardSetpoint> {
-        self.asked.get(index).copied().flatten()
+    pub fn onboard_setpoint(&self, index: usize) -> Option<OnboardSetpoint> {
+        self.onboard_setpoints.get(index).copied().flatten()
     }
 
     /// Replaces the setpoints, at the same times.
-    pub(in crate::diagnose) fn send(&mut self, setpoints: Vec<AttitudeSetpoint>) {
-        self.asked = setpoints.iter().map(as_onboard).collect();
+    pub(in crate::diagnose) fn replace_setpoints(&mut self, setpoints: Vec<AttitudeSetpoint>) {
+        self.onboard_setpoints = setpoints.iter().map(as_onboard).collect();
         self.setpoint = self.setpoint.with_values(setpoints);
     }
 
@@ -315,7 +315,7 @@ fn airborne(flight: &Flight, outputs: &Series<4>, vehicle: &VehicleParams) -> Ve
     let hover = vehicle.hover_thrust;
     let mut spans: Vec<Range<f64>> = Vec::new();
     for (time, u) in outputs.times().iter().zip(outputs.values()) {
-        if u.iter().sum::<f64>() < 4.0 * LIFTS * hover || !range.contains(time) {
+        if u.iter().sum::<f64>() < 4.0 * AIRBORNE_OUTPUT_SHARE * hover || !range.contains(time) {
             continue;
         }
         match spans.last_mut() {
@@ -370,7 +370,7 @@ impl PreparedFlight {
             voltage: Series::default(),
             reference: Stream::default(),
             setpoint: Stream::default(),
-            asked: Vec::new(),
+            onboard_setpoints: Vec::new(),
             inferred: Inferred::default(),
             blocks: blocks(&spans),
             spans,

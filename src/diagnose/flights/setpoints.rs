@@ -10,19 +10,19 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use vehicle::frame::{Attitude, Frd};
 
-use crate::diagnose::flights::normal::{MEDIAN_SQUARE, normals};
+use crate::diagnose::flights::normal_draws::{CHI_SQUARED_MEDIAN, standard_normals};
 use crate::diagnose::flights::series::median;
 use crate::log::import::{AttitudeSetpoint, Stream};
 use sitl::autopilot::offboard::AttitudeSetpoint as OnboardSetpoint;
 
 /// Setpoints this far apart do not determine those between, s.
-const APART_MAX_S: f64 = 0.1;
+const SPACING_MAX_S: f64 = 0.1;
 /// The earliest of this many setpoints before a tick determines its time.
-const PHASE: usize = 25;
+const PHASE_WINDOW: usize = 25;
 /// Quantiles that represent the distribution of lateness.
 const LATENESS: usize = 16;
 /// Least distance between two setpoints, as a share of the period: they keep their order.
-const APART_MIN: f64 = 0.1;
+const SPACING_SHARE_MIN: f64 = 0.1;
 /// Most that a setpoint is early relative to its tick, as a share of the period.
 const EARLY_MAX: f64 = 0.3;
 /// Most that a setpoint is late, as a share of the period; beyond, ticks were miscounted.
@@ -30,7 +30,7 @@ const LATE_MAX: f64 = 0.75;
 /// Distance between tick numbers that are unrelated.
 const GAP_TICKS: u64 = 1 << 32;
 /// A change is a jump if it is off the trend of its neighbours by this many deviations.
-const JUMP: f64 = 10.0;
+const JUMP_DEVIATIONS: f64 = 10.0;
 
 /// The setpoints of a stream that the log lacks.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -81,7 +81,7 @@ pub(in crate::diagnose) fn completed(
     let times = logged.times();
     let Some(ticks) = ticks(times, missing) else { return (logged.clone(), Inferred::default()) };
     let period = ticks.period;
-    let late = ticks.late(times);
+    let late = ticks.lateness_of(times);
     let mut ascending = late.clone();
     ascending.sort_by(f64::total_cmp);
     let mean = late.iter().sum::<f64>() / late.len().max(1) as f64;
@@ -102,7 +102,7 @@ pub(in crate::diagnose) fn completed(
                 let by_after = time - late[k] - (count - tick) as f64 * period;
                 let sent = 0.5 * (by_before + by_after) + mean;
                 let (low, high) = (tick as f64, (count - tick) as f64);
-                let apart = APART_MIN * (time - times[before]) / count as f64;
+                let apart = SPACING_SHARE_MIN * (time - times[before]) / count as f64;
                 let sent = sent.clamp(times[before] + low * apart, time - high * apart);
                 if all.push(sent, earlier.between(setpoint, share)) {
                     inferred.indices.push(all.len() - 1);
@@ -135,7 +135,7 @@ fn ticks(times: &[f64], missing: &Stream<u32>) -> Option<Ticks> {
     if lacking.iter().all(|count| *count == 0) {
         return None;
     }
-    let near = |pair: &[f64]| pair[1] - pair[0] < APART_MAX_S;
+    let near = |pair: &[f64]| pair[1] - pair[0] < SPACING_MAX_S;
     let pairs = times.windows(2).zip(lacking.iter().skip(1));
     let periods: Vec<f64> = pairs
         .clone()
@@ -156,7 +156,7 @@ fn ticks(times: &[f64], missing: &Stream<u32>) -> Option<Ticks> {
         }
         // The last tick, from the earliest of the setpoints before: the last one may be late.
         let on_this_side = |j: &usize| number - numbers[*j] < GAP_TICKS;
-        let before = (k.saturating_sub(PHASE)..=k).filter(on_this_side);
+        let before = (k.saturating_sub(PHASE_WINDOW)..=k).filter(on_this_side);
         let tick = before
             .map(|j| times[j] + (number - numbers[j]) as f64 * period)
             .fold(pair[0], f64::min);
@@ -179,10 +179,11 @@ impl Ticks {
 
     /// Lateness of each setpoint relative to its tick, s. The earliest of its neighbours determines
     /// the tick.
-    fn late(&self, times: &[f64]) -> Vec<f64> {
+    fn lateness_of(&self, times: &[f64]) -> Vec<f64> {
         (0..times.len())
             .map(|k| {
-                let around = k.saturating_sub(PHASE)..(k + PHASE + 1).min(times.len());
+                let around =
+                    k.saturating_sub(PHASE_WINDOW)..(k + PHASE_WINDOW + 1).min(times.len());
                 let by = |j: usize| {
                     let ticks = self.numbers[k] as f64 - self.numbers[j] as f64;
                     times[j] + ticks * self.period
@@ -227,7 +228,7 @@ pub(in crate::diagnose) fn as_flown(
     // The distance from the middle of two contains its own noise and the mean of theirs.
     let noise = scatter.map(|scatter| scatter / 1.5_f64.sqrt());
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
-    let mut noise_before: [f64; NUMBERS] = normals(&mut rng);
+    let mut noise_before: [f64; NUMBERS] = standard_normals(&mut rng);
     let mut flown = Stream::default();
     if let Some(first) = logged.first() {
         flown.push(times[*first], line[*first]);
@@ -246,17 +247,17 @@ pub(in crate::diagnose) fn as_flown(
             // Next to another jump, the smoother side decides.
             let [jump, other] = [change[i] - before[i], change[i] - after[i]];
             let jump = if other.abs() < jump.abs() { other } else { jump };
-            if jump.abs() > JUMP * scatter[i] { jump } else { 0.0 }
+            if jump.abs() > JUMP_DEVIATIONS * scatter[i] { jump } else { 0.0 }
         });
         let at: f64 = rng.random();
         // Between the neighbours, in order.
-        let room = APART_MIN * (times[b] - times[a]) / (b - a) as f64;
+        let room = SPACING_SHARE_MIN * (times[b] - times[a]) / (b - a) as f64;
         let mut last = times[a];
-        let noise_after: [f64; NUMBERS] = normals(&mut rng);
+        let noise_after: [f64; NUMBERS] = standard_normals(&mut rng);
         for index in a + 1..b {
             let share = (index - a) as f64 / (b - a) as f64;
             let jumped = if share > at { 1.0 } else { 0.0 };
-            let own: [f64; NUMBERS] = normals(&mut rng);
+            let own: [f64; NUMBERS] = standard_normals(&mut rng);
             let off = std::array::from_fn(|i| {
                 let of_line = (1.0 - share) * noise_before[i] + share * noise_after[i];
                 noise[i] * (own[i] - of_line) + (jumped - share) * jump[i]
@@ -264,7 +265,7 @@ pub(in crate::diagnose) fn as_flown(
             let late = inferred.lateness[rng.random_range(0..LATENESS)];
             let latest = times[b] - (b - index) as f64 * room;
             last = (times[index] + late).max(last + room).min(latest);
-            flown.push(last, moved(&line[index], off));
+            flown.push(last, displaced(&line[index], off));
         }
         flown.push(times[b], line[b]);
         noise_before = noise_after;
@@ -289,7 +290,10 @@ fn offset(from: &AttitudeSetpoint, to: &AttitudeSetpoint) -> [f64; NUMBERS] {
 }
 
 /// The setpoint at an offset from another.
-fn moved(from: &AttitudeSetpoint, [x, y, z, p, q, r, thrust]: [f64; NUMBERS]) -> AttitudeSetpoint {
+fn displaced(
+    from: &AttitudeSetpoint,
+    [x, y, z, p, q, r, thrust]: [f64; NUMBERS],
+) -> AttitudeSetpoint {
     let turn = Attitude { w: 1.0, x: 0.5 * x, y: 0.5 * y, z: 0.5 * z }.normalized();
     AttitudeSetpoint {
         attitude: from.attitude.map(|attitude| attitude.compose(turn)),
@@ -304,14 +308,14 @@ fn scatter(times: &[f64], setpoints: &[AttitudeSetpoint], logged: &[usize]) -> [
     let mut squares: [Vec<f64>; NUMBERS] = Default::default();
     for triple in logged.windows(3) {
         let &[a, b, c] = triple else { continue };
-        if (times[b] - times[a]).max(times[c] - times[b]) >= APART_MAX_S {
+        if (times[b] - times[a]).max(times[c] - times[b]) >= SPACING_MAX_S {
             continue;
         }
         let share = (times[b] - times[a]) / (times[c] - times[a]);
         let off = offset(&setpoints[a].between(&setpoints[c], share), &setpoints[b]);
         squares.iter_mut().zip(off).for_each(|(squares, off)| squares.push(off * off));
     }
-    squares.map(|squares| (median(squares) / MEDIAN_SQUARE).sqrt())
+    squares.map(|squares| (median(squares) / CHI_SQUARED_MEDIAN).sqrt())
 }
 
 #[cfg(test)]
@@ -344,10 +348,10 @@ mod tests {
             assert!((setpoint.attitude.unwrap().euler().roll - 10.0 * time).abs() < 1e-3, "{time}");
             assert!((setpoint.thrust.unwrap() - 0.5 - 10.0 * time).abs() < 1e-9, "{time}");
         }
-        let mut moved = all.values().to_vec();
-        moved[2] = setpoint(-1.0, 0.0);
-        infer(&mut moved, &inferred);
-        assert!((moved[2].thrust.unwrap() - 0.7).abs() < 1e-9);
+        let mut displaced = all.values().to_vec();
+        displaced[2] = setpoint(-1.0, 0.0);
+        infer(&mut displaced, &inferred);
+        assert!((displaced[2].thrust.unwrap() - 0.7).abs() < 1e-9);
         assert!(completed(&Stream::default(), &missing).1.is_empty());
     }
 

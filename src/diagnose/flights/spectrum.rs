@@ -7,9 +7,9 @@
 //! Shinbrot 1957, Pearson 1992). The coefficients of stationary noise are nearly independent, so
 //! each band's count is its effective sample size.
 
-/// Cells of the longest and of the shortest block, powers of two.
+/// Cells of the longest block, a power of two.
 pub const BLOCK_MAX: usize = 1024;
-/// See [`BLOCK_MAX`].
+/// Cells of the shortest block, a power of two.
 pub const BLOCK_MIN: usize = 128;
 /// Length of a cell, s.
 pub const CELL_S: f64 = 0.01;

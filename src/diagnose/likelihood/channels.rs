@@ -2,15 +2,15 @@
 
 /// Number of channels.
 pub const CHANNELS: usize = 16;
-/// First channels of the groups, in the order of [`CHANNEL_NAMES`].
+/// First of the three channels of the velocity: increments along north, east, down, m/s^2.
 pub const VELOCITY: usize = 0;
-/// See [`VELOCITY`].
+/// First of the three channels of the specific force along front, right, down, m/s^2.
 pub const FORCE: usize = 3;
-/// See [`VELOCITY`].
+/// First of the three channels of the body rate: increments about front, right, down, rad/s^2.
 pub const RATE: usize = 6;
-/// See [`VELOCITY`].
+/// First of the three channels of the attitude: rotation about front, right, down, rad/s.
 pub const ATTITUDE: usize = 9;
-/// See [`VELOCITY`].
+/// First of the four channels of the command: collective, N, and moments, N m.
 pub const COMMAND: usize = 12;
 
 /// Names of the channels.

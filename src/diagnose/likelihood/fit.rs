@@ -26,7 +26,7 @@ const STEPS_MAX: usize = 12;
 /// Starts that are followed to a minimum, those with the lowest cost first.
 const STARTS_MAX: usize = 2;
 /// Starts are equal if their active numbers are within this share of their magnitudes.
-const NEAR: f64 = 0.02;
+const SAME_START_SHARE: f64 = 0.02;
 
 /// A hypothesis, or several, fitted to the flights without linearisation.
 #[derive(Clone, Debug)]
@@ -43,7 +43,7 @@ pub struct Fit {
     pub evidence: f64,
     /// Cost at the minimum, nats.
     pub cost: f64,
-    /// Residual sum of squares at each place.
+    /// Residual sum of squares in each bin.
     pub power: Vec<f64>,
 }
 
@@ -54,7 +54,7 @@ impl Fit {
         hypotheses.flat_map(|h| catalogue.hypotheses[*h].numbers.iter().copied()).collect()
     }
 
-    /// Variance of the noise at each place; 0 without coefficients.
+    /// Variance of the noise in each bin; 0 without coefficients.
     pub fn noise(&self, counts: &[f64]) -> Vec<f64> {
         self.power.iter().zip(counts).map(|(q, n)| if *n > 0.0 { q / n } else { 0.0 }).collect()
     }
@@ -88,22 +88,23 @@ pub fn fit(
 ) -> Option<Fit> {
     let numbers = hypotheses.iter().map(|h| &observed.catalogue.hypotheses[*h].numbers);
     let active: Vec<usize> = numbers.flatten().copied().collect();
-    fit_numbers(observed, about, (hypotheses, &active), starts)
+    fit_numbers(observed, about, hypotheses, &active, starts)
 }
 
 /// As [`fit`], with `active` numbers beyond those of the hypotheses, such as a law's.
 pub(in crate::diagnose) fn fit_numbers(
     observed: &Observed<'_>,
     about: &Linearised,
-    (hypotheses, active): (&[usize], &[usize]),
+    hypotheses: &[usize],
+    active: &[usize],
     starts: &[Vec<(usize, f64)>],
 ) -> Option<Fit> {
     let catalogue = observed.catalogue;
     let nuisances: Vec<usize> =
         catalogue.nuisances().filter(|number| !active.contains(number)).collect();
     let own: Vec<(usize, f64)> = Vec::new();
-    let at_hand = starts.is_empty().then_some(&own);
-    let mut begun: Vec<Begun> = at_hand
+    let unchanged = starts.is_empty().then_some(&own);
+    let mut start: Vec<DescentStart> = unchanged
         .into_iter()
         .chain(starts)
         .filter_map(|start| {
@@ -112,32 +113,37 @@ pub(in crate::diagnose) fn fit_numbers(
                 values[*number] = *value;
             }
             let (cost, residuals) = cost_at(observed, &values, active)?;
-            Some(Begun { cost, values, residuals })
+            Some(DescentStart { cost, values, residuals })
         })
         .collect();
     // Two starts that lead to the same minimum would displace a third that does not.
-    let is_near = |a: &Begun, b: &Begun| {
+    let is_near = |a: &DescentStart, b: &DescentStart| {
         let mut numbers = 0..catalogue.numbers.len();
         numbers.all(|n| {
             let apart = (a.values[n] - b.values[n]).abs();
-            apart <= if active.contains(&n) { NEAR * catalogue.numbers[n].magnitude } else { 0.0 }
+            apart
+                <= if active.contains(&n) {
+                    SAME_START_SHARE * catalogue.numbers[n].magnitude
+                } else {
+                    0.0
+                }
         })
     };
-    begun.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    let mut apart: Vec<Begun> = Vec::with_capacity(STARTS_MAX);
-    for start in begun {
+    start.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let mut apart: Vec<DescentStart> = Vec::with_capacity(STARTS_MAX);
+    for start in start {
         if apart.len() < STARTS_MAX && !apart.iter().any(|other| is_near(&start, other)) {
             apart.push(start);
         }
     }
     apart
         .into_iter()
-        .filter_map(|begun| descend(observed, about, hypotheses, (active, &nuisances), begun))
+        .filter_map(|start| descend(observed, about, hypotheses, active, &nuisances, start))
         .min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
 /// The start of a descent.
-struct Begun {
+struct DescentStart {
     cost: f64,
     values: Values,
     residuals: Residuals,
@@ -148,11 +154,12 @@ fn descend(
     observed: &Observed<'_>,
     about: &Linearised,
     hypotheses: &[usize],
-    (active, nuisances): (&[usize], &[usize]),
-    begun: Begun,
+    active: &[usize],
+    nuisances: &[usize],
+    start: DescentStart,
 ) -> Option<Fit> {
     let catalogue = observed.catalogue;
-    let Begun { mut cost, mut values, mut residuals } = begun;
+    let DescentStart { mut cost, mut values, mut residuals } = start;
     let mut last = None;
     for _ in 0..STEPS_MAX {
         let fresh: Vec<(usize, Residuals)> = active

@@ -19,11 +19,11 @@ const LEVEL_MAX_HZ: f64 = 0.25;
 /// Channels that are then compared with rest: the climb and the body rate.
 pub(in crate::diagnose) const AT_REST: [usize; 4] = [VELOCITY + 2, RATE, RATE + 1, RATE + 2];
 
-/// Place of a coefficient: its channel and band.
+/// Bin of a coefficient: its channel and band.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Place(u16);
+pub struct Bin(u16);
 
-impl Place {
+impl Bin {
     /// Number of channels times bands.
     pub const COUNT: usize = CHANNELS * BANDS.len();
 
@@ -31,32 +31,32 @@ impl Place {
         Self(Self::index_of(channel, band) as u16)
     }
 
-    /// Index of the place of a channel and a band.
+    /// Index of the bin of a channel and a band.
     pub fn index_of(channel: usize, band: usize) -> usize {
         channel * BANDS.len() + band
     }
 
-    /// Channel of the place of this index.
+    /// Channel of the bin of this index.
     pub fn channel_of(index: usize) -> usize {
         index / BANDS.len()
     }
 
-    /// The channel of this place.
+    /// The channel of this bin.
     pub fn channel(self) -> usize {
         Self::channel_of(self.index())
     }
 
-    /// Index in 0..[`Place::COUNT`].
+    /// Index in 0..[`Bin::COUNT`].
     pub fn index(self) -> usize {
         usize::from(self.0)
     }
 }
 
-/// The coefficients of a flight that are used, by place.
+/// The coefficients of a flight that are used, by bin.
 #[derive(Clone, Debug)]
 pub struct Layout {
-    /// Place of each coefficient.
-    pub places: Vec<Place>,
+    /// Bin of each coefficient.
+    pub bins: Vec<Bin>,
     /// Index of the first coefficient of each block, then the total.
     pub blocks: Vec<usize>,
     /// Frequency up to which each channel is used, Hz; 0 where the log lacks it.
@@ -106,16 +106,16 @@ impl Layout {
             AT_REST.iter().for_each(|channel| limits[*channel] = LEVEL_MAX_HZ);
         }
         unused.iter().for_each(|channel| limits[*channel] = 0.0);
-        let mut layout = Self { places: Vec::new(), blocks: vec![0], limits, is_at_rest };
+        let mut layout = Self { bins: Vec::new(), blocks: vec![0], limits, is_at_rest };
         for block in &flight.blocks {
             for channel in 0..CHANNELS {
                 for index in layout.used(channel, block) {
                     if let Some(band) = band(frequency(index, block.cells)) {
-                        layout.places.push(Place::new(channel, band));
+                        layout.bins.push(Bin::new(channel, band));
                     }
                 }
             }
-            layout.blocks.push(layout.places.len());
+            layout.blocks.push(layout.bins.len());
         }
         layout
     }

@@ -7,12 +7,12 @@ use sitl::config::{ImuNoise, SensorConfig};
 use vehicle::frame::{Attitude, Euler, Frd, Ned};
 use vehicle::rigid_body::State;
 
-use crate::diagnose::flights::normal::{MEDIAN_SQUARE, normals};
+use crate::diagnose::flights::normal_draws::{CHI_SQUARED_MEDIAN, standard_normals};
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::flights::series::Series;
 use crate::diagnose::flights::spectrum::{BANDS, CELL_S, edges, mean_square_share};
 use crate::diagnose::likelihood::channels::{ATTITUDE, VELOCITY};
-use crate::diagnose::likelihood::layout::Place;
+use crate::diagnose::likelihood::layout::Bin;
 
 /// Below this frequency, gyro and accelerometer drift and forces act, Hz.
 const ATTITUDE_FROM_HZ: f64 = 0.35;
@@ -93,7 +93,7 @@ impl ReportNoise {
 
     /// A report of `state` with one draw of this noise.
     pub(in crate::diagnose) fn applied(&self, state: &State, rng: &mut Pcg64Mcg) -> State {
-        let mut draw = |deviation: f64| normals(rng).map(|z| deviation * z);
+        let mut draw = |deviation: f64| standard_normals(rng).map(|z| deviation * z);
         let turned = small_rotation(draw(self.attitude));
         State {
             position: state.position + Ned::from(draw(self.position)),
@@ -104,7 +104,7 @@ impl ReportNoise {
     }
 }
 
-/// Noise of the reports, from the sums of squares that a fit leaves at each place.
+/// Noise of the reports, from the sums of squares that a fit leaves in each bin.
 pub fn report_noise(flights: &[PreparedFlight], power: &[f64], counts: &[f64]) -> ReportNoise {
     let variance: Vec<f64> =
         power.iter().zip(counts).map(|(q, n)| if *n > 0.0 { q / n } else { 0.0 }).collect();
@@ -112,7 +112,7 @@ pub fn report_noise(flights: &[PreparedFlight], power: &[f64], counts: &[f64]) -
         flights.iter().map(of).sum::<f64>() / flights.len().max(1) as f64
     };
     // Where slow outputs limit the equations to lower frequencies, use the velocity's samples.
-    let velocity = white(&variance, VELOCITY, rate(|f| f.velocity.rate()))
+    let velocity = white_noise_deviation(&variance, VELOCITY, rate(|f| f.velocity.rate()))
         .unwrap_or_else(|| second_differences(flights, |flight| &flight.velocity));
     let body_rate = second_differences(flights, |flight| &flight.body_rate);
     let specific_force = second_differences(flights, |flight| &flight.specific_force);
@@ -168,12 +168,12 @@ fn middle(band: usize) -> f64 {
 /// Standard deviation of white noise at `rate` samples per second, from its increments in three
 /// channels from `first`; `None` where none are used above the frequency of motion. It is the
 /// median over bands and axes, since vibration and motion only add.
-fn white(variance: &[f64], first: usize, rate: f64) -> Option<f64> {
+fn white_noise_deviation(variance: &[f64], first: usize, rate: f64) -> Option<f64> {
     let mut found: Vec<f64> = (first..first + 3)
         .flat_map(|channel| (0..BANDS.len()).map(move |band| (channel, band)))
         .filter(|(_, band)| middle(*band) > WHITE_FROM_HZ)
         .map(|(channel, band)| {
-            variance[Place::index_of(channel, band)] / increment_gain(middle(band)) * rate * CELL_S
+            variance[Bin::index_of(channel, band)] / increment_gain(middle(band)) * rate * CELL_S
         })
         .filter(|v| *v > 0.0)
         .collect();
@@ -200,7 +200,7 @@ fn second_differences(
         return 0.0;
     }
     squares.sort_by(f64::total_cmp);
-    (squares[squares.len() / 2] / (6.0 * MEDIAN_SQUARE)).sqrt()
+    (squares[squares.len() / 2] / (6.0 * CHI_SQUARED_MEDIAN)).sqrt()
 }
 
 /// Standard deviation of the attitude's coloured noise: its power summed over the bands.
@@ -209,7 +209,7 @@ fn attitude(variance: &[f64]) -> f64 {
     for channel in ATTITUDE..ATTITUDE + 3 {
         for band in 0..BANDS.len() {
             if edges(band)[0] >= ATTITUDE_FROM_HZ {
-                let increments = variance[Place::index_of(channel, band)];
+                let increments = variance[Bin::index_of(channel, band)];
                 sum += increments / increment_gain(middle(band)) * mean_square_share(band);
             }
         }

@@ -1,4 +1,4 @@
-//! Flights as coefficients by place, with their products and derivatives.
+//! Flights as coefficients by bin, with their products and derivatives.
 
 use rayon::prelude::*;
 use vehicle::{ROTORS, VehicleParams};
@@ -7,7 +7,7 @@ use crate::diagnose::catalogue::hypothesis::Catalogue;
 use crate::diagnose::flights::preparation::{Block, PreparedFlight};
 use crate::diagnose::flights::spectrum::BANDS;
 use crate::diagnose::likelihood::channels::{CHANNELS, COMMAND, RATE, VELOCITY};
-use crate::diagnose::likelihood::layout::{AT_REST, Layout, Place};
+use crate::diagnose::likelihood::layout::{AT_REST, Bin, Layout};
 use crate::diagnose::likelihood::residuals::{Evaluator, Groups};
 
 /// Flights with the coefficients in use.
@@ -21,25 +21,25 @@ pub struct Observed<'a> {
     pub(in crate::diagnose) catalogue: &'a Catalogue,
     /// Channels that are left out.
     unused: Vec<usize>,
-    /// Runs of coefficients at one place.
+    /// Runs of coefficients in one bin.
     runs: Vec<Run>,
     pub(in crate::diagnose) counts: Vec<f64>,
-    /// Places that share one variance.
+    /// Bins that share one variance.
     pools: Vec<Vec<usize>>,
-    /// Lower limit of the sum of squares at each place.
+    /// Lower limit of the sum of squares in each bin.
     least: Vec<f64>,
 }
 
 /// No equation is exact to better than this share of the rotors' full output. In a short flight a
-/// place has few coefficients, which a few numbers may fit exactly; without this limit the
+/// bin has few coefficients, which a few numbers may fit exactly; without this limit the
 /// likelihood is unbounded there.
-const EXACT: f64 = 1e-5;
+const EXACTNESS: f64 = 1e-5;
 /// Body rate that the attitude's exactness refers to, rad/s.
-const TURN: f64 = 1.0;
+const EXACTNESS_RATE: f64 = 1.0;
 
 /// Smallest standard deviation of the residual in each channel.
-fn least_left(vehicle: &VehicleParams) -> [f64; CHANNELS] {
-    let mut most = [TURN; CHANNELS];
+fn residual_floor(vehicle: &VehicleParams) -> [f64; CHANNELS] {
+    let mut most = [EXACTNESS_RATE; CHANNELS];
     if let Ok(allocation) = vehicle.allocation() {
         most[COMMAND..].fill(0.0);
         for rotor in 0..ROTORS {
@@ -53,14 +53,14 @@ fn least_left(vehicle: &VehicleParams) -> [f64; CHANNELS] {
             most[RATE + axis] = most[COMMAND + 1 + axis] / inertia;
         }
     }
-    most.map(|most| EXACT * most)
+    most.map(|most| EXACTNESS * most)
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Run {
     flight: usize,
     block: usize,
-    place: usize,
+    bin: usize,
     start: usize,
     end: usize,
 }
@@ -88,30 +88,30 @@ impl<'a> Observed<'a> {
         let layouts: Vec<Layout> =
             flights.iter().map(|flight| Layout::without(flight, unused)).collect();
         let mut runs: Vec<Run> = Vec::new();
-        let mut counts = vec![0.0; Place::COUNT];
+        let mut counts = vec![0.0; Bin::COUNT];
         for (flight, layout) in layouts.iter().enumerate() {
             for (block, ends) in layout.blocks.windows(2).enumerate() {
                 let mut start = ends[0];
                 while start < ends[1] {
-                    let place = layout.places[start].index();
+                    let bin = layout.bins[start].index();
                     let mut end = start + 1;
-                    while end < ends[1] && layout.places[end].index() == place {
+                    while end < ends[1] && layout.bins[end].index() == bin {
                         end += 1;
                     }
-                    counts[place] += (end - start) as f64;
-                    runs.push(Run { flight, block, place, start, end });
+                    counts[bin] += (end - start) as f64;
+                    runs.push(Run { flight, block, bin, start, end });
                     start = end;
                 }
             }
         }
-        let mut deviation = least_left(&catalogue.vehicle);
+        let mut deviation = residual_floor(&catalogue.vehicle);
         // Distance from assumed rest has no lower limit: numbers that reach rest exactly explain no
         // reading, and their fit should fail.
         if layouts.iter().any(|layout| layout.is_at_rest) {
             AT_REST.iter().for_each(|channel| deviation[*channel] = 0.0);
         }
-        let least = (0..Place::COUNT)
-            .map(|place| counts[place] * deviation[Place::channel_of(place)].powi(2))
+        let least = (0..Bin::COUNT)
+            .map(|bin| counts[bin] * deviation[Bin::channel_of(bin)].powi(2))
             .collect();
         let unused = unused.to_vec();
         Self {
@@ -128,7 +128,7 @@ impl<'a> Observed<'a> {
     }
 
     /// The same flights and channels with another catalogue.
-    pub(in crate::diagnose) fn by<'b>(&self, catalogue: &'b Catalogue) -> Observed<'b>
+    pub(in crate::diagnose) fn with_catalogue<'b>(&self, catalogue: &'b Catalogue) -> Observed<'b>
     where
         'a: 'b,
     {
@@ -136,7 +136,7 @@ impl<'a> Observed<'a> {
     }
 
     /// Other flights with the same catalogue and channels.
-    pub fn like<'b>(&self, flights: &'b [PreparedFlight]) -> Observed<'b>
+    pub fn with_flights<'b>(&self, flights: &'b [PreparedFlight]) -> Observed<'b>
     where
         'a: 'b,
     {
@@ -155,7 +155,7 @@ impl<'a> Observed<'a> {
             .collect()
     }
 
-    /// Number of coefficients at each place.
+    /// Number of coefficients in each bin.
     pub fn counts(&self) -> &[f64] {
         &self.counts
     }
@@ -187,29 +187,29 @@ impl<'a> Observed<'a> {
         )
     }
 
-    /// Sum of squares at each place, with its lower limit added; the places of a pool share theirs.
+    /// Sum of squares in each bin, with its lower limit added; the bins of a pool share theirs.
     pub fn power(&self, residuals: &Residuals) -> Vec<f64> {
-        self.levelled(self.squares(residuals))
+        self.pooled(self.squares(residuals))
     }
 
-    /// Sum of squares at each place by itself, with its lower limit added.
+    /// Sum of squares in each bin by itself, with its lower limit added.
     pub(in crate::diagnose) fn squares(&self, residuals: &Residuals) -> Vec<f64> {
         let least = self.least.iter().zip(self.power_of(residuals));
         least.map(|(least, q)| least + q).collect()
     }
 
-    /// The same with one variance for the places of each pool.
-    pub(in crate::diagnose) fn levelled(&self, mut squares: Vec<f64>) -> Vec<f64> {
-        self.pools.iter().for_each(|pool| level(&mut squares, &self.counts, pool));
+    /// The same with one variance for the bins of each pool.
+    pub(in crate::diagnose) fn pooled(&self, mut squares: Vec<f64>) -> Vec<f64> {
+        self.pools.iter().for_each(|pool| pool_power(&mut squares, &self.counts, pool));
         squares
     }
 
-    /// Sum of squares at each place, without the lower limit.
+    /// Sum of squares in each bin, without the lower limit.
     pub(in crate::diagnose) fn power_of(&self, values: &Residuals) -> Vec<f64> {
         self.dot(values, values)
     }
 
-    /// Log density of each block in nats, without constants. The noise at each place is that of all
+    /// Log density of each block in nats, without constants. The noise in each bin is that of all
     /// blocks together, since other flights may be rougher than the fitted ones.
     pub fn log_density(&self, residuals: &Residuals) -> Vec<f64> {
         let power = self.power(residuals);
@@ -220,7 +220,7 @@ impl<'a> Observed<'a> {
                 density.push(0.0);
                 last = Some((run.flight, run.block));
             }
-            let variance = (power[run.place] / self.counts[run.place]).max(f64::MIN_POSITIVE);
+            let variance = (power[run.bin] / self.counts[run.bin]).max(f64::MIN_POSITIVE);
             let part = &residuals[run.flight][run.start..run.end];
             let n = (run.end - run.start) as f64;
             let square = product(part, part);
@@ -258,11 +258,11 @@ impl<'a> Observed<'a> {
             .zip(&far)
             .zip(&self.layouts)
             .map(|((a, b), layout)| {
-                let difference = a.iter().zip(b).zip(&layout.places);
+                let difference = a.iter().zip(b).zip(&layout.bins);
                 difference
                     .map(
-                        |((a, b), place)| {
-                            if groups.has(place.channel()) { (b - a) * scale } else { 0.0 }
+                        |((a, b), bin)| {
+                            if groups.has(bin.channel()) { (b - a) * scale } else { 0.0 }
                         },
                     )
                     .collect()
@@ -272,10 +272,10 @@ impl<'a> Observed<'a> {
     }
 
     pub(in crate::diagnose) fn dot(&self, a: &Residuals, b: &Residuals) -> Vec<f64> {
-        let mut sums = vec![0.0; Place::COUNT];
+        let mut sums = vec![0.0; Bin::COUNT];
         for run in &self.runs {
             let (a, b) = (&a[run.flight][run.start..run.end], &b[run.flight][run.start..run.end]);
-            sums[run.place] += product(a, b);
+            sums[run.bin] += product(a, b);
         }
         sums
     }
@@ -295,7 +295,7 @@ fn product(a: &[f64], b: &[f64]) -> f64 {
 /// Least coefficients for a variance; neighbouring bands of a channel with fewer share one.
 const POOLED_MIN: f64 = 8.0;
 
-/// Places that share one variance, where a single place has too few coefficients to estimate it.
+/// Bins that share one variance, where a single bin has too few coefficients to estimate it.
 /// There, an exact fit by a few numbers is no evidence.
 pub(in crate::diagnose) fn pools(counts: &[f64]) -> Vec<Vec<usize>> {
     let mut pools: Vec<Vec<usize>> = Vec::new();
@@ -303,11 +303,11 @@ pub(in crate::diagnose) fn pools(counts: &[f64]) -> Vec<Vec<usize>> {
         let mut open: Vec<usize> = Vec::new();
         let first = pools.len();
         for band in 0..BANDS.len() {
-            let place = Place::index_of(channel, band);
-            if counts[place] > 0.0 {
-                open.push(place);
+            let bin = Bin::index_of(channel, band);
+            if counts[bin] > 0.0 {
+                open.push(bin);
             }
-            if open.iter().map(|place| counts[*place]).sum::<f64>() >= POOLED_MIN {
+            if open.iter().map(|bin| counts[*bin]).sum::<f64>() >= POOLED_MIN {
                 pools.push(std::mem::take(&mut open));
             }
         }
@@ -320,11 +320,11 @@ pub(in crate::diagnose) fn pools(counts: &[f64]) -> Vec<Vec<usize>> {
     pools
 }
 
-/// Gives the places of a pool one variance.
-pub(in crate::diagnose) fn level(power: &mut [f64], counts: &[f64], pool: &[usize]) {
-    let sum: f64 = pool.iter().map(|place| power[*place]).sum();
-    let count: f64 = pool.iter().map(|place| counts[*place]).sum();
-    pool.iter().for_each(|place| power[*place] = counts[*place] * sum / count);
+/// Gives the bins of a pool one variance.
+pub(in crate::diagnose) fn pool_power(power: &mut [f64], counts: &[f64], pool: &[usize]) {
+    let sum: f64 = pool.iter().map(|bin| power[*bin]).sum();
+    let count: f64 = pool.iter().map(|bin| counts[*bin]).sum();
+    pool.iter().for_each(|bin| power[*bin] = counts[*bin] * sum / count);
 }
 
 /// Cost of the sums of squares, in nats.
@@ -352,7 +352,7 @@ mod tests {
             include_str!("../../../config/vehicles/crazyflie.toml"),
             include_str!("../../../config/vehicles/quad1200.toml"),
         ] {
-            let least = least_left(&VehicleParams::from_toml_str(text).unwrap());
+            let least = residual_floor(&VehicleParams::from_toml_str(text).unwrap());
             assert!(least.iter().all(|deviation| *deviation > 0.0), "{least:?}");
             // m/s^2, rad/s^2, rad/s.
             assert!(least[VELOCITY] < 1e-3 && least[RATE] < 2e-2 && least[ATTITUDE] < 1e-4);

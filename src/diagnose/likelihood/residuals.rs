@@ -26,7 +26,7 @@ use vehicle::{ROTORS, VehicleParams};
 
 use crate::diagnose::catalogue::candidate::Candidate;
 use crate::diagnose::catalogue::number::Target;
-use crate::diagnose::flights::arrival::Delay;
+use crate::diagnose::flights::command_delay::MeasuredDelay;
 use crate::diagnose::flights::onboard::{OnboardLaw, Timing};
 use crate::diagnose::flights::preparation::{Block, PreparedFlight};
 use crate::diagnose::flights::series::attitude;
@@ -122,7 +122,7 @@ impl Evaluator {
     pub fn observing(mut self, flights: &[PreparedFlight]) -> Self {
         let shipped = self.vehicle.command_delay_s;
         let timing = |law: &OnboardLaw| {
-            let command_delay = Delay::of(flights, law).map_or(shipped, |delay| delay.mean);
+            let command_delay = MeasuredDelay::of(flights, law).map_or(shipped, |delay| delay.mean);
             Timing { command_delay, latency: 0.0 }
         };
         self.onboard = self.onboard.map(|law| law.observing(flights, timing));
@@ -143,11 +143,11 @@ impl Evaluator {
         candidate: &Candidate,
         groups: Groups,
     ) -> Vec<f64> {
-        let mut out = Vec::with_capacity(layout.places.len());
+        let mut out = Vec::with_capacity(layout.bins.len());
         let mut scratch = Vec::new();
         for block in &flight.blocks {
             let series = self.series(flight, layout, block, candidate, groups);
-            self.transform_into(&mut out, (layout, block), series, groups, &mut scratch);
+            self.transform_into(&mut out, layout, block, series, groups, &mut scratch);
         }
         out
     }
@@ -156,7 +156,8 @@ impl Evaluator {
     fn transform_into(
         &self,
         out: &mut Vec<f64>,
-        (layout, block): (&Layout, &Block),
+        layout: &Layout,
+        block: &Block,
         mut series: [Vec<f64>; CHANNELS],
         groups: Groups,
         scratch: &mut Vec<f64>,
@@ -176,8 +177,8 @@ impl Evaluator {
 
     /// The coefficients of the angular acceleration from the gyro, in `layout`'s order; 0 in other
     /// channels.
-    pub fn turning(&self, flight: &PreparedFlight, layout: &Layout) -> Vec<f64> {
-        let mut out = Vec::with_capacity(layout.places.len());
+    pub fn angular_acceleration(&self, flight: &PreparedFlight, layout: &Layout) -> Vec<f64> {
+        let mut out = Vec::with_capacity(layout.bins.len());
         let mut scratch = Vec::new();
         for block in &flight.blocks {
             let mut series: [Vec<f64>; CHANNELS] = std::array::from_fn(|_| vec![0.0; block.cells]);
@@ -188,7 +189,7 @@ impl Evaluator {
                 put(&mut series, RATE, k, ((after - before) * (1.0 / CELL_S)).to_array());
                 before = after;
             }
-            self.transform_into(&mut out, (layout, block), series, Groups::ALL, &mut scratch);
+            self.transform_into(&mut out, layout, block, series, Groups::ALL, &mut scratch);
         }
         out
     }

@@ -5,7 +5,7 @@ use vehicle::frame::{Euler, Ned};
 use vehicle::physics::Physics;
 use vehicle::rigid_body::State;
 
-use super::{Live, Proposal};
+use super::{LiveHypothesis, Proposal};
 use crate::diagnose::catalogue::hypothesis::Catalogue;
 use crate::diagnose::catalogue::number::Target;
 use crate::diagnose::flights::preparation::PreparedFlight;
@@ -31,7 +31,7 @@ const TILT_MAX_RAD: f64 = 0.75;
 /// Largest share of the time with a motor output at a stop.
 const SATURATED_MAX: f64 = 0.01;
 /// Outputs beyond these are at a stop.
-const STOPS: [f64; 2] = [0.001, 0.999];
+const OUTPUT_STOPS: [f64; 2] = [0.001, 0.999];
 /// Largest distance that a vehicle that differs from its file may stray beyond the manoeuvre's own
 /// radius and height, m; and its least height, as a share of the lowest reference.
 const STRAY_MAX_M: f64 = 1.5;
@@ -53,7 +53,7 @@ impl Rehearsal {
 }
 
 /// A live hypothesis in terms of the catalogue.
-struct Posed {
+struct PosedHypothesis {
     /// Indices of its hypotheses in the catalogue.
     own: Vec<usize>,
     /// Numbers with the values that its fit starts from.
@@ -61,20 +61,23 @@ struct Posed {
 }
 
 /// Inputs that all rehearsals share.
-pub(super) struct Stage<'a> {
+pub(super) struct Rehearsals<'a> {
     proposal: &'a Proposal<'a>,
-    hypotheses: &'a [Live],
+    hypotheses: &'a [LiveHypothesis],
     control: GroundControl,
     catalogue: Catalogue,
-    posed: Vec<Posed>,
+    posed: Vec<PosedHypothesis>,
     nuisances: Vec<usize>,
 }
 
-impl<'a> Stage<'a> {
-    pub fn new(proposal: &'a Proposal<'a>, hypotheses: &'a [Live]) -> Result<Self, NotSimulated> {
+impl<'a> Rehearsals<'a> {
+    pub fn new(
+        proposal: &'a Proposal<'a>,
+        hypotheses: &'a [LiveHypothesis],
+    ) -> Result<Self, NotSimulated> {
         let catalogue = Catalogue::new(proposal.vehicle, proposal.setpoint_leg);
-        let posed: Vec<Posed> =
-            hypotheses.iter().map(|live| Posed::new(&catalogue, &live.effects)).collect();
+        let posed: Vec<PosedHypothesis> =
+            hypotheses.iter().map(|live| PosedHypothesis::new(&catalogue, &live.effects)).collect();
         Ok(Self {
             control: GroundControl::new(proposal.vehicle)?,
             proposal,
@@ -113,7 +116,7 @@ impl<'a> Stage<'a> {
     }
 
     /// Starts of the fit of a set: the known values, and each hypothesis' own starts.
-    fn starts(&self, Posed { own, from }: &Posed) -> Vec<Vec<(usize, f64)>> {
+    fn starts(&self, PosedHypothesis { own, from }: &PosedHypothesis) -> Vec<Vec<(usize, f64)>> {
         let mut starts = vec![from.clone(), Vec::new()];
         for hypothesis in own.iter().map(|h| &self.catalogue.hypotheses[*h]) {
             starts.extend(hypothesis.starts.iter().map(|start| {
@@ -154,7 +157,7 @@ impl<'a> Stage<'a> {
     }
 }
 
-impl Posed {
+impl PosedHypothesis {
     fn new(catalogue: &Catalogue, effects: &EffectSet) -> Self {
         let (mut own, mut from) = (Vec::new(), Vec::new());
         for (id, slots) in effects.iter() {
@@ -185,14 +188,14 @@ impl Posed {
 fn is_safe(flight: &Flight, manoeuvre: &Manoeuvre) -> bool {
     let stray = manoeuvre.demands.radius_m + STRAY_MAX_M;
     let steps = (manoeuvre.trajectory.duration() / 0.1) as usize;
-    let asked = (0..=steps).map(|k| -manoeuvre.trajectory.sample(k as f64 * 0.1).position.down());
-    let floor = HEIGHT_SHARE * asked.fold(f64::INFINITY, f64::min);
+    let heights = (0..=steps).map(|k| -manoeuvre.trajectory.sample(k as f64 * 0.1).position.down());
+    let floor = HEIGHT_SHARE * heights.fold(f64::INFINITY, f64::min);
     let ceiling = manoeuvre.demands.height_m + STRAY_MAX_M;
     let is_inside = |p: &Ned| {
         let height = -p.down();
         p.north().hypot(p.east()) <= stray && height >= floor && height <= ceiling
     };
-    let at_stop = |u: &&[f64; 4]| u.iter().any(|u| *u < STOPS[0] || *u > STOPS[1]);
+    let at_stop = |u: &&[f64; 4]| u.iter().any(|u| *u < OUTPUT_STOPS[0] || *u > OUTPUT_STOPS[1]);
     let saturated = flight.outputs.values().iter().filter(at_stop).count() as f64;
     flight.position.values().iter().all(is_inside)
         && flight.attitude.values().iter().all(|attitude| attitude.tilt() <= TILT_MAX_RAD)

@@ -1,10 +1,10 @@
-//! Every explanation of a case, and the twins that measure chance.
+//! Every explanation of the flights, and the twins that measure chance.
 
 use crate::diagnose::likelihood::noise::ReportNoise;
 use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::search::twins::Twins;
 
-/// Every explanation of a case, and the twins that measure chance.
+/// Every explanation of the flights, and the twins that measure chance.
 #[derive(Debug)]
 pub struct Explanations {
     /// The vehicle file within its tolerances.

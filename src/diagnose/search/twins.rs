@@ -1,4 +1,5 @@
-//! Twins: the flights as a vehicle with known numbers would fly them, with sensor noise.
+//! Twins: the flights as a vehicle with known numbers would fly them, with sensor noise (a
+//! parametric bootstrap).
 //!
 //! A twin is a [`Replica`] of every fitted flight, and goes through the same analysis. Twins of the
 //! vehicle with its nuisances alone set the threshold of each hypothesis: the gain of evidence that
@@ -20,7 +21,7 @@ use crate::diagnose::catalogue::number::Number;
 use crate::diagnose::flights::onboard::OnboardLaw;
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::likelihood::fit::Z90;
-use crate::diagnose::likelihood::layout::Place;
+use crate::diagnose::likelihood::layout::Bin;
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::noise::{ReportNoise, report_noise};
 use crate::diagnose::likelihood::observed::{Observed, Residuals};
@@ -31,7 +32,7 @@ use crate::diagnose::simulate::replica::Replica;
 /// Least evidence beyond the median by chance that a threshold demands, nats.
 const CHANCE_MIN: f64 = 3.0;
 /// Share of twins in which any hypothesis may reach its threshold.
-const EXCEEDED: f64 = 0.01;
+const FALSE_ALARM_SHARE: f64 = 0.01;
 
 /// The thresholds from twins without an effect.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
@@ -48,26 +49,35 @@ pub struct Twins {
     /// Threshold of the gain beyond that, for each hypothesis, nats. It is higher only for a
     /// hypothesis whose gain scatters from twin to twin.
     #[serde(skip)]
-    pub asked: Vec<f64>,
+    pub thresholds: Vec<f64>,
 }
 
 /// Pilot twins, which measure the noise estimate and the bias of a fit.
-const PILOTS: [u32; 2] = [6, 10];
+const PILOT_TWINS: [u32; 2] = [6, 10];
 /// Pilot twins that measure the noise of derivatives.
-const PROBES: u32 = 2;
+const DERIVATIVE_TWINS: u32 = 2;
 /// Mixed into the seed of the second pilot twins, so that their noise differs from the twins'.
-const OF_BIAS: u64 = 0xb1a5;
+const BIAS_SEED: u64 = 0xb1a5;
 /// Share of noise in a derivative's square above which each twin computes its own. Flights with
 /// motion have 0.01 to 0.5 in derivatives by a lag, a delay of the outputs, a latency and an
 /// inertia, and mostly below 0.008 in all others. A hover has 0.1 to 1 in those of the moments.
-const NOISY: f64 = 0.01;
+const NOISE_SHARE_MAX: f64 = 0.01;
 
 /// Numbers scatter more than those of twins: without this factor, 87 % of 1260 numbers of two exams
 /// and a round trip were within their 90 % intervals.
-const BEYOND_TWINS: f64 = 1.08;
+const ERROR_FACTOR: f64 = 1.08;
 
 /// Most tolerances by which a nuisance of a vehicle without an effect may be off.
-const TRUTH_WITHIN: f64 = 1.5;
+const TRUTH_TOLERANCES_MAX: f64 = 1.5;
+
+/// How many twins to draw, and from which seed.
+#[derive(Clone, Copy, Debug)]
+pub struct Draws {
+    /// Number of twins.
+    pub count: u32,
+    /// Seed of their noise.
+    pub seed: u64,
+}
 
 /// Twins of flights, fitted like the flights.
 #[derive(Clone, Debug)]
@@ -86,7 +96,7 @@ pub struct TwinFits {
     pub noisy: Vec<usize>,
     /// Fitted values of each twin.
     pub values: Vec<Values>,
-    /// Sum of squares that each fit leaves at each place.
+    /// Sum of squares that each fit leaves in each bin.
     pub power: Vec<Vec<f64>>,
     /// Input of the screening that measures chance.
     screened: Vec<Screened>,
@@ -130,27 +140,29 @@ impl<'a> Analysis<'a> {
         active: &'a [usize],
         onboard: &'a OnboardLaw,
         noise: &ReportNoise,
-        (count, seed): (u32, u64),
+        draws: Draws,
     ) -> Result<(Self, Vec<Twin>), VehicleError> {
         let mut analysis = Self { observed, about, active, onboard, noisy: Vec::new() };
-        let replica = analysis.replica(&analysis.plain(), noise)?;
-        let probes: Vec<Vec<PreparedFlight>> = (0..PROBES)
+        let replica = analysis.replica(&analysis.expected_values(), noise)?;
+        let probes: Vec<Vec<PreparedFlight>> = (0..DERIVATIVE_TWINS)
             .into_par_iter()
-            .map(|pilot| analysis.flown(&replica, seed, pilot))
+            .map(|pilot| analysis.flown(&replica, draws.seed, pilot))
             .collect();
         let [one, other] = &probes[..] else { return Ok((analysis, Vec::new())) };
-        let shares = about.noise_shares([&observed.like(one), &observed.like(other)]);
-        let noisy = shares.into_iter().filter(|(_, share)| *share > NOISY);
+        let shares =
+            about.noise_shares([&observed.with_flights(one), &observed.with_flights(other)]);
+        let noisy = shares.into_iter().filter(|(_, share)| *share > NOISE_SHARE_MAX);
         analysis.noisy = noisy.map(|(number, _)| number).collect();
         let probes = probes.par_iter().filter_map(|flights| analysis.twin(flights));
-        let others = (PROBES..count).into_par_iter().filter(|_| !observed.is_stopped());
-        let others = others.filter_map(|p| analysis.twin(&analysis.flown(&replica, seed, p)));
+        let others =
+            (DERIVATIVE_TWINS..draws.count).into_par_iter().filter(|_| !observed.is_stopped());
+        let others = others.filter_map(|p| analysis.twin(&analysis.flown(&replica, draws.seed, p)));
         let pilots = probes.chain(others).collect();
         Ok((analysis, pilots))
     }
 
     /// The vehicle with the fitted effects and the expected nuisances.
-    fn plain(&self) -> Values {
+    fn expected_values(&self) -> Values {
         let numbers = self.observed.catalogue.numbers.iter().enumerate();
         let value = |(i, number): (usize, &Number)| {
             if self.active.contains(&i) { self.about.values[i] } else { number.expected }
@@ -170,25 +182,25 @@ impl<'a> Analysis<'a> {
         flights.map(|(flight, seed)| replica.fly(flight, seed)).collect()
     }
 
-    /// Flies and analyses `count` twins of the vehicle `truth` with sensors of `noise`. A twin
+    /// Flies and analyses twins of the vehicle `truth` with sensors of `noise`. A twin
     /// whose analysis fails is left out.
     fn twins(
         &self,
         truth: &[f64],
         noise: &ReportNoise,
-        (count, seed): (u32, u64),
+        draws: Draws,
     ) -> Result<Vec<Twin>, VehicleError> {
         let replica = self.replica(truth, noise)?;
-        let twins = (0..count).into_par_iter().filter(|_| !self.observed.is_stopped());
-        Ok(twins.filter_map(|twin| self.twin(&self.flown(&replica, seed, twin))).collect())
+        let twins = (0..draws.count).into_par_iter().filter(|_| !self.observed.is_stopped());
+        Ok(twins.filter_map(|twin| self.twin(&self.flown(&replica, draws.seed, twin))).collect())
     }
 
     fn twin(&self, flights: &[PreparedFlight]) -> Option<Twin> {
         let Self { observed, about, .. } = self;
-        let flown = observed.like(flights);
+        let flown = observed.with_flights(flights);
         let residuals = flown.residuals(&about.values)?;
         let own = about.columns_of(&flown, &residuals, &self.noisy);
-        let about = about.about_with(observed, &residuals, &own);
+        let about = about.with_residuals_and_columns(observed, &residuals, &own);
         let fit = about.solve(observed.catalogue, observed.counts(), self.active)?;
         let noise = report_noise(flights, &fit.power, observed.counts());
         let screened = Screened { residuals, own };
@@ -201,10 +213,10 @@ impl<'a> Analysis<'a> {
         &self,
         pilots: Vec<Twin>,
         noise: &ReportNoise,
-        draws: (u32, u64),
+        draws: Draws,
     ) -> Result<TwinFits, VehicleError> {
         let Self { observed, about, active, .. } = self;
-        let bias = off_by(&pilots, &self.plain());
+        let bias = mean_errors(&pilots, &self.expected_values());
         let pilots = pilots.len() as u32;
         let truth: Values = observed
             .catalogue
@@ -219,7 +231,7 @@ impl<'a> Analysis<'a> {
                 }
                 // A nuisance that the fit pushes to its limit is an effect, which these twins must
                 // not have.
-                let width = TRUTH_WITHIN * number.tolerance;
+                let width = TRUTH_TOLERANCES_MAX * number.tolerance;
                 value.clamp(number.expected - width, number.expected + width)
             })
             .collect();
@@ -247,7 +259,7 @@ impl<'a> Analysis<'a> {
 }
 
 /// Mean error of each number of the fits.
-fn off_by(twins: &[Twin], truth: &[f64]) -> Values {
+fn mean_errors(twins: &[Twin], truth: &[f64]) -> Values {
     let off = |i: usize| twins.iter().map(move |twin| twin.values[i] - truth[i]);
     (0..truth.len()).map(|i| moments(off(i))[0]).collect()
 }
@@ -255,7 +267,7 @@ fn off_by(twins: &[Twin], truth: &[f64]) -> Values {
 impl TwinFits {
     /// Flies twins of the vehicle without an effect at the linearisation `about`, and fits its
     /// nuisances to each. `onboard` is the law that flies them, `noise` the estimate from the
-    /// flights' reports. The last argument holds the number of twins and a seed.
+    /// flights' reports.
     ///
     /// A fit is biased. Outputs that are logged less often than the loop ticks are noisy inputs,
     /// which make an inertia look larger and a lag longer: a lag with less of a delay smooths them.
@@ -271,15 +283,17 @@ impl TwinFits {
         about: &Linearised,
         onboard: &OnboardLaw,
         noise: &ReportNoise,
-        (count, seed): (u32, u64),
+        draws: Draws,
     ) -> Result<Self, VehicleError> {
-        let [of_noise, of_bias] = PILOTS.map(|pilots| pilots.min(count));
+        let [for_noise, for_bias] = PILOT_TWINS.map(|pilots| pilots.min(draws.count));
+        let of_noise = Draws { count: for_noise, seed: !draws.seed };
+        let of_bias = Draws { count: for_bias, seed: draws.seed ^ BIAS_SEED };
         let (analysis, pilots) =
-            Analysis::with_pilots(observed, about, &[], onboard, noise, (of_noise, !seed))?;
+            Analysis::with_pilots(observed, about, &[], onboard, noise, of_noise)?;
         let found = ReportNoise::mean(pilots.iter().map(|twin| &twin.noise));
         let noise = noise.matched(&found);
-        let pilots = analysis.twins(&analysis.plain(), &noise, (of_bias, seed ^ OF_BIAS))?;
-        analysis.draw(pilots, &noise, (count, seed))
+        let pilots = analysis.twins(&analysis.expected_values(), &noise, of_bias)?;
+        analysis.draw(pilots, &noise, draws)
     }
 
     /// As [`of_null`](Self::of_null) for the vehicle with the effects whose numbers are `active`,
@@ -293,22 +307,22 @@ impl TwinFits {
         active: &[usize],
         onboard: &OnboardLaw,
         sensors: &ReportNoise,
-        (count, seed): (u32, u64),
+        draws: Draws,
     ) -> Result<Self, VehicleError> {
-        let pilots = (PILOTS[1].min(count), seed ^ OF_BIAS);
+        let pilots = Draws { count: PILOT_TWINS[1].min(draws.count), seed: draws.seed ^ BIAS_SEED };
         let (analysis, pilots) =
             Analysis::with_pilots(observed, about, active, onboard, sensors, pilots)?;
-        analysis.draw(pilots, sensors, (count, seed))
+        analysis.draw(pilots, sensors, draws)
     }
 
     /// Twins without a known on-board law: the same motion with other noise, drawn from the
     /// spectrum of the residuals (`power`).
-    pub fn of_noise(observed: &Observed<'_>, power: &[f64], draws: (u32, u64)) -> Self {
-        let (count, seed) = draws;
+    pub fn of_noise(observed: &Observed<'_>, power: &[f64], draws: Draws) -> Self {
+        let Draws { count, seed } = draws;
         let deviation: Vec<f64> =
             power.iter().zip(observed.counts()).map(|(q, n)| (q / n.max(1.0)).sqrt()).collect();
         let layouts = observed.layouts.iter();
-        let still: Residuals = layouts.map(|layout| vec![0.0; layout.places.len()]).collect();
+        let still: Residuals = layouts.map(|layout| vec![0.0; layout.bins.len()]).collect();
         let residuals: Vec<Residuals> = (0..count)
             .into_par_iter()
             .map(|twin| {
@@ -341,7 +355,7 @@ impl TwinFits {
         let freedom = (self.values.len() as f64 - 1.0).max(1.0);
         let student = 1.0 + (Z90 * Z90 + 1.0) / (4.0 * freedom);
         let mean = 1.0 + 1.0 / f64::from(self.pilots.max(1));
-        self.deviation(number) * student * mean.sqrt() * BEYOND_TWINS
+        self.deviation(number) * student * mean.sqrt() * ERROR_FACTOR
     }
 
     /// Standard deviation of one number over the fits.
@@ -361,9 +375,9 @@ impl TwinFits {
         moments(self.power.iter().map(|power| of(power)))
     }
 
-    /// Mean and standard deviation of the sum of squares at each place.
+    /// Mean and standard deviation of the sum of squares in each bin.
     pub fn moments(&self) -> Vec<[f64; 2]> {
-        (0..Place::COUNT).map(|place| self.moments_of(|power| power[place])).collect()
+        (0..Bin::COUNT).map(|bin| self.moments_of(|power| power[bin])).collect()
     }
 }
 
@@ -404,7 +418,7 @@ pub fn screened(
         .map(|(twin, Screened { residuals, own })| {
             let mut residuals = residuals.clone();
             add_noise(observed, &more, !seed.wrapping_add(twin as u64), &mut residuals);
-            let about = about.about_with(observed, &residuals, own);
+            let about = about.with_residuals_and_columns(observed, &residuals, own);
             let mut gains = vec![0.0; search.catalogue.hypotheses.len()];
             for (hypothesis, gain) in search.screen(&about, &[]) {
                 gains[hypothesis] = gain;
@@ -413,34 +427,34 @@ pub fn screened(
         })
         .collect();
     let hypotheses = search.catalogue.hypotheses.len();
-    let (chance, asked): (Vec<f64>, Vec<f64>) = (0..hypotheses)
-        .map(|h| chance_and_asked(gains.iter().map(|gains| gains[h]).collect(), hypotheses))
+    let (chance, thresholds): (Vec<f64>, Vec<f64>) = (0..hypotheses)
+        .map(|h| chance_and_threshold(gains.iter().map(|gains| gains[h]).collect(), hypotheses))
         .unzip();
     let share = |gains: &Vec<f64>| {
-        let beyond = gains.iter().zip(chance.iter().zip(&asked));
-        beyond.map(|(gain, (chance, asked))| (gain - chance) / asked).fold(0.0, f64::max)
+        let beyond = gains.iter().zip(chance.iter().zip(&thresholds));
+        beyond.map(|(gain, (chance, threshold))| (gain - chance) / threshold).fold(0.0, f64::max)
     };
     let mut largest: Vec<f64> = gains.iter().map(share).collect();
     largest.sort_by(f64::total_cmp);
-    Twins { count, largest, chance, asked }
+    Twins { count, largest, chance, thresholds }
 }
 
 /// The evidence that chance gives, from the `gains` of twins, and the threshold beyond it for each
 /// of `tried` hypotheses, nats.
-pub(in crate::diagnose) fn chance_and_asked(mut gains: Vec<f64>, tried: usize) -> (f64, f64) {
+pub(in crate::diagnose) fn chance_and_threshold(mut gains: Vec<f64>, tried: usize) -> (f64, f64) {
     gains.sort_by(f64::total_cmp);
     let chance = gains.get(gains.len() / 2).map_or(0.0, |gain| gain.max(0.0));
-    let reached = exceeded_by(&gains, EXCEEDED / tried.max(1) as f64);
+    let reached = exceeded_by(&gains, FALSE_ALARM_SHARE / tried.max(1) as f64);
     (chance, (reached - chance).max(CHANCE_MIN))
 }
 
-/// Adds white noise with a standard deviation for each place.
+/// Adds white noise with a standard deviation for each bin.
 fn add_noise(observed: &Observed<'_>, deviation: &[f64], seed: u64, residuals: &mut Residuals) {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     for (residuals, layout) in residuals.iter_mut().zip(&observed.layouts) {
-        for (residual, place) in residuals.iter_mut().zip(&layout.places) {
+        for (residual, bin) in residuals.iter_mut().zip(&layout.bins) {
             let z: f64 = StandardNormal.sample(&mut rng);
-            *residual += z * deviation[place.index()];
+            *residual += z * deviation[bin.index()];
         }
     }
 }

@@ -209,7 +209,7 @@ impl<'a> FlightSimulator<'a> {
         let mut voltage_due = departure.time;
         let mut controller = self.control.controller.clone();
         let mut outputs = departure.rotors;
-        let mut onboard = Due::new(self.rate_hz, departure.time);
+        let mut onboard = PeriodicEvent::new(self.rate_hz, departure.time);
         let mut next = 0;
         let end = ticks.last().map_or(departure.time, |(time, _)| *time);
         loop {
@@ -248,12 +248,12 @@ impl<'a> FlightSimulator<'a> {
 }
 
 /// An event at multiples of a period of the vehicle's clock.
-struct Due {
+struct PeriodicEvent {
     rate_hz: f64,
     count: f64,
 }
 
-impl Due {
+impl PeriodicEvent {
     fn new(rate_hz: f64, from: f64) -> Self {
         Self { rate_hz, count: ((from - SAME_TIME_S) * rate_hz).ceil() }
     }
@@ -271,11 +271,11 @@ impl Due {
 /// Records the streams of a flight.
 struct Recorder {
     flight: Flight,
-    attitude: Due,
-    position: Due,
-    imu: Due,
-    outputs: Due,
-    voltage: Due,
+    attitude: PeriodicEvent,
+    position: PeriodicEvent,
+    imu: PeriodicEvent,
+    outputs: PeriodicEvent,
+    voltage: PeriodicEvent,
 }
 
 impl Recorder {
@@ -288,11 +288,11 @@ impl Recorder {
         };
         Self {
             flight: Flight::empty(origin, Clock::Single),
-            attitude: Due::new(ATTITUDE_HZ, from),
-            position: Due::new(POSITION_HZ, from),
-            imu: Due::new(IMU_HZ, from),
-            outputs: Due::new(OUTPUTS_HZ, from),
-            voltage: Due::new(VOLTAGE_HZ, from),
+            attitude: PeriodicEvent::new(ATTITUDE_HZ, from),
+            position: PeriodicEvent::new(POSITION_HZ, from),
+            imu: PeriodicEvent::new(IMU_HZ, from),
+            outputs: PeriodicEvent::new(OUTPUTS_HZ, from),
+            voltage: PeriodicEvent::new(VOLTAGE_HZ, from),
         }
     }
 

@@ -115,7 +115,7 @@ impl Simulator {
                     })
                     .collect();
                 windows(flights, |index, start| {
-                    self.by_noise(&flights[index], start, &draws[index])
+                    self.noise_errors(&flights[index], start, &draws[index])
                 })
             })
             .collect();
@@ -128,7 +128,7 @@ impl Simulator {
     }
 
     /// The errors from noise alone in the window of `flight` from `start`.
-    fn by_noise(
+    fn noise_errors(
         &self,
         flight: &PreparedFlight,
         start: f64,
@@ -136,12 +136,12 @@ impl Simulator {
     ) -> Option<Window> {
         let mut rng = Pcg64Mcg::seed_from_u64(draw.seed ^ start.to_bits());
         let bias = draw.gyro_bias;
-        let truth = turning_faster(-bias, reported(flight, start, self.latency()));
+        let truth = with_added_rate(-bias, reported(flight, start, self.latency()));
         let sensed = LoopNoise::new(draw, rng.random());
         let ends = self.predict(flight, start, &truth, Some(sensed))?;
         let mut report = |time: f64, state: &State| {
             let noise = draw.noise.read_at(flight, time, self.latency());
-            turning_faster(bias, noise.applied(state, &mut rng))
+            with_added_rate(bias, noise.applied(state, &mut rng))
         };
         let predicted = self.predict(flight, start, &report(start, &truth), None)?;
         Some(std::array::from_fn(|h| {
@@ -149,9 +149,9 @@ impl Simulator {
         }))
     }
 
-    /// By [`QUANTITIES`]. Turning counts about the axes that the comparison looks at.
+    /// The distance of two states by [`QUANTITIES`], with the rotation about the compared axes only.
     fn distance(&self, a: &State, b: &State) -> [f64; 4] {
-        let axes = self.turning_axes();
+        let axes = self.rotation_axes();
         let of_axes = |vector: [f64; 3]| -> f64 {
             let squares = vector.into_iter().zip(axes).filter(|(_, is_used)| *is_used);
             squares.map(|(along, _)| along * along).sum::<f64>().sqrt()
@@ -193,7 +193,7 @@ fn reported(flight: &PreparedFlight, time: f64, latency: f64) -> State {
 }
 
 /// `state` with `rate` added to its body rate.
-fn turning_faster(rate: Frd, state: State) -> State {
+fn with_added_rate(rate: Frd, state: State) -> State {
     State { body_rate: state.body_rate + rate, ..state }
 }
 
@@ -231,7 +231,7 @@ fn windows(
 }
 
 /// Root mean square errors over windows with `weights`; `None` without a finite window.
-pub fn weighted(windows: &[Window], weights: &[f64]) -> Option<Errors> {
+pub fn weighted_errors(windows: &[Window], weights: &[f64]) -> Option<Errors> {
     let finite = |(e, _): &(&Window, &f64)| e.iter().flatten().all(|x| x.is_finite());
     let mut sums = [[0.0; 4]; 3];
     let mut total = 0.0;

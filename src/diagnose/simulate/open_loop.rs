@@ -17,13 +17,13 @@ use vehicle::plant::{Plant, Setup};
 use vehicle::rigid_body::State;
 use vehicle::{ROTORS, VehicleError, VehicleParams};
 
-use crate::diagnose::flights::normal::normals;
+use crate::diagnose::flights::normal_draws::standard_normals;
 use crate::diagnose::flights::onboard::{TICK_TOLERANCE_S, setpoint_at};
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::flights::series::Cursor;
 use crate::diagnose::flights::setpoints::as_flown;
 use crate::diagnose::likelihood::noise::{ReportNoise, gyro_bias, small_rotation};
-use crate::diagnose::remainder::learner::Learner;
+use crate::diagnose::residual_analysis::learner::Learner;
 use crate::diagnose::simulate::metric::Metric;
 use crate::log::import::{AttitudeSetpoint, Stream};
 
@@ -94,7 +94,7 @@ impl Simulator {
     ///
     /// # Errors
     /// A vehicle that the physics rejects.
-    pub fn flying(
+    pub fn with_vehicle(
         self,
         vehicle: &VehicleParams,
         effects: &EffectSet,
@@ -122,7 +122,7 @@ impl Simulator {
     }
 
     /// The axes about which rotation is compared: front, right, down.
-    pub(in crate::diagnose) fn turning_axes(&self) -> [bool; 3] {
+    pub(in crate::diagnose) fn rotation_axes(&self) -> [bool; 3] {
         self.axes
     }
 
@@ -147,8 +147,9 @@ impl Simulator {
         sensed: Option<LoopNoise<'_>>,
     ) -> Option<[State; 3]> {
         let start = start - self.latency;
-        let mut plant = self.set_off(flight, start, from);
-        let mut turned = (self.metric != Metric::Mean).then(|| Turned::new(self, &plant, flight));
+        let mut plant = self.plant_at(flight, start, from);
+        let mut rotated =
+            (self.metric != Metric::Mean).then(|| ReportedRotation::new(self, &plant, flight));
         let mut inputs = Inputs::new(self, flight, sensed);
         let mut voltage = flight.channels.voltage.then(|| flight.voltage.cursor());
         let steps = (HORIZONS_S[2] / Plant::STEP).round() as usize;
@@ -161,20 +162,22 @@ impl Simulator {
             if let Some(voltage) = voltage.as_mut().filter(|_| k % VOLTAGE_STEPS == 0) {
                 let [volts] = voltage.at(time);
                 plant.hold_voltage(volts);
-                turned.iter_mut().for_each(|turned| turned.plant.hold_voltage(volts));
+                rotated.iter_mut().for_each(|rotated| rotated.plant.hold_voltage(volts));
             }
-            turned.iter_mut().for_each(|turned| turned.step(time, outputs));
+            rotated.iter_mut().for_each(|rotated| rotated.step(time, outputs));
             plant.step(outputs);
             if let Some(learner) = &self.learner {
                 if k % LEARNER_STEPS == 0 {
                     learned = learner.accelerations(plant.state(), outputs);
                 }
-                push(&mut plant, learned);
-                turned.iter_mut().for_each(|turned| push(&mut turned.plant, learned));
+                apply_accelerations(&mut plant, learned);
+                rotated
+                    .iter_mut()
+                    .for_each(|rotated| apply_accelerations(&mut rotated.plant, learned));
             }
             if k + 1 == (HORIZONS_S[next] / Plant::STEP).round() as usize {
                 let state = *plant.state();
-                let moved = turned.as_ref().map_or(&state, |turned| turned.plant.state());
+                let moved = rotated.as_ref().map_or(&state, |rotated| rotated.plant.state());
                 reported[next] = State {
                     position: moved.position,
                     velocity: moved.velocity,
@@ -189,7 +192,7 @@ impl Simulator {
 
     /// The plant in the state reported as `from`, with its rotors driven by the outputs logged
     /// until `start`.
-    fn set_off(&self, flight: &PreparedFlight, start: f64, from: &State) -> Plant {
+    fn plant_at(&self, flight: &PreparedFlight, start: f64, from: &State) -> Plant {
         let mut plant = self.plant.clone();
         let tau = plant.physics().constants().motor_time_constant;
         let memory = ((MEMORY * tau).min(MARGIN_S) / Plant::STEP).ceil() as usize;
@@ -217,7 +220,7 @@ impl Simulator {
 }
 
 /// Adds a learner's accelerations over one step of the plant.
-fn push(plant: &mut Plant, (linear, angular): (Ned, Frd)) {
+fn apply_accelerations(plant: &mut Plant, (linear, angular): (Ned, Frd)) {
     let state = *plant.state();
     plant.set_state(State {
         velocity: state.velocity + linear * Plant::STEP,
@@ -227,7 +230,7 @@ fn push(plant: &mut Plant, (linear, angular): (Ned, Frd)) {
 }
 
 /// A second plant that rotates as reported under the same outputs, to isolate the forces.
-struct Turned<'a> {
+struct ReportedRotation<'a> {
     plant: Plant,
     attitude: Cursor<'a, 4>,
     body_rate: Cursor<'a, 3>,
@@ -235,7 +238,7 @@ struct Turned<'a> {
     untrim: Attitude,
 }
 
-impl<'a> Turned<'a> {
+impl<'a> ReportedRotation<'a> {
     fn new(simulator: &Simulator, plant: &Plant, flight: &'a PreparedFlight) -> Self {
         Self {
             plant: plant.clone(),
@@ -322,8 +325,8 @@ impl Loop<'_> {
             // The delay includes jitter, and cannot become negative.
             sent -= noise.lateness().max(-self.command_delay);
         }
-        let asked = setpoint_at(self.setpoints, sent)?;
-        let outputs = self.law.outputs(&asked, attitude.euler(), rate);
+        let setpoint = setpoint_at(self.setpoints, sent)?;
+        let outputs = self.law.outputs(&setpoint, attitude.euler(), rate);
         self.held = Some((tick, outputs));
         Some(outputs)
     }
@@ -362,7 +365,7 @@ pub(in crate::diagnose) struct LoopNoise<'a> {
 impl<'a> LoopNoise<'a> {
     pub(in crate::diagnose) fn new(draw: &'a NoiseDraw<'a>, seed: u64) -> Self {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
-        let attitude = normals(&mut rng).map(|z| draw.noise.attitude * z);
+        let attitude = standard_normals(&mut rng).map(|z| draw.noise.attitude * z);
         Self { draw, attitude, rng }
     }
 
@@ -370,7 +373,7 @@ impl<'a> LoopNoise<'a> {
     fn attitude_error(&mut self, elapsed: f64) -> Attitude {
         let decay = (-elapsed / SensorConfig::ATTITUDE_CORRELATION_S).exp();
         let fresh = self.draw.noise.attitude * (1.0 - decay * decay).sqrt();
-        for (error, z) in self.attitude.iter_mut().zip(normals::<3>(&mut self.rng)) {
+        for (error, z) in self.attitude.iter_mut().zip(standard_normals::<3>(&mut self.rng)) {
             *error = decay * *error + fresh * z;
         }
         small_rotation(self.attitude)
@@ -379,7 +382,7 @@ impl<'a> LoopNoise<'a> {
     /// The gyro's error with its bias, rad/s.
     fn gyro_error(&mut self) -> Frd {
         let deviation = self.draw.noise.body_rate;
-        self.draw.gyro_bias + Frd::from(normals(&mut self.rng).map(|z| deviation * z))
+        self.draw.gyro_bias + Frd::from(standard_normals(&mut self.rng).map(|z| deviation * z))
     }
 
     /// Delay of the setpoint in force beyond the mean delay, s.

@@ -18,7 +18,7 @@ use vehicle::rotor::Allocation;
 
 pub use self::course::ReferenceOrigin;
 use self::course::{Course, courses};
-use crate::diagnose::flights::case::{Case, Settings};
+use crate::diagnose::flights::input::{DiagnosisInput, Settings};
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::flights::series::Series;
 use crate::diagnose::likelihood::noise::ReportNoise;
@@ -34,7 +34,7 @@ const GAP_MIN: f64 = 0.2;
 const SPACING_S: f64 = 0.02;
 /// Instants over which commands are averaged: the gyro's noise is in every output, and shows
 /// nothing of the plant.
-const MEAN_OVER: usize = 5;
+const AVERAGED_INSTANTS: usize = 5;
 
 /// Why no flight was flown again.
 #[derive(Debug, thiserror::Error)]
@@ -122,29 +122,29 @@ pub struct Traces {
 /// # Errors
 /// [`NotReflown`].
 pub fn reflight(
-    case: &Case<'_>,
+    input: &DiagnosisInput<'_>,
     effects: &EffectSet,
     noise: &ReportNoise,
     settings: &Settings,
 ) -> Result<ClosedLoop, NotReflown> {
-    let control = GroundControl::new(case.vehicle)?;
+    let control = GroundControl::new(input.vehicle)?;
     let mut calm = effects.clone();
     calm.remove(Gusts::ID);
     let free = control.without_limits();
     let simulation = Simulation {
-        limited: simulators(&control, case.vehicle, &calm, noise)?,
-        unlimited: simulators(&free, case.vehicle, &calm, noise)?,
-        reports: [&EffectSet::new(), &calm].map(|effects| Reports::of(case.vehicle, effects)),
-        allocation: case.vehicle.allocation().map_err(NotSimulated::from)?,
+        limited: simulators(&control, input.vehicle, &calm, noise)?,
+        unlimited: simulators(&free, input.vehicle, &calm, noise)?,
+        reports: [&EffectSet::new(), &calm].map(|effects| Reports::of(input.vehicle, effects)),
+        allocation: input.vehicle.allocation().map_err(NotSimulated::from)?,
     };
-    let parts: Vec<(&PreparedFlight, Course)> = case
+    let parts: Vec<(&PreparedFlight, Course)> = input
         .held_out
         .iter()
         .flat_map(|flight| {
             courses(flight, &control).into_iter().map(move |course| (flight, course))
         })
         .collect();
-    let flown: Vec<(Reflown, [Sums; 3])> = parts
+    let flown: Vec<(Reflown, [SquaredDifferences; 3])> = parts
         .par_iter()
         .enumerate()
         .map(|(part, (flight, course))| {
@@ -155,7 +155,7 @@ pub fn reflight(
     if flown.is_empty() {
         return Err(NotReflown::NoMotion);
     }
-    let mut totals = [Sums::default(); 3];
+    let mut totals = [SquaredDifferences::default(); 3];
     for (_, sums) in &flown {
         totals.iter_mut().zip(sums).for_each(|(total, sums)| total.add(sums));
     }
@@ -202,11 +202,15 @@ impl Simulation<'_> {
         flight: &PreparedFlight,
         course: &Course,
         seed: u64,
-    ) -> Result<(Reflown, [Sums; 3]), NotSimulated> {
+    ) -> Result<(Reflown, [SquaredDifferences; 3]), NotSimulated> {
         let log = Motion::of_logged(flight, course, &self.allocation);
         let fly = |vehicle, seed| self.fly(vehicle, flight, course, seed);
         let (before, after, again) = (fly(0, seed)?, fly(1, seed)?, fly(1, !seed)?);
-        let sums = [log.against(&before), log.against(&after), after.against(&again)];
+        let sums = [
+            log.squared_differences(&before),
+            log.squared_differences(&after),
+            after.squared_differences(&again),
+        ];
         let reflown = Reflown {
             name: flight.name.clone(),
             reference: course.origin,
@@ -236,12 +240,12 @@ impl Simulation<'_> {
         };
         let departure = self.reports[vehicle].departure(flight, course.start());
         let voltage = flight.channels.voltage.then_some(&flight.voltage);
-        let mut asked = course.clone();
+        let mut commanded = course.clone();
         for _ in 0..course.rounds() {
-            let flown = simulator.fly(&departure, &asked.ticks, voltage, seed)?;
-            asked = course.learned(&asked, &flown);
+            let flown = simulator.fly(&departure, &commanded.ticks, voltage, seed)?;
+            commanded = course.learned(&commanded, &flown);
         }
-        let flown = simulator.fly(&departure, &asked.ticks, voltage, seed)?;
+        let flown = simulator.fly(&departure, &commanded.ticks, voltage, seed)?;
         Ok(Motion::of_simulated(&flown, course, &self.allocation))
     }
 }
@@ -325,8 +329,8 @@ impl Motion {
         let raw: Vec<[f64; 4]> = (0..count).map(|k| cursor.at(at(k))).collect();
         let commands = (0..count)
             .map(|k| {
-                let near =
-                    &raw[k.saturating_sub(MEAN_OVER / 2)..(k + MEAN_OVER / 2 + 1).min(count)];
+                let near = &raw[k.saturating_sub(AVERAGED_INSTANTS / 2)
+                    ..(k + AVERAGED_INSTANTS / 2 + 1).min(count)];
                 let mean = std::array::from_fn(|i| {
                     near.iter().map(|u| u[i]).sum::<f64>() / near.len() as f64
                 });
@@ -354,8 +358,8 @@ impl Motion {
         pairs.map(|((a, _), (b, _))| b[0] - a[0]).collect()
     }
 
-    fn against(&self, other: &Self) -> Sums {
-        let mut sums = Sums::default();
+    fn squared_differences(&self, other: &Self) -> SquaredDifferences {
+        let mut sums = SquaredDifferences::default();
         for (((p, a), (wrench, u)), ((q, b), (other_wrench, v))) in
             self.states.iter().zip(&self.commands).zip(other.states.iter().zip(&other.commands))
         {
@@ -385,12 +389,12 @@ fn nearest(stream: &Stream<Attitude>, time: f64) -> Option<Attitude> {
 
 /// Sums of squared differences of position, attitude, thrust, moment and output.
 #[derive(Clone, Copy, Default)]
-struct Sums {
+struct SquaredDifferences {
     squares: [f64; 5],
     count: f64,
 }
 
-impl Sums {
+impl SquaredDifferences {
     fn add(&mut self, other: &Self) {
         self.squares.iter_mut().zip(other.squares).for_each(|(a, b)| *a += b);
         self.count += other.count;

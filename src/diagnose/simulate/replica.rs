@@ -98,7 +98,7 @@ impl Replica {
         // Setpoints that the log lacks are interpolated again.
         let mut setpoints = flown.into_values();
         infer(&mut setpoints, &flight.inferred);
-        replica.send(setpoints);
+        replica.replace_setpoints(setpoints);
         replica
     }
 
@@ -119,10 +119,10 @@ impl Replica {
         let mut sensors = Sensors::new(&self.config, &self.effects, rng.random());
         let mut plant = self.plant.clone();
         let start = time_of(0);
-        self.settle(flight, start, &mut plant);
+        self.place_plant(flight, start, &mut plant);
 
         let mut recorder = Recorder::new(flight, start);
-        let mut arrivals = Arrivals::new(setpoints, start - self.command_delay);
+        let mut queue = SetpointQueue::new(setpoints, start - self.command_delay);
         let mut commands: Vec<[f64; ROTORS]> = Vec::with_capacity(steps);
         let delay = (self.output_delay.max(0.0) / Plant::STEP).round() as usize;
         let mut voltage = flight.voltage.cursor();
@@ -137,18 +137,20 @@ impl Replica {
             let ticks = self.law.tick(time) > last_tick;
             let readings =
                 (ticks || recorder.is_due(replica, time)).then(|| sensors.sample(&plant));
-            while let Some((index, sent)) = arrivals.sent(setpoints, time) {
+            while let Some((index, sent)) = queue.sent(setpoints, time) {
                 self.correct(&mut setpoints.values_mut()[index], flight, time, plant.state());
-                arrivals.send(index, sent, self.command_delay, &mut rng);
+                queue.send(index, sent, self.command_delay, &mut rng);
             }
             if let Some(readings) = readings.as_ref().filter(|_| ticks) {
                 last_tick = self.law.tick(time);
-                let acting = arrivals.acting(time).filter(|index| {
+                let in_force = queue.in_force(time).filter(|index| {
                     time - setpoints.times()[*index] < self.command_delay + AGE_MAX_S
                 });
                 let attitude = readings.onboard_attitude.euler();
-                command = match acting.and_then(|index| as_onboard(&setpoints.values()[index])) {
-                    Some(asked) => self.attitude_loop.outputs(&asked, attitude, readings.gyro),
+                command = match in_force.and_then(|index| as_onboard(&setpoints.values()[index])) {
+                    Some(setpoint) => {
+                        self.attitude_loop.outputs(&setpoint, attitude, readings.gyro)
+                    }
                     None => flight.outputs.at(time),
                 };
             }
@@ -166,7 +168,7 @@ impl Replica {
     }
 
     /// Puts the plant at the flight's state, with its rotors driven by the logged outputs.
-    fn settle(&self, flight: &PreparedFlight, start: f64, plant: &mut Plant) {
+    fn place_plant(&self, flight: &PreparedFlight, start: f64, plant: &mut Plant) {
         let mut outputs = flight.outputs.cursor();
         let steps = (WARM_UP_S / Plant::STEP).round() as usize;
         let time = |k: usize| start - WARM_UP_S + (k as f64 + 0.5) * Plant::STEP;
@@ -194,16 +196,16 @@ impl Replica {
     }
 
     /// Acceleration back to the course, north, east, down, m/s^2.
-    fn back(&self, wanted: &State, state: &State) -> Ned {
-        let asked = (wanted.position - state.position) * COURSE_RAD_S.powi(2)
-            + (wanted.velocity - state.velocity) * (2.0 * COURSE_RAD_S);
-        let norm = asked.norm();
-        if norm > COURSE_MAX { asked * (COURSE_MAX / norm) } else { asked }
+    fn restoring_acceleration(&self, desired: &State, state: &State) -> Ned {
+        let acceleration = (desired.position - state.position) * COURSE_RAD_S.powi(2)
+            + (desired.velocity - state.velocity) * (2.0 * COURSE_RAD_S);
+        let norm = acceleration.norm();
+        if norm > COURSE_MAX { acceleration * (COURSE_MAX / norm) } else { acceleration }
     }
 
     /// Changes of pitch and roll (rad) and of collective thrust (N) for an acceleration.
-    fn tilt(&self, asked: Ned, heading: f64) -> [f64; 3] {
-        let [north, east, down] = asked.to_array();
+    fn tilt(&self, acceleration: Ned, heading: f64) -> [f64; 3] {
+        let [north, east, down] = acceleration.to_array();
         let (sin, cos) = heading.sin_cos();
         let (front, right) = (cos * north + sin * east, cos * east - sin * north);
         [-front / self.gravity, right / self.gravity, -down * self.mass]
@@ -217,8 +219,9 @@ impl Replica {
         time: f64,
         state: &State,
     ) {
-        let wanted = self.course(flight, time);
-        let [pitch, roll, lift] = self.tilt(self.back(&wanted, state), state.attitude.yaw());
+        let desired = self.course(flight, time);
+        let [pitch, roll, lift] =
+            self.tilt(self.restoring_acceleration(&desired, state), state.attitude.yaw());
         if let Some(thrust) = &mut setpoint.thrust {
             let most = self.law.allocation().collective_max();
             *thrust = (*thrust + lift / most).clamp(0.0, 1.0);
@@ -227,7 +230,7 @@ impl Replica {
             let Euler { roll: r, pitch: p, yaw } = attitude.euler();
             *attitude = Euler { roll: r + roll, pitch: p + pitch, yaw }.attitude();
         } else if let Some(rate) = &mut setpoint.body_rate {
-            let (is, to) = (state.attitude.euler(), wanted.attitude.euler());
+            let (is, to) = (state.attitude.euler(), desired.attitude.euler());
             *rate += Frd::new(
                 to.roll + roll - is.roll,
                 to.pitch + pitch - is.pitch,
@@ -238,18 +241,18 @@ impl Replica {
 }
 
 /// The setpoints under way and the one in force.
-struct Arrivals {
+struct SetpointQueue {
     /// Index of the next setpoint to send.
     next: usize,
     /// Arrival times and indices of the sent ones.
     under_way: Vec<(f64, usize)>,
-    acting: Option<usize>,
+    in_force: Option<usize>,
 }
 
-impl Arrivals {
+impl SetpointQueue {
     fn new(setpoints: &Stream<AttitudeSetpoint>, from: f64) -> Self {
         let next = setpoints.index_at(from).unwrap_or(0);
-        Self { next, under_way: Vec::new(), acting: None }
+        Self { next, under_way: Vec::new(), in_force: None }
     }
 
     /// Index and time of the next setpoint, if it is sent by `time`.
@@ -267,16 +270,16 @@ impl Arrivals {
     }
 
     /// The newest setpoint that has arrived by `time`.
-    fn acting(&mut self, time: f64) -> Option<usize> {
-        let acting = &mut self.acting;
+    fn in_force(&mut self, time: f64) -> Option<usize> {
+        let in_force = &mut self.in_force;
         self.under_way.retain(|(arrives, index)| {
             let is_here = *arrives <= time;
             if is_here {
-                *acting = (*acting).max(Some(*index));
+                *in_force = (*in_force).max(Some(*index));
             }
             !is_here
         });
-        self.acting
+        self.in_force
     }
 }
 

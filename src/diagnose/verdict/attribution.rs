@@ -25,7 +25,7 @@ pub struct Share {
 /// Draws of the prediction windows (Bayesian bootstrap over runs of them) for intervals.
 const DRAWS: usize = 400;
 /// Windows that overlap or are adjacent are drawn together: five seconds of them.
-const RUN: usize = 20;
+const WINDOWS_PER_RUN: usize = 20;
 
 /// Shares of the squared gap. `squares` returns the squared gap with each subset of the players
 /// (the bits of its index) under weights of the windows. `noise` is an upper limit on the part of
@@ -50,8 +50,9 @@ pub fn shares(
     let drawn: Vec<Vec<f64>> = (0..DRAWS)
         .filter_map(|_| {
             let runs: Vec<f64> =
-                (0..windows.div_ceil(RUN)).map(|_| Exp1.sample(&mut rng)).collect();
-            let weights: Vec<f64> = (0..windows).map(|window| runs[window / RUN]).collect();
+                (0..windows.div_ceil(WINDOWS_PER_RUN)).map(|_| Exp1.sample(&mut rng)).collect();
+            let weights: Vec<f64> =
+                (0..windows).map(|window| runs[window / WINDOWS_PER_RUN]).collect();
             parted(&weights)
         })
         .collect();
@@ -104,14 +105,15 @@ mod tests {
                 let total: f64 = weights.iter().sum();
                 let closed: f64 = match steady {
                     true => total,
-                    false => weights[..RUN].iter().sum(),
+                    false => weights[..WINDOWS_PER_RUN].iter().sum(),
                 };
                 Some(vec![4.0, 4.0 - 3.0 * closed / total])
             }
         };
         let names = ["wind", "remainder", "noise"];
-        let [steady, single] = [true, false]
-            .map(|steady| shares(&names, 4 * RUN, squares(steady), 1.0).expect("shares"));
+        let [steady, single] = [true, false].map(|steady| {
+            shares(&names, 4 * WINDOWS_PER_RUN, squares(steady), 1.0).expect("shares")
+        });
         let wind = &steady[0];
         assert!((wind.share - 0.75).abs() < 1e-12 && (wind.interval[1] - 0.75).abs() < 1e-12);
         assert!((steady.iter().map(|share| share.share).sum::<f64>() - 1.0).abs() < 1e-12);
@@ -120,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_add_up_and_an_idle_player_gets_none() {
+    fn shares_add_up_and_a_null_player_gets_none() {
         // Two players that overlap, and one that does nothing.
         let square = |set: usize| match set & 3 {
             0 => 9.0,

@@ -10,13 +10,13 @@ use serde::{Deserialize, Serialize};
 use vehicle::effects::ParameterValue;
 
 use crate::diagnose::catalogue::hypothesis::TOLERANCES_MAX;
-use crate::diagnose::search::turning::Turning;
+use crate::diagnose::search::rotation_prediction::RotationPrediction;
 use crate::diagnose::simulate::gap::Errors;
 use crate::diagnose::simulate::metric::{Metric, PARTS_MAX};
 
 /// Most that effects alone may add to a squared gap, as a share of the reduction by the file's
 /// numbers. True effects may add to it where the file is off, since its errors can cancel them.
-const MADE_UP: f64 = 0.5;
+const COMPENSATED_SHARE_MAX: f64 = 0.5;
 
 /// Everything that a verdict rests on.
 #[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
@@ -30,7 +30,7 @@ pub struct Evidence {
     /// Each scale that was tried, with its log evidence, nats.
     pub scales: Vec<[f64; 2]>,
     /// How well moments predict the angular acceleration about front, right and down.
-    pub turning: [Turning; 3],
+    pub turning: [RotationPrediction; 3],
     /// Number of blocks of the flights for fitting, which come first in each explanation's blocks.
     pub fitted_blocks: usize,
     /// Predicted length of the flights for choosing, s.
@@ -217,7 +217,7 @@ impl Gaps {
     pub fn is_worse(self, shipped: f64, file: Gaps) -> bool {
         let shipped = shipped * shipped;
         let off = (shipped - file.file.powi(2)).max(0.0);
-        self.effects.powi(2) - shipped > MADE_UP * off
+        self.effects.powi(2) - shipped > COMPENSATED_SHARE_MAX * off
     }
 
     /// The smaller squared gap with the effects, at least 1.

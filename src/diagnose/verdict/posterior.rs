@@ -15,17 +15,17 @@ pub(in crate::diagnose) const PRICE: f64 = 3.7;
 /// Draws of the flights (Bayesian bootstrap over blocks) for the mean of the masses.
 const DRAWS: usize = 400;
 /// Share of the file's open gap that an effect must close to count as changing predictions.
-pub(in crate::diagnose) const CHANGES: f64 = 0.12;
+pub(in crate::diagnose) const PREDICTION_SHARE_MIN: f64 = 0.12;
 /// Or its share of the evidence: the body rate shows a lag that ends before it reaches the
 /// position.
-pub(in crate::diagnose) const CARRIES: f64 = 0.3;
+pub(in crate::diagnose) const EVIDENCE_SHARE_MIN: f64 = 0.3;
 /// Least evidence that counts, nats: odds of twenty thousand to one, for a model that is never
 /// quite right.
-const EVIDENCE: f64 = 10.0;
+const EVIDENCE_MIN: f64 = 10.0;
 /// Least mass of an effect that explains the flights as well as the named ones.
-pub(super) const RIVAL: f64 = 0.1;
+pub(super) const RIVAL_MASS_MIN: f64 = 0.1;
 /// An open gap in units of the floor, beyond four times its scatter.
-pub(in crate::diagnose) const OPEN: f64 = 1.15;
+pub(in crate::diagnose) const OPEN_GAP: f64 = 1.15;
 
 /// The common name of effects that act alike.
 pub(super) fn class(effect: &str) -> &str {
@@ -126,7 +126,7 @@ impl<'a> Posterior<'a> {
         match (self.chosen(0), self.chosen(more), self.chosen(less)) {
             (Some(file), Some(more), Some(less)) => {
                 // Near the floor, shares are large and mean little.
-                (less - more) / (file - 1.0).max(2.0 * (OPEN * OPEN - 1.0))
+                (less - more) / (file - 1.0).max(2.0 * (OPEN_GAP * OPEN_GAP - 1.0))
             }
             _ => self.evidence_share(more, less),
         }
@@ -135,14 +135,14 @@ impl<'a> Posterior<'a> {
     /// The share of the evidence for `more` that `less` lacks.
     fn evidence_share(&self, more: usize, less: usize) -> f64 {
         let gain = self.scores[more] - self.scores[less];
-        if gain > EVIDENCE { gain / self.scores[more] } else { 0.0 }
+        if gain > EVIDENCE_MIN { gain / self.scores[more] } else { 0.0 }
     }
 
     /// The explanation with the most mass, without effects that change no prediction.
     pub fn best(&self) -> usize {
         let by_mass = |a: &usize, b: &usize| self.masses[*a].total_cmp(&self.masses[*b]);
         let Some(likeliest) = (0..self.masses.len()).max_by(by_mass) else { return 0 };
-        let best = self.without_idle(likeliest);
+        let best = self.without_negligible(likeliest);
         if best == likeliest { best } else { self.best_part(likeliest, best) }
     }
 
@@ -170,7 +170,7 @@ impl<'a> Posterior<'a> {
     }
 
     /// The explanation without its effects that change no prediction.
-    fn without_idle(&self, mut best: usize) -> usize {
+    fn without_negligible(&self, mut best: usize) -> usize {
         loop {
             let effects = &self.explained(best).effects;
             let without = |effect: &String| {
@@ -178,12 +178,13 @@ impl<'a> Posterior<'a> {
                     effects.iter().filter(|other| *other != effect).map(|e| class(e)).collect();
                 let less = self.of(&rest)?;
                 let share = self.share(best, less);
-                let carries = share > -CHANGES && self.evidence_share(best, less) > CARRIES;
-                Some((if carries { share.max(CHANGES) } else { share }, less))
+                let carries = share > -PREDICTION_SHARE_MIN
+                    && self.evidence_share(best, less) > EVIDENCE_SHARE_MIN;
+                Some((if carries { share.max(PREDICTION_SHARE_MIN) } else { share }, less))
             };
             let least = effects.iter().filter_map(without).min_by(|a, b| a.0.total_cmp(&b.0));
             match least {
-                Some((share, less)) if share < CHANGES => best = less,
+                Some((share, less)) if share < PREDICTION_SHARE_MIN => best = less,
                 _ => return best,
             }
         }
@@ -201,12 +202,12 @@ impl<'a> Posterior<'a> {
     }
 
     /// Whether an effect replaces one of the explanation's effects rather than joining them.
-    pub fn is_in_place(&self, best: usize, effect: &str) -> bool {
+    pub fn is_alternative(&self, best: usize, effect: &str) -> bool {
         let own: BTreeSet<&str> = self.explained(best).effects.iter().map(|e| class(e)).collect();
         let with = self.evidence.explanations.iter().zip(&self.masses).filter(|(explained, _)| {
             explained.effects.iter().any(|other| class(other) == effect)
                 && !own.iter().all(|own| explained.effects.iter().any(|o| class(o) == *own))
         });
-        with.map(|(_, mass)| mass).sum::<f64>() > RIVAL
+        with.map(|(_, mass)| mass).sum::<f64>() > RIVAL_MASS_MIN
     }
 }

@@ -7,7 +7,7 @@ use vehicle::effects::{EffectId, EffectSet, Slots};
 
 use super::Bench;
 use super::drawn::Drawn;
-use super::size::Shown;
+use super::size::TruthStrength;
 use super::truth::ids;
 use crate::diagnose::catalogue::hypothesis::reference;
 use crate::diagnose::verdict::Verdict;
@@ -30,7 +30,8 @@ impl Bench {
             Kind::LeftOut | Kind::Foreign => Verdict::Unknown,
             _ => Verdict::Effect,
         };
-        let shown_as = |shown: &Option<Shown>| shown.as_ref().map_or(0.0, |s| s.strength.ratio);
+        let shown_as =
+            |shown: &Option<TruthStrength>| shown.as_ref().map_or(0.0, |s| s.strength.ratio);
         let mut effects: Vec<TrueEffect> = sizes
             .iter()
             .map(|(effect, shown)| {

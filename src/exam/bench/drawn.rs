@@ -2,14 +2,14 @@
 
 use vehicle::effects::EffectId;
 
-use super::size::{Shown, TargetStrength};
+use super::size::{TargetStrength, TruthStrength};
 use super::truth::{Truth, ids};
 use super::{Bench, NEED_DRAG};
+use crate::exam::direction::Direction;
 use crate::exam::draw::Draw;
 use crate::exam::flight::FlightError;
-use crate::exam::magnitude::Direction;
+use crate::exam::foreign::ForeignDirection;
 use crate::exam::order::{Kind, Order};
-use crate::exam::stranger::Stranger;
 
 /// Range of the ratio over noise of each effect of a pair alone.
 const PAIR_RATIOS: [f64; 2] = [2.0, 10.0];
@@ -28,11 +28,11 @@ const UNKNOWN_SIZES: [f64; 2] = [1.3, 4.0];
 pub(super) struct Drawn {
     pub truth: Truth,
     /// Its effects with how strongly each shows alone, where that was measured.
-    pub sizes: Vec<(EffectId, Option<Shown>)>,
+    pub sizes: Vec<(EffectId, Option<TruthStrength>)>,
     /// Effects that a trap's flights do not distinguish from it.
     pub candidates: Vec<EffectId>,
     /// How strongly the whole truth shows.
-    pub total: Option<Shown>,
+    pub total: Option<TruthStrength>,
 }
 
 impl Bench {
@@ -45,17 +45,17 @@ impl Bench {
         let baseline = self.baseline()?;
         match order.kind {
             Kind::Foreign | Kind::OtherLaw => {
-                let (stranger, target) = match order.kind {
+                let (foreign, target) = match order.kind {
                     Kind::Foreign => {
-                        let stranger = Stranger::disturbance(draw, &self.nominal);
-                        (stranger, self.measure(FOREIGN_RATIOS, UNKNOWN_SIZES))
+                        let foreign = ForeignDirection::disturbance(draw, &self.nominal);
+                        (foreign, self.measure(FOREIGN_RATIOS, UNKNOWN_SIZES))
                     }
                     _ => {
-                        let stranger = Stranger::law(draw, &self.nominal, self.has_drag());
-                        (stranger, self.single(draw))
+                        let foreign = ForeignDirection::law(draw, &self.nominal, self.has_drag());
+                        (foreign, self.single(draw))
                     }
                 };
-                let (truth, shown) = self.sized_stranger(draw, &baseline, &stranger, target)?;
+                let (truth, shown) = self.sized_foreign(draw, &baseline, &foreign, target)?;
                 (drawn.truth, drawn.total) = (truth, Some(shown));
             }
             Kind::Trap => {
@@ -83,7 +83,7 @@ impl Bench {
         if drawn.total.is_none() {
             drawn.total = match drawn.sizes.as_slice() {
                 [(_, Some(one))] => Some(one.clone()),
-                _ => Some(self.shown(&baseline, &drawn.truth)?),
+                _ => Some(self.truth_strength(&baseline, &drawn.truth)?),
             };
         }
         Ok(drawn)

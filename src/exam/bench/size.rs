@@ -10,10 +10,10 @@ use vehicle::frame::{Attitude, Euler};
 use super::truth::ids;
 use super::{Bench, Truth};
 use crate::diagnose::catalogue::number::CONTRASTS;
+use crate::exam::direction::Direction;
 use crate::exam::draw::Draw;
 use crate::exam::flight::FlightError;
-use crate::exam::magnitude::Direction;
-use crate::exam::stranger::Stranger;
+use crate::exam::foreign::ForeignDirection;
 use crate::exam::strength::{DETECTABLE, Errors, Model, Moved, Predictor, Strength};
 use crate::exam::world::World;
 
@@ -37,7 +37,7 @@ const LACKING_DRAG_ALONG: f64 = 0.4;
 
 /// The strength of a truth.
 #[derive(Clone, Debug)]
-pub(in crate::exam) struct Shown {
+pub(in crate::exam) struct TruthStrength {
     /// Strength of the truth alone.
     pub strength: Strength,
     /// Strength that remains after the file's numbers have moved.
@@ -47,7 +47,7 @@ pub(in crate::exam) struct Shown {
     pub tolerances: Vec<Option<f64>>,
 }
 
-impl Shown {
+impl TruthStrength {
     /// Its size relative to the practical one.
     pub fn size(&self) -> f64 {
         let off = self.tolerances.iter().flatten().map(|off| off / PRACTICAL_TOLERANCES);
@@ -160,11 +160,11 @@ impl Bench {
 
     /// The strength of a truth, from flights without sensor noise. In [`World::Builders`] this
     /// includes the part that the file's numbers cannot explain.
-    pub(in crate::exam) fn shown(
+    pub(in crate::exam) fn truth_strength(
         &self,
         baseline: &Errors,
         truth: &Truth,
-    ) -> Result<Shown, FlightError> {
+    ) -> Result<TruthStrength, FlightError> {
         let predictor = self.predictor(truth, |_, _| {})?;
         let tracks = self.tracks(truth)?;
         let errors = predictor.errors(&tracks, &truth.effects, self.seed);
@@ -181,7 +181,7 @@ impl Bench {
                 (beyond, ids(&truth.effects).into_iter().filter(cause).map(off).collect())
             }
         };
-        Ok(Shown { strength, beyond, tolerances })
+        Ok(TruthStrength { strength, beyond, tolerances })
     }
 
     /// The truth at a size that shows about as strongly as wanted, within sensible sizes.
@@ -192,14 +192,14 @@ impl Bench {
         at: &dyn Fn(f64) -> Truth,
         power: f64,
         target: TargetStrength,
-    ) -> Result<(Truth, Shown), FlightError> {
+    ) -> Result<(Truth, TruthStrength), FlightError> {
         let (TargetStrength::Ratio(range) | TargetStrength::Size(range)) = target;
         let goal = draw.log_within(range);
         let mut size: f64 = 0.3;
         let mut last = Err(FlightError::Lost(0.0));
         for _ in 0..SEARCHES {
             let truth = at(size);
-            let shown = match self.shown(baseline, &truth) {
+            let shown = match self.truth_strength(baseline, &truth) {
                 Ok(shown) => shown,
                 Err(error) => {
                     last = Err(error);
@@ -230,7 +230,7 @@ impl Bench {
         baseline: &Errors,
         effect: EffectId,
         target: TargetStrength,
-    ) -> Result<(EffectSet, Shown), FlightError> {
+    ) -> Result<(EffectSet, TruthStrength), FlightError> {
         let direction = Direction::draw(draw, &self.nominal, effect);
         let power = if direction.quadratic { 0.5 } else { 1.0 };
         let at = |size| direction.at(size).into();
@@ -238,18 +238,18 @@ impl Bench {
         Ok((truth.effects, shown))
     }
 
-    pub(in crate::exam) fn sized_stranger(
+    pub(in crate::exam) fn sized_foreign(
         &self,
         draw: &mut Draw,
         baseline: &Errors,
-        stranger: &Stranger,
+        foreign: &ForeignDirection,
         target: TargetStrength,
-    ) -> Result<(Truth, Shown), FlightError> {
+    ) -> Result<(Truth, TruthStrength), FlightError> {
         let at = |size: f64| Truth {
-            effects: stranger.effects(size),
-            foreign: Some(stranger.at(size)),
-            causes: stranger.causes,
-            rotor: stranger.rotor(),
+            effects: foreign.effects(size),
+            foreign: Some(foreign.at(size)),
+            causes: foreign.causes,
+            rotor: foreign.rotor(),
         };
         self.sized(draw, baseline, &at, 1.0, target)
     }
@@ -270,7 +270,7 @@ impl Bench {
     }
 
     /// Whether an answer should name a truth of this strength.
-    pub(in crate::exam) fn is_practical(&self, shown: &Shown) -> bool {
+    pub(in crate::exam) fn is_practical(&self, shown: &TruthStrength) -> bool {
         match self.world {
             World::Exact => shown.strength.ratio >= DETECTABLE,
             World::Builders => shown.size() >= 1.0,

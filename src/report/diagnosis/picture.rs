@@ -3,8 +3,8 @@
 
 use super::waterfall;
 use crate::diagnose::answer::Answer;
-use crate::diagnose::answer::words;
-use crate::diagnose::remainder::map::Regime;
+use crate::diagnose::answer::text;
+use crate::diagnose::residual_analysis::map::Regime;
 use crate::report::axis::{Axis, range_of, significant};
 use crate::report::chart::{Chart, Curve, Panel, Style, legend};
 use crate::report::frame::Frame;
@@ -15,7 +15,7 @@ const DRAWN: usize = 4;
 
 /// The three pictures, as far as there is anything to draw.
 pub(super) fn html(answer: &Answer) -> String {
-    let explanation = words::explanation(answer.finding.verdict);
+    let explanation = text::explanation(answer.finding.verdict);
     let mut html = String::new();
     let regimes = &answer.map.regimes;
     if !regimes.is_empty() {

@@ -67,16 +67,16 @@ impl Course {
         if self.origin == ReferenceOrigin::Reported { ROUNDS } else { 0 }
     }
 
-    /// The next reference, for a vehicle which flew `flown` under `asked`: `asked` plus its lasting
-    /// errors relative to this course.
-    pub fn learned(&self, asked: &Self, flown: &Flight) -> Self {
+    /// The next reference of a vehicle that flew `flown` under `commanded`: `commanded` plus its
+    /// lasting errors relative to this course.
+    pub fn learned(&self, commanded: &Self, flown: &Flight) -> Self {
         let position = Series::<3>::of(&flown.position, |p| p.to_array());
         let missed: Vec<Ned> = self
             .ticks
             .iter()
             .map(|(time, wanted)| wanted.position - Ned::from(position.at(*time)))
             .collect();
-        let mut next = asked.clone();
+        let mut next = commanded.clone();
         for (k, (_, reference)) in next.ticks.iter_mut().enumerate() {
             let end = (k + LASTING_TICKS + 1).min(missed.len());
             let near = &missed[k.saturating_sub(LASTING_TICKS)..end];

@@ -94,7 +94,7 @@ fn effect(effect: &OwnEffect) -> String {
 }
 
 /// A vehicle's state in a line.
-pub fn told(vehicle: &VehicleAnswer) -> String {
+pub fn state_line(vehicle: &VehicleAnswer) -> String {
     let effects: Vec<String> = vehicle.effects.iter().map(effect).collect();
     let effects = effects.join("; ");
     match vehicle.state {
@@ -133,7 +133,7 @@ pub fn report(answer: &FleetAnswer) -> String {
         );
     }
     for vehicle in answer.vehicles.iter().filter(|vehicle| vehicle.state != State::AsType) {
-        text += &format!("vehicle    {:18} {}\n", vehicle.name, told(vehicle));
+        text += &format!("vehicle    {:18} {}\n", vehicle.name, state_line(vehicle));
     }
     text += &format!(
         "vehicles   {} like the type, {} in a group, {} with effects of their own, {} ambiguous, \

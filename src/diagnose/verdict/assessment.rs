@@ -6,18 +6,18 @@ use vehicle::effects::{EffectId, EffectSet};
 
 use crate::diagnose::catalogue::hypothesis::TOLERANCES_MAX;
 use crate::diagnose::catalogue::number::{Number, Target};
+use crate::diagnose::context::DiagnosisContext;
 use crate::diagnose::error::DiagnoseError;
 use crate::diagnose::flights::preparation::PreparedFlight;
-use crate::diagnose::inquiry::Inquiry;
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::observed::Observed;
-use crate::diagnose::remainder::learner::Learner;
-use crate::diagnose::remainder::leftover::unmodelled_force;
-use crate::diagnose::remainder::map::samples;
-use crate::diagnose::remainder::turbulence::gusts;
+use crate::diagnose::residual_analysis::learner::Learner;
+use crate::diagnose::residual_analysis::map::samples;
+use crate::diagnose::residual_analysis::turbulence::gusts;
+use crate::diagnose::residual_analysis::unmodelled_force::unmodelled_force;
 use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::search::explanations::Explanations;
-use crate::diagnose::search::turning::Turning;
+use crate::diagnose::search::rotation_prediction::RotationPrediction;
 use crate::diagnose::search::twins::Twins;
 use crate::diagnose::simulate::gap::Errors;
 use crate::diagnose::simulate::open_loop::Simulator;
@@ -34,12 +34,16 @@ const FORCE_MIN_WEIGHTS: f64 = 0.01;
 /// Normal quantile at 99 %.
 const Z99: f64 = 2.326;
 
-/// Standard deviation that the vehicle file's errors give a number. Without a known on-board loop
-/// (`leg`) no twin measures the effect of errors in the logged moments; this adds them such that
-/// [`TOLERANCES_MAX`] standard deviations cover them in full.
-pub(in crate::diagnose) fn unremarkable(number: &Number, turning: &[Turning; 3], leg: bool) -> f64 {
+/// Standard deviation that the vehicle file's errors give a number. Unless `is_loop_known`, no twin
+/// measures the effect of errors in the logged moments; this adds them such that [`TOLERANCES_MAX`]
+/// standard deviations cover them in full.
+pub(in crate::diagnose) fn unremarkable(
+    number: &Number,
+    turning: &[RotationPrediction; 3],
+    is_loop_known: bool,
+) -> f64 {
     let by_moments = match number.target {
-        _ if leg => 0.0,
+        _ if is_loop_known => 0.0,
         Target::Effect(EffectId::Inertia, axis) => turning[axis].inflation(),
         Target::Effect(EffectId::YawTorque, _) => turning[2].unexplained(),
         _ => 0.0,
@@ -47,7 +51,7 @@ pub(in crate::diagnose) fn unremarkable(number: &Number, turning: &[Turning; 3],
     number.unremarkable + by_moments / TOLERANCES_MAX
 }
 
-impl Inquiry<'_> {
+impl DiagnosisContext<'_> {
     /// An explanation with the vehicle file's numbers fitted to other flights within their
     /// tolerances: a trim, the balance of the torques and the level of the thrust differ from
     /// flight to flight. `about` holds derivatives on those flights.
@@ -62,7 +66,7 @@ impl Inquiry<'_> {
         let active = explanation.fit.active(self.catalogue);
         let pinned = self.catalogue.with_pinned(&active, values);
         let solution = about.zip(observed.residuals(values)).and_then(|(about, base)| {
-            let about = about.about(observed, &base).resting_at(values.clone());
+            let about = about.with_residuals(observed, &base).moved_to(values.clone());
             about.solve(&pinned, observed.counts(), &[])
         });
         if let Some(solution) = solution {
@@ -92,7 +96,7 @@ impl Inquiry<'_> {
         &self,
         explanation: &Explanation,
         twins: Option<&Twins>,
-        turning: &[Turning; 3],
+        turning: &[RotationPrediction; 3],
     ) -> Explained {
         let fit = &explanation.fit;
         let hypotheses = fit.hypotheses.iter().map(|h| &self.catalogue.hypotheses[*h]);
@@ -112,7 +116,7 @@ impl Inquiry<'_> {
                     value,
                     deviation: fit.deviation[*index],
                     reference: number.reference,
-                    unremarkable: unremarkable(number, turning, self.leg()),
+                    unremarkable: unremarkable(number, turning, self.is_loop_known()),
                     magnitude: number.magnitude,
                     is_at_bound: off && !is_absent && (value - low < near || high - value < near),
                 }
@@ -126,7 +130,7 @@ impl Inquiry<'_> {
             (id.name().to_owned(), values)
         });
         let chance =
-            |h: &usize| twins.and_then(|twins| twins.asked.get(*h)).map_or(0.0, |a| a / Z99);
+            |h: &usize| twins.and_then(|twins| twins.thresholds.get(*h)).map_or(0.0, |a| a / Z99);
         Explained {
             effects: hypotheses.map(|h| h.effect.name().to_owned()).collect(),
             numbers: numbers.collect(),
@@ -160,10 +164,12 @@ impl Inquiry<'_> {
     pub fn evidence(
         &self,
         found: &Explanations,
-        (turning, scale, scales): ([Turning; 3], f64, Vec<[f64; 2]>),
+        turning: [RotationPrediction; 3],
+        scale: f64,
+        scales: Vec<[f64; 2]>,
     ) -> Result<Evidence, DiagnoseError> {
         let best = found.best();
-        let [choosing, reported] = [self.choosing.flights, self.case.held_out];
+        let [choosing, reported] = [self.choosing.flights, self.input.held_out];
         let everything = self.simulator_of(best, &self.effects_of(best), true)?;
         let floor = |flights| everything.floor(flights, &found.noise, self.settings.seed);
         let floors = [choosing, reported].map(floor);
@@ -173,11 +179,12 @@ impl Inquiry<'_> {
             Some(errors.over(&floors[which]?.errors, self.metric))
         };
         let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
-        let looks = [&self.choosing, &self.reported];
-        let about = looks.map(|look| Linearised::new(look, &found.file.fit.values, &numbers));
+        let data = [&self.choosing, &self.reported];
+        let about =
+            data.map(|observed| Linearised::new(observed, &found.file.fit.values, &numbers));
         let gaps = |one: &Explanation, which: usize| match &floors[which] {
             Some(floor) => {
-                let adapted = self.adapted(one, looks[which], about[which].as_ref());
+                let adapted = self.adapted(one, data[which], about[which].as_ref());
                 self.gaps(&adapted, [choosing, reported][which], &floor.errors)
             }
             None => Ok(None),
@@ -191,7 +198,7 @@ impl Inquiry<'_> {
         let shipped_gaps = [over(&shipped, 0), over(&shipped, 1)];
         let chosen_s: f64 = choosing.iter().map(PreparedFlight::seconds).sum();
         let mut evidence = Evidence {
-            loop_known: self.leg(),
+            loop_known: self.is_loop_known(),
             metric: self.metric.name().to_owned(),
             scale,
             scales,
@@ -204,9 +211,9 @@ impl Inquiry<'_> {
             scatter: floors[1].map_or(0.0, |floor| floor.scatter),
             learned: None,
             structure: [0.0; 2],
-            voltage_differs: voltages_differ(self.case.fitted),
+            voltage_differs: voltages_differ(self.input.fitted),
             outputs_logged: self
-                .case
+                .input
                 .fitted
                 .iter()
                 .all(|flight| flight.channels.outputs || flight.channels.rotor_speed),
@@ -246,7 +253,7 @@ impl Inquiry<'_> {
     /// A flexible learner of the residuals of an explanation.
     fn learner(&self, explanation: &Explanation) -> Option<Learner> {
         let candidate = self.catalogue.candidate(&explanation.fit.values).ok()?;
-        let allocation = self.case.vehicle.allocation().ok()?;
+        let allocation = self.input.vehicle.allocation().ok()?;
         Learner::of(&self.all, self.evaluator, &candidate, &allocation)
     }
 
@@ -261,11 +268,11 @@ impl Inquiry<'_> {
             return Ok((None, None));
         };
         let unit = (6.0_f64.sqrt() * found.noise.velocity / FORCE_TIME_S)
-            .max(FORCE_MIN_WEIGHTS * self.case.vehicle.gravity);
+            .max(FORCE_MIN_WEIGHTS * self.input.vehicle.gravity);
         let samples = samples(&self.all, self.evaluator, &candidate);
         let effects = self.catalogue.effects(&best.fit.values, Some(&self.effects_of(best)));
-        let gusts = gusts(self.case.vehicle, &effects, &after, &samples);
-        let may_be = !self.case.without.contains(&EffectId::Gusts);
+        let gusts = gusts(self.input.vehicle, &effects, &after, &samples);
+        let may_be = !self.input.without.contains(&EffectId::Gusts);
         let force = ForceLeft {
             rms: after.rms(),
             significance: after.significance().max(after.slow_significance),

@@ -8,8 +8,8 @@ use nalgebra::{DMatrix, DVector};
 use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet, Slots};
 
-use crate::diagnose::remainder::leftover::UnmodelledForce;
-use crate::diagnose::remainder::map::Sample;
+use crate::diagnose::residual_analysis::map::Sample;
+use crate::diagnose::residual_analysis::unmodelled_force::UnmodelledForce;
 
 /// Largest ratio of power between north and east for turbulence: few gusts pass in a flight.
 const ISOTROPY_MAX: f64 = 4.0;

@@ -7,10 +7,10 @@ use serde::Serialize;
 use vehicle::frame::Ned;
 
 use crate::diagnose::catalogue::candidate::Candidate;
-use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::flights::preparation::{Block, PreparedFlight};
 use crate::diagnose::flights::spectrum::{BANDS, CELL_S, edges, mean_square_share};
 use crate::diagnose::likelihood::channels::{CHANNEL_NAMES, CHANNELS, COMMAND, VELOCITY};
-use crate::diagnose::likelihood::layout::Place;
+use crate::diagnose::likelihood::layout::{Bin, Layout};
 use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::likelihood::residuals::{Evaluator, Groups};
 
@@ -63,7 +63,7 @@ pub struct ResidualMap {
 }
 
 /// Maps the residuals of `shipped` and of `best`, the best explanation. `power` and `floor` are
-/// their sums of squares by place.
+/// their sums of squares by bin.
 pub fn map(
     observed: &Observed<'_>,
     evaluator: &Evaluator,
@@ -71,30 +71,10 @@ pub fn map(
     power: &[f64],
     floor: &[f64],
 ) -> ResidualMap {
-    let mut cells = Vec::new();
-    for (channel, name) in CHANNEL_NAMES.iter().enumerate().take(CHANNELS) {
-        let mut lower = 0.0;
-        for (scale, upper) in SCALES {
-            let (mut before, mut after, mut counted) = (0.0, 0.0, false);
-            for band in 0..BANDS.len() {
-                let place = Place::index_of(channel, band);
-                let n = observed.counts()[place];
-                let [from, to] = edges(band);
-                if n > 0.0 && from >= lower && to <= upper {
-                    let share = mean_square_share(band) / n;
-                    before += power[place] * share;
-                    after += floor[place] * share;
-                    counted = true;
-                }
-            }
-            lower = upper;
-            if counted && after > 0.0 {
-                let excess = (before - after) / after;
-                let (rms, floor) = (before.sqrt(), after.sqrt());
-                cells.push(Cell { channel: name, scale, rms, floor, excess });
-            }
-        }
-    }
+    let mut cells: Vec<Cell> = (0..CHANNELS)
+        .flat_map(|channel| (0..SCALES.len()).map(move |scale| (channel, scale)))
+        .filter_map(|(channel, scale)| cell(observed.counts(), channel, scale, [power, floor]))
+        .collect();
     cells.sort_by(|a, b| b.excess.total_cmp(&a.excess).then(a.channel.cmp(b.channel)));
     let after = samples(observed, evaluator, best);
     let samples = samples(observed, evaluator, shipped);
@@ -114,6 +94,31 @@ pub fn map(
     let constant_in_body = mean(|s| s.body);
     let sentence = sentence(&cells, &regimes);
     ResidualMap { cells, constant_in_world, constant_in_body, regimes, sentence }
+}
+
+/// One channel at the time scale of index `scale`, from the sums of squares by bin of the shipped
+/// simulator and of the best explanation; `None` without coefficients.
+fn cell(counts: &[f64], channel: usize, scale: usize, [power, floor]: [&[f64]; 2]) -> Option<Cell> {
+    let lower = scale.checked_sub(1).map_or(0.0, |below| SCALES[below].1);
+    let (name, upper) = SCALES[scale];
+    let (mut before, mut after, mut is_counted) = (0.0, 0.0, false);
+    for band in 0..BANDS.len() {
+        let bin = Bin::index_of(channel, band);
+        let [from, to] = edges(band);
+        if counts[bin] > 0.0 && from >= lower && to <= upper {
+            let share = mean_square_share(band) / counts[bin];
+            before += power[bin] * share;
+            after += floor[bin] * share;
+            is_counted = true;
+        }
+    }
+    (is_counted && after > 0.0).then(|| Cell {
+        channel: CHANNEL_NAMES[channel],
+        scale: name,
+        rms: f64::sqrt(before),
+        floor: f64::sqrt(after),
+        excess: (before - after) / after,
+    })
 }
 
 /// Quantities that define regimes.
@@ -168,23 +173,20 @@ pub fn samples(
 ) -> Vec<Sample> {
     let tasks = observed.blocks(|flight, layout| layout.has(VELOCITY) && flight.channels.attitude);
     let groups = Groups { dynamics: true, kinematics: false, command: false };
-    tasks
-        .par_iter()
-        .flat_map_iter(|(flight, layout, block)| {
-            let series = evaluator.series(flight, layout, block, candidate, groups);
-            (0..block.cells / SAMPLE_CELLS)
-                .map(|k| {
-                    let cells = k * SAMPLE_CELLS..(k + 1) * SAMPLE_CELLS;
-                    let time = block.edge(cells.start) + 0.5 * SAMPLE_CELLS as f64 * CELL_S;
-                    let world: [f64; 3] = std::array::from_fn(|i| {
-                        series[VELOCITY + i][cells.clone()].iter().sum::<f64>()
-                            / SAMPLE_CELLS as f64
-                    });
-                    sample(flight, time, world)
-                })
-                .collect::<Vec<_>>()
-        })
-        .collect()
+    let of_block = |(flight, layout, block): &(&PreparedFlight, &Layout, &Block)| {
+        let series = evaluator.series(flight, layout, block, candidate, groups);
+        let of_cells = |first: usize| {
+            let time = block.edge(first) + 0.5 * SAMPLE_CELLS as f64 * CELL_S;
+            let mean = |channel: usize| {
+                let cells = &series[channel][first..first + SAMPLE_CELLS];
+                cells.iter().sum::<f64>() / SAMPLE_CELLS as f64
+            };
+            sample(flight, time, std::array::from_fn(|axis| mean(VELOCITY + axis)))
+        };
+        let count = block.cells / SAMPLE_CELLS;
+        (0..count).map(|k| of_cells(k * SAMPLE_CELLS)).collect::<Vec<_>>()
+    };
+    tasks.par_iter().flat_map_iter(of_block).collect()
 }
 
 /// The [`QUANTITIES`] of a flight at a time, which counts from the start of its airborne time, s.
@@ -251,9 +253,9 @@ fn regime(
 }
 
 /// Parts of the samples between which a dependence is sought.
-const PARTS: usize = 8;
+const GROUPS: usize = 8;
 /// Least share of the unexplained acceleration that depends on a quantity worth mentioning.
-const SHARE_MIN: f64 = 0.2;
+const DEPENDENCE_SHARE_MIN: f64 = 0.2;
 /// Samples that count as one, since residuals last longer than a sample.
 const CORRELATED: f64 = 4.0;
 
@@ -278,16 +280,16 @@ pub fn depends_on(samples: &[Sample]) -> Vec<String> {
             let most = share(|s| s.world).max(share(|s| s.body));
             (if differs { most } else { 0.0 }, *name)
         })
-        .filter(|(share, _)| *share > SHARE_MIN)
+        .filter(|(share, _)| *share > DEPENDENCE_SHARE_MIN)
         .collect();
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
     found.into_iter().map(|(share, name)| format!("{name}: {:.0} %", 100.0 * share)).collect()
 }
 
-/// Share of a vector's variance between [`PARTS`] of the ordered samples, less chance.
+/// Share of a vector's variance between [`GROUPS`] of the ordered samples, less chance.
 fn correlation_ratio(order: &[&Sample], of: fn(&Sample) -> [f64; 3]) -> f64 {
     let n = order.len();
-    if n < 4 * PARTS {
+    if n < 4 * GROUPS {
         return 0.0;
     }
     let mean = |part: &[&Sample]| -> [f64; 3] {
@@ -297,11 +299,11 @@ fn correlation_ratio(order: &[&Sample], of: fn(&Sample) -> [f64; 3]) -> f64 {
         |a: [f64; 3], b: [f64; 3]| -> f64 { a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum() };
     let all = mean(order);
     let total: f64 = order.iter().map(|s| square(of(s), all)).sum();
-    let between: f64 = (0..PARTS)
-        .map(|k| &order[k * n / PARTS..(k + 1) * n / PARTS])
+    let between: f64 = (0..GROUPS)
+        .map(|k| &order[k * n / GROUPS..(k + 1) * n / GROUPS])
         .map(|part| part.len() as f64 * square(mean(part), all))
         .sum();
-    let chance = (PARTS - 1) as f64 / (n as f64 / CORRELATED - 1.0).max(1.0);
+    let chance = (GROUPS - 1) as f64 / (n as f64 / CORRELATED - 1.0).max(1.0);
     if total > 0.0 { between / total - chance } else { 0.0 }
 }
 
@@ -315,7 +317,7 @@ fn steepness(regime: &Regime) -> f64 {
 /// Least excess that the summary mentions.
 const EXCESS_MIN: f64 = 0.3;
 /// Least ratio between quarters of a regime that the summary mentions.
-const STEEP: f64 = 2.0;
+const STEEPNESS_MIN: f64 = 2.0;
 
 fn sentence(cells: &[Cell], regimes: &[Regime]) -> String {
     let shown: Vec<&Cell> = cells.iter().filter(|cell| cell.excess > EXCESS_MIN).take(3).collect();
@@ -330,7 +332,7 @@ fn sentence(cells: &[Cell], regimes: &[Regime]) -> String {
         })
         .collect();
     let mut sentence = format!("The gap is largest in {}", list.join(", "));
-    if let Some(regime) = regimes.first().filter(|regime| steepness(regime) > STEEP) {
+    if let Some(regime) = regimes.first().filter(|regime| steepness(regime) > STEEPNESS_MIN) {
         let (factor, quantity) = (steepness(regime), regime.quantity);
         let rises = regime.rms[3] > regime.rms[0];
         sentence += &format!(

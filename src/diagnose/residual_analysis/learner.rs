@@ -86,7 +86,7 @@ impl Learner {
             .filter_map(|features| {
                 let parts = [training.as_slice(), validation.as_slice()];
                 let networks = train_both(parts, &settings(features), &|row| row.label).ok()?;
-                let fits = Head::BOTH.map(|head| Fit::of(&networks, head, &validation));
+                let fits = Head::BOTH.map(|head| HeadAccuracy::of(&networks, head, &validation));
                 let networks = networks.scaled(fits.map(|fit| fit.share));
                 let left: f64 = fits.iter().map(|fit| fit.left).sum();
                 let allocation = *allocation;
@@ -158,14 +158,14 @@ fn row(
 
 /// The accuracy of a network on rows outside its training set.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Fit {
+struct HeadAccuracy {
     /// The best scale of its output, 0..1, by least squares.
     share: f64,
     /// Residual share of the labels' mean square with that scale, 0..1.
     left: f64,
 }
 
-impl Fit {
+impl HeadAccuracy {
     fn of(networks: &NetworkModel, head: Head, rows: &[&Row]) -> Self {
         Self::between(rows.iter().flat_map(|row| {
             let said: [f64; ACCELERATIONS] = networks.accelerations(&row.point);
@@ -193,10 +193,16 @@ mod tests {
 
     #[test]
     fn network_output_twice_too_large_is_halved() {
-        let fit = Fit::between([(2.0, 1.0), (-4.0, -2.0)].into_iter());
-        assert_eq!(fit, Fit { share: 0.5, left: 0.0 });
+        let fit = HeadAccuracy::between([(2.0, 1.0), (-4.0, -2.0)].into_iter());
+        assert_eq!(fit, HeadAccuracy { share: 0.5, left: 0.0 });
         // An output opposed to the labels is scaled to 0, and an output of 0 leaves everything.
-        assert_eq!(Fit::between([(1.0, -1.0)].into_iter()), Fit { share: 0.0, left: 1.0 });
-        assert_eq!(Fit::between([(0.0, 1.0)].into_iter()), Fit { share: 0.0, left: 1.0 });
+        assert_eq!(
+            HeadAccuracy::between([(1.0, -1.0)].into_iter()),
+            HeadAccuracy { share: 0.0, left: 1.0 }
+        );
+        assert_eq!(
+            HeadAccuracy::between([(0.0, 1.0)].into_iter()),
+            HeadAccuracy { share: 0.0, left: 1.0 }
+        );
     }
 }

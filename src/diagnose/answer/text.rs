@@ -1,11 +1,11 @@
-//! The answer in words.
+//! The answer as text: sentences, and the report for a terminal.
 
 use std::collections::BTreeSet;
 
 use vehicle::effects::EffectId;
 
 use crate::diagnose::answer::quantities::{bounded, numbered, one, short};
-use crate::diagnose::answer::{Answer, ExplanationAnswer, FullVerdict};
+use crate::diagnose::answer::{Answer, ExplanationAnswer, FullVerdict, Gap};
 use crate::diagnose::discovery::law::LawAnswer;
 use crate::diagnose::next_flight::NextFlight;
 use crate::diagnose::simulate::reflight::ClosedLoop;
@@ -23,9 +23,9 @@ pub fn finding(answer: &Answer) -> String {
 }
 
 /// Least multiple of the floor that counts as a gap for the file's numbers to close.
-const WIDE: f64 = 1.5;
+const REPORTED_GAP_MIN: f64 = 1.5;
 /// Most numbers of the vehicle file in a sentence.
-const LISTED: usize = 3;
+const NUMBERS_LISTED: usize = 3;
 
 /// For the verdict `none`: how well the simulator predicts, and how the file's numbers contribute.
 fn none(answer: &Answer) -> String {
@@ -34,12 +34,13 @@ fn none(answer: &Answer) -> String {
     };
     let before = gap.times(gap.before);
     let after = gap.nuisances_only.map(|after| gap.times(after));
-    let Some(after) = after.filter(|after| before > WIDE && 2.0 * after < before) else {
+    let Some(after) = after.filter(|after| before > REPORTED_GAP_MIN && 2.0 * after < before)
+    else {
         let mut text = format!(
             "No effect stands out: the simulator predicts the held-out flights to {before:.2} \
              times the noise floor."
         );
-        if before > WIDE && gap.with_learner.is_none() {
+        if before > REPORTED_GAP_MIN && gap.with_learner.is_none() {
             text += " The floor is sensor noise only: too little flight to measure how much \
                      estimator drift adds.";
         }
@@ -62,7 +63,7 @@ fn furthest_off(numbers: &[FileNumber]) -> String {
         let [value, expected] = [*value, *expected].map(short);
         format!("{name} {value} instead of {expected} ({tolerances:+.1} tolerances)")
     };
-    numbers.iter().take(LISTED).map(one).collect::<Vec<_>>().join(", ")
+    numbers.iter().take(NUMBERS_LISTED).map(one).collect::<Vec<_>>().join(", ")
 }
 
 /// For the verdict `unknown`: why the gap counts as unexplained.
@@ -98,19 +99,20 @@ fn unknown(answer: &Answer) -> String {
 }
 
 /// Least probability of an effect that is mentioned where none is named.
-const LIKELY: f64 = 0.1;
+const LIKELY_PROBABILITY_MIN: f64 = 0.1;
 
 fn effect(answer: &Answer) -> String {
     let named: Vec<String> = answer.named().map(one).collect();
     let mut text = if named.is_empty() {
-        let likely = answer.effects.iter().filter(|effect| effect.probability >= LIKELY);
+        let likely =
+            answer.effects.iter().filter(|effect| effect.probability >= LIKELY_PROBABILITY_MIN);
         let likely: Vec<String> = likely.map(one).collect();
         format!("One of these acts, and these flights cannot show which: {}.", likely.join(", or "))
     } else {
         format!("Found: {}.", named.join(", and "))
     };
     if let Some(gap) = &answer.gap {
-        text += &shrinks([gap.before, gap.after].map(|value| gap.times(value)), gap.closure);
+        text += &gap_change([gap.before, gap.after].map(|value| gap.times(value)), gap.closure);
         if gap.with_file {
             text +=
                 " That is with the vehicle file's numbers refitted; its errors hide the effects.";
@@ -127,7 +129,7 @@ fn effect(answer: &Answer) -> String {
 }
 
 /// The gap before and after the effects, in units of the floor.
-fn shrinks(gaps: [f64; 2], closure: Option<f64>) -> String {
+fn gap_change(gaps: [f64; 2], closure: Option<f64>) -> String {
     let Some(closure) = closure else { return String::new() };
     let [before, after] = gaps.map(|gap| format!("{gap:.2}"));
     if before == after || gaps[1] > gaps[0] {
@@ -137,7 +139,7 @@ fn shrinks(gaps: [f64; 2], closure: Option<f64>) -> String {
         );
     }
     format!(
-        " On the held-out flights the gap shrinks from {before} to {after} times the noise floor: \
+        " On the held-out flights the gap gap_change from {before} to {after} times the noise floor: \
          {:.0} % of what can be closed.",
         100.0 * closure
     )
@@ -166,18 +168,17 @@ pub fn closed_loop(closed_loop: &ClosedLoop, explanation: &str) -> String {
 /// The next flight, its reason, and the expected result.
 pub fn next_flight(next: &NextFlight) -> String {
     let mut text = format!("Fly {} ({:.0} s), {}.", next.manoeuvre, next.seconds, next.why);
-    let in_words =
-        |ids: &[&str]| if ids.is_empty() { "no effect".into() } else { ids.join(" and ") };
+    let name = |ids: &[&str]| if ids.is_empty() { "no effect".into() } else { ids.join(" and ") };
     for outlook in &next.outlook {
         let rivals: Vec<String> = outlook
             .evidence
             .iter()
-            .map(|rival| format!("{:.0} nats against {}", rival.nats, in_words(&rival.rival)))
+            .map(|rival| format!("{:.0} nats against {}", rival.nats, name(&rival.rival)))
             .collect();
         text += &format!(
             " If {} is true, its expected probability after that flight is {:.0} % instead of \
              {:.0} %: {}.",
-            in_words(&outlook.truth),
+            name(&outlook.truth),
             100.0 * outlook.expected,
             100.0 * outlook.now,
             rivals.join(", ")
@@ -195,7 +196,7 @@ pub fn law_sentence(law: &LawAnswer) -> String {
     let Some(because) = &law.because else {
         let mut text = format!("A law explains them: {formulas}.");
         if let (Some([before, after, _]), Some(closure)) = (law.gap, law.closure) {
-            text += &shrinks([before, after], Some(closure));
+            text += &gap_change([before, after], Some(closure));
         }
         return text;
     };
@@ -245,7 +246,7 @@ pub(in crate::diagnose) fn listed(effects: impl Iterator<Item = EffectId>) -> St
 }
 
 /// Least posterior mass of an equivalent explanation that the answer mentions.
-const EQUIVALENT: f64 = 0.05;
+const EQUIVALENT_MASS_MIN: f64 = 0.05;
 
 /// The most probable explanation by other effects that act through the same ratio as the named
 /// ones, such as a mass in place of a thrust scale ([`EffectId::class`]).
@@ -258,7 +259,7 @@ pub fn equivalent(answer: &Answer) -> Option<&ExplanationAnswer> {
         let ids: BTreeSet<EffectId> =
             explanation.effects.iter().filter_map(|id| id.parse().ok()).collect();
         !named.is_empty()
-            && explanation.mass >= EQUIVALENT
+            && explanation.mass >= EQUIVALENT_MASS_MIN
             && explanation.effects.len() == named.len()
             && ids != named
             && classes(&ids) == classes(&named)
@@ -267,7 +268,7 @@ pub fn equivalent(answer: &Answer) -> Option<&ExplanationAnswer> {
     found.max_by(|a, b| a.mass.total_cmp(&b.mass))
 }
 
-/// An [`equivalent`] explanation in words.
+/// An [`equivalent`] explanation with its probability.
 pub fn alternative(other: &ExplanationAnswer) -> String {
     format!(
         "{}, {:.0} %: these flights cannot distinguish them",
@@ -291,28 +292,7 @@ pub fn report(answer: &Answer) -> String {
     if !answer.map.sentence.is_empty() {
         text += &format!("\nwhere      {}\n", answer.map.sentence);
     }
-    for (line, effect) in answer.effects.iter().enumerate() {
-        let head = match (line, answer.verdict) {
-            (0, Verdict::None) => "trace",
-            (0, _) => "which",
-            _ => "",
-        };
-        text += &format!("{head:10} {:18} {:3.0} %", effect.id, 100.0 * effect.probability);
-        for (name, [low, high]) in &effect.intervals {
-            text += &format!("  {}", bounded(effect.id.name(), name, [*low, *high]));
-        }
-        text += "\n";
-    }
-    if let Some(other) = equivalent(answer) {
-        text += &format!("or         {}\n", alternative(other));
-    }
-    if answer.effects.is_empty() {
-        for (line, tried) in answer.explanations.iter().take(3).enumerate() {
-            let head = if line == 0 { "nearest" } else { "" };
-            let set = tried.effects.join(" and ");
-            text += &format!("{head:10} {set:18} {:.1} nats of evidence\n", tried.evidence);
-        }
-    }
+    text += &effects(answer);
     if !answer.attribution.is_empty() {
         let shares = answer.attribution.iter();
         let shares: Vec<String> =
@@ -323,32 +303,8 @@ pub fn report(answer: &Answer) -> String {
         text += &format!("file       {}\n", furthest_off(&answer.file_numbers));
     }
     let with = explanation(answer.finding.verdict);
-    if let Some(gap) = &answer.gap {
-        text += &format!("how far    held-out gap {:.2}", gap.before);
-        if let Some(nuisances) = gap.nuisances_only {
-            text += &format!(", {nuisances:.2} with the file's numbers alone");
-        }
-        text += &format!(", {:.2} {with}", gap.after);
-        if let Some(learner) = gap.with_learner {
-            text += &format!(", {learner:.2} with a flexible learner");
-        }
-        text += &format!(", {:.2} from noise alone\n", gap.floor);
-    }
-    if let Some(ClosedLoop { position_m, thrust_n, moment_nm, .. }) = &answer.closed_loop {
-        for (line, (name, unit, difference)) in
-            [("position", "m", position_m), ("thrust", "N", thrust_n), ("moment", "N m", moment_nm)]
-                .into_iter()
-                .enumerate()
-        {
-            let head = if line == 0 { "again" } else { "" };
-            text += &format!(
-                "{head:10} {name} off by {} {unit}, {} {with}, {} from noise alone\n",
-                short(difference.before),
-                short(difference.after),
-                short(difference.floor)
-            );
-        }
-    }
+    text += &answer.gap.as_ref().map(|gap| gap_line(gap, with)).unwrap_or_default();
+    text += &answer.closed_loop.as_ref().map(|it| closed_loop_lines(it, with)).unwrap_or_default();
     if let Some(missing) = &answer.closed_loop_missing {
         text += &format!("again      not flown: {missing}\n");
     }
@@ -379,6 +335,65 @@ pub fn report(answer: &Answer) -> String {
     text
 }
 
+/// Report lines of the effects with their intervals; without any, of the nearest explanations.
+fn effects(answer: &Answer) -> String {
+    let mut text = String::new();
+    for (line, effect) in answer.effects.iter().enumerate() {
+        let head = match (line, answer.verdict) {
+            (0, Verdict::None) => "trace",
+            (0, _) => "which",
+            _ => "",
+        };
+        text += &format!("{head:10} {:18} {:3.0} %", effect.id, 100.0 * effect.probability);
+        for (name, [low, high]) in &effect.intervals {
+            text += &format!("  {}", bounded(effect.id.name(), name, [*low, *high]));
+        }
+        text += "\n";
+    }
+    if let Some(other) = equivalent(answer) {
+        text += &format!("or         {}\n", alternative(other));
+    }
+    if answer.effects.is_empty() {
+        for (line, tried) in answer.explanations.iter().take(3).enumerate() {
+            let head = if line == 0 { "nearest" } else { "" };
+            let set = tried.effects.join(" and ");
+            text += &format!("{head:10} {set:18} {:.1} nats of evidence\n", tried.evidence);
+        }
+    }
+    text
+}
+
+/// The report line of the gap, as shipped and `with` the [`explanation`].
+fn gap_line(gap: &Gap, with: &str) -> String {
+    let mut text = format!("how far    held-out gap {:.2}", gap.before);
+    if let Some(nuisances) = gap.nuisances_only {
+        text += &format!(", {nuisances:.2} with the file's numbers alone");
+    }
+    text += &format!(", {:.2} {with}", gap.after);
+    if let Some(learner) = gap.with_learner {
+        text += &format!(", {learner:.2} with a flexible learner");
+    }
+    text + &format!(", {:.2} from noise alone\n", gap.floor)
+}
+
+/// Report lines of flights flown again, as shipped and `with` the [`explanation`].
+fn closed_loop_lines(closed_loop: &ClosedLoop, with: &str) -> String {
+    let ClosedLoop { position_m, thrust_n, moment_nm, .. } = closed_loop;
+    let quantities =
+        [("position", "m", position_m), ("thrust", "N", thrust_n), ("moment", "N m", moment_nm)];
+    let mut text = String::new();
+    for (line, (name, unit, difference)) in quantities.into_iter().enumerate() {
+        let head = if line == 0 { "again" } else { "" };
+        text += &format!(
+            "{head:10} {name} off by {} {unit}, {} {with}, {} from noise alone\n",
+            short(difference.before),
+            short(difference.after),
+            short(difference.floor)
+        );
+    }
+    text
+}
+
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
@@ -387,7 +402,6 @@ mod tests {
 
     use super::*;
     use crate::diagnose::answer::EffectAnswer;
-    use crate::diagnose::answer::Gap;
     use crate::diagnose::likelihood::noise::ReportNoise;
     use crate::diagnose::simulate::gap::Errors;
 
@@ -426,9 +440,9 @@ mod tests {
 
     #[test]
     fn growing_gap_is_not_reported_as_shrinking() {
-        assert!(shrinks([1.29, 1.23], Some(0.3)).contains("shrinks from 1.29 to 1.23"));
+        assert!(gap_change([1.29, 1.23], Some(0.3)).contains("gap_change from 1.29 to 1.23"));
         for gaps in [[1.23, 1.29], [1.231, 1.229]] {
-            let text = shrinks(gaps, Some(0.3));
+            let text = gap_change(gaps, Some(0.3));
             assert!(text.contains("does not close the gap"), "{text}");
         }
     }

@@ -7,7 +7,7 @@ use super::weak::Bump;
 
 /// Largest delay that is tried in either direction, s.
 const DELAY_MAX: f64 = 0.5;
-/// Step of the trial, in half widths of a bump.
+/// Step of the delays that are tried, in half widths of a bump.
 const STEP: f64 = 0.1;
 /// Drifts that are tried in either direction, in steps of the delay at the ends of the log.
 const DRIFTS: i32 = 16;
@@ -20,7 +20,7 @@ const BETTER_DRIFT: f64 = 0.8;
 const BETTER_MIRRORED: f64 = 0.5;
 /// They must also explain this much more of the motion: less is rounding, where all is explained.
 const NEGLIGIBLE: f64 = 1e-4;
-/// Most and fewest bumps of the trial.
+/// Most and fewest bumps of an initial fit.
 const BUMPS: usize = 300;
 const BUMPS_MIN: usize = 24;
 /// Axes with a singular value below this share of the largest do not move.
@@ -30,7 +30,7 @@ const SWEEPS: usize = 200;
 
 /// The first guess: the delay at which a rotation and a scale explain most.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Trial {
+pub(super) struct InitialFit {
     /// Delay at `middle`, s.
     pub delay: f64,
     pub drift: f64,
@@ -46,7 +46,7 @@ pub(super) struct Trial {
     pub moving: usize,
 }
 
-impl Trial {
+impl InitialFit {
     /// Tries all delays and drifts.
     pub fn best(pair: &impl Pair) -> Option<Self> {
         let bumps: Vec<&Bump> = pair.bumps().iter().filter(|bump| bump.group == 0).collect();
@@ -59,11 +59,11 @@ impl Trial {
             .filter_map(|bump| Moment::of(pair, *bump, step, steps))
             .collect();
         let (first, last) = (moments.first()?.centre, moments.last()?.centre);
-        let power = |moment: &Moment| moment.seen.norm_squared();
+        let power = |moment: &Moment| moment.measured.norm_squared();
         let total_power: f64 = moments.iter().map(power).sum();
         let middle = moments.iter().map(|m| m.centre * power(m)).sum::<f64>() / total_power;
         let half = 0.5 * (last - first);
-        let turns = pair.turns();
+        let rotatable = pair.rotatable_axes();
         let mut best: Option<Self> = None;
         for drift in outwards(DRIFTS).map(|end| f64::from(end) * step / half) {
             if drift.abs() > DRIFT_MAX {
@@ -72,18 +72,19 @@ impl Trial {
             let mut steady: Option<Self> = None;
             for delay in outwards(steps).map(|delay| f64::from(delay) * step) {
                 let late = |m: &Moment| ((delay + drift * (m.centre - middle)) / step).round();
-                let pairs = moments.iter().filter_map(|m| Some((m.seen, m.at(late(m) as i32)?)));
+                let pairs =
+                    moments.iter().filter_map(|m| Some((m.measured, m.at(late(m) as i32)?)));
                 let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = pairs.collect();
                 if pairs.len() < BUMPS_MIN {
                     continue;
                 }
-                let trial = Self { delay, drift, middle, ..Self::at(&pairs, turns) };
-                if steady.is_none_or(|best| trial.leaves_less(&best, BETTER_DELAY)) {
-                    steady = Some(trial);
+                let initial = Self { delay, drift, middle, ..Self::at(&pairs, rotatable) };
+                if steady.is_none_or(|best| initial.explains_more_than(&best, BETTER_DELAY)) {
+                    steady = Some(initial);
                 }
             }
             if let Some(steady) = steady
-                && best.is_none_or(|best| steady.leaves_less(&best, BETTER_DRIFT))
+                && best.is_none_or(|best| steady.explains_more_than(&best, BETTER_DRIFT))
             {
                 best = Some(steady);
             }
@@ -91,12 +92,12 @@ impl Trial {
         best
     }
 
-    fn leaves_less(&self, other: &Self, share: f64) -> bool {
+    fn explains_more_than(&self, other: &Self, share: f64) -> bool {
         1.0 - self.explained < share * (1.0 - other.explained) - NEGLIGIBLE
     }
 
     /// The best rotation and scale (Kabsch, Umeyama) of pairs, without their means.
-    fn at(pairs: &[(Vector3<f64>, Vector3<f64>)], turns: [bool; 3]) -> Self {
+    fn at(pairs: &[(Vector3<f64>, Vector3<f64>)], rotatable: [bool; 3]) -> Self {
         let count = pairs.len() as f64;
         let (y_mean, x_mean) =
             pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (y, x)| {
@@ -109,7 +110,7 @@ impl Trial {
             x_power += x.norm_squared();
             y_power += y.norm_squared();
         }
-        let mut trial = Self {
+        let mut initial = Self {
             delay: 0.0,
             drift: 0.0,
             middle: 0.0,
@@ -121,11 +122,15 @@ impl Trial {
         };
         // Damaged numbers may be arbitrarily large.
         if !(cross.norm().is_finite() && x_power.is_finite() && y_power.is_finite()) {
-            return trial;
+            return initial;
         }
-        let found = if turns == [true; 3] { Fitting::any(&cross) } else { Fitting::level(&cross) };
-        let Some(Fitting { proper, power, mirrored, mirrored_power, moving }) = found else {
-            return trial;
+        let found = if rotatable == [true; 3] {
+            RotationFit::any(&cross)
+        } else {
+            RotationFit::level(&cross)
+        };
+        let Some(RotationFit { proper, power, mirrored, mirrored_power, moving }) = found else {
+            return initial;
         };
         let share = |power: f64| match x_power * y_power {
             0.0 => 0.0,
@@ -133,17 +138,17 @@ impl Trial {
         };
         let (rotation, signs, power) =
             if 1.0 - share(mirrored_power) < BETTER_MIRRORED * (1.0 - share(power)) - NEGLIGIBLE {
-                let (rotation, signs) = least_turn(&mirrored, turns);
+                let (rotation, signs) = smallest_rotation(&mirrored, rotatable);
                 (rotation, signs, mirrored_power)
             } else {
                 (proper, Vector3::repeat(1.0), power)
             };
-        trial.rotation = rotation;
-        trial.signs = signs;
-        trial.moving = moving;
-        trial.explained = share(power);
-        trial.scale = if x_power > 0.0 { power / x_power } else { 0.0 };
-        trial
+        initial.rotation = rotation;
+        initial.signs = signs;
+        initial.moving = moving;
+        initial.explained = share(power);
+        initial.scale = if x_power > 0.0 { power / x_power } else { 0.0 };
+        initial
     }
 
     /// Angle of the rotation, rad.
@@ -165,18 +170,18 @@ fn outwards(most: i32) -> impl Iterator<Item = i32> {
 /// The measured derivative at a moment, and the expected one at each delay.
 struct Moment {
     centre: f64,
-    seen: Vector3<f64>,
+    measured: Vector3<f64>,
     expected: Vec<Option<Vector3<f64>>>,
 }
 
 impl Moment {
     fn of(pair: &impl Pair, bump: Bump, step: f64, steps: i32) -> Option<Self> {
-        let seen = pair.seen(bump)?;
+        let measured = pair.measured(bump)?;
         let at = |k: i32| {
             let delay = f64::from(k) * step;
             Some(pair.expected(bump.shifted(-delay), delay, &Correction::NONE)?.value)
         };
-        Some(Self { centre: bump.centre, seen, expected: (-steps..=steps).map(at).collect() })
+        Some(Self { centre: bump.centre, measured, expected: (-steps..=steps).map(at).collect() })
     }
 
     fn at(&self, steps: i32) -> Option<Vector3<f64>> {
@@ -186,7 +191,7 @@ impl Moment {
 }
 
 /// The best rotation, and the best one with opposite handedness, with the power that each explains.
-struct Fitting {
+struct RotationFit {
     proper: Rotation3<f64>,
     power: f64,
     mirrored: Matrix3<f64>,
@@ -194,7 +199,7 @@ struct Fitting {
     moving: usize,
 }
 
-impl Fitting {
+impl RotationFit {
     /// About any axis.
     fn any(cross: &Matrix3<f64>) -> Option<Self> {
         let svd = cross.try_svd(true, true, f64::EPSILON, SWEEPS)?;
@@ -230,7 +235,10 @@ impl Fitting {
 }
 
 /// A transformation of opposite handedness as one reversed axis and the smallest rotation.
-fn least_turn(mirrored: &Matrix3<f64>, turns: [bool; 3]) -> (Rotation3<f64>, Vector3<f64>) {
+fn smallest_rotation(
+    mirrored: &Matrix3<f64>,
+    rotatable: [bool; 3],
+) -> (Rotation3<f64>, Vector3<f64>) {
     let with = |axis: usize| {
         let mut signs = Vector3::repeat(1.0);
         signs[axis] = -1.0;
@@ -238,7 +246,7 @@ fn least_turn(mirrored: &Matrix3<f64>, turns: [bool; 3]) -> (Rotation3<f64>, Vec
         (Rotation3::from_matrix_unchecked(rotation), signs)
     };
     // Where only the heading may be off, down stays.
-    let axes = if turns == [true; 3] { 0..3 } else { 0..2 };
+    let axes = if rotatable == [true; 3] { 0..3 } else { 0..2 };
     let mut all = axes.map(with);
     let first = all.next().unwrap_or_else(|| with(0));
     all.fold(first, |best, next| if next.0.angle() < best.0.angle() { next } else { best })

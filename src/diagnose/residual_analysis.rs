@@ -2,6 +2,6 @@
 //! predicts.
 
 pub mod learner;
-pub mod leftover;
 pub mod map;
 pub mod turbulence;
+pub mod unmodelled_force;

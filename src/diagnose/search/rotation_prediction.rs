@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::diagnose::flights::spectrum::{BANDS, mean_square_share};
 use crate::diagnose::likelihood::channels::RATE;
-use crate::diagnose::likelihood::layout::Place;
+use crate::diagnose::likelihood::layout::Bin;
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::noise::{increments_of_white, report_noise};
 use crate::diagnose::search::Search;
@@ -20,7 +20,7 @@ const UNEXPLAINED_MAX: f64 = 0.95;
 /// How well moments from the motor outputs predict the angular acceleration about one axis, as mean
 /// squares in rad^2/s^4.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
-pub struct Turning {
+pub struct RotationPrediction {
     /// Measured by the gyro.
     pub measured: f64,
     /// Left by the best explanation.
@@ -31,7 +31,7 @@ pub struct Turning {
     pub is_usable: bool,
 }
 
-impl Turning {
+impl RotationPrediction {
     /// Share of the angular acceleration that the best explanation leaves, beyond the gyro's noise.
     pub fn unexplained(&self) -> f64 {
         let beyond = |power: f64| (power - self.noise).max(0.0);
@@ -49,26 +49,28 @@ impl Turning {
 
 /// How well moments predict the angular acceleration about each axis, and the channels of the axes
 /// that are not usable. `file` and `about` are the fit of the vehicle file's numbers to the flights
-/// of `search`, and the derivatives there. With a known on-board loop (`loop_known`) every axis is
-/// usable.
+/// of `search`, and the derivatives there. Every axis is usable where `is_loop_known`: the setpoints
+/// then drive the predictions.
 ///
 /// Moments are computed from motor outputs. Outputs that are logged more slowly than the loop runs
 /// alias. Others have wrong units, or contain torques that are not modelled and the feedback's
 /// response to them. A fit then looks like an inertia or a torque constant that is far off, because
 /// least squares shrink a regressor that is mostly error. An axis is not usable if the best
 /// explanation leaves more of its angular acceleration than it explains, beyond the gyro's noise.
-pub fn turning(
+pub fn rotation_predictions(
     search: &Search<'_>,
-    (file, about): (&Explanation, &Linearised),
-    loop_known: bool,
-) -> ([Turning; 3], Vec<usize>) {
+    file: &Explanation,
+    about: &Linearised,
+    is_loop_known: bool,
+) -> ([RotationPrediction; 3], Vec<usize>) {
     let observed = search.fitted;
     let flights = observed.flights;
-    let usable = Turning { is_usable: true, ..Turning::default() };
+    let usable = RotationPrediction { is_usable: true, ..RotationPrediction::default() };
     let least = search.least_power(about).unwrap_or_else(|| file.fit.power.clone());
     let layouts = flights.iter().zip(&observed.layouts);
-    let measured =
-        layouts.map(|(flight, layout)| observed.evaluator.turning(flight, layout)).collect();
+    let measured = layouts
+        .map(|(flight, layout)| observed.evaluator.angular_acceleration(flight, layout))
+        .collect();
     let measured = observed.power_of(&measured);
     let noise = report_noise(flights, &file.fit.power, observed.counts());
     let rate = flights.iter().map(|flight| flight.body_rate.rate()).sum::<f64>()
@@ -76,18 +78,18 @@ pub fn turning(
     let of_axis = |axis: usize| {
         let mut found = usable;
         for band in (0..BANDS.len()).filter(|band| BANDS[*band] <= MAX_HZ) {
-            let place = Place::index_of(RATE + axis, band);
-            let count = observed.counts()[place];
+            let bin = Bin::index_of(RATE + axis, band);
+            let count = observed.counts()[bin];
             if count < 1.0 {
                 continue;
             }
             let share = mean_square_share(band);
-            found.measured += measured[place] / count * share;
-            found.left += least[place].min(file.fit.power[place]) / count * share;
+            found.measured += measured[bin] / count * share;
+            found.left += least[bin].min(file.fit.power[bin]) / count * share;
             found.noise += increments_of_white(noise.body_rate, rate, band) * share;
         }
         let left = (found.left - found.noise).max(0.0);
-        found.is_usable = loop_known
+        found.is_usable = is_loop_known
             || left <= 0.5 * (found.measured - found.noise).max(0.0)
             || left < found.noise;
         found
@@ -103,12 +105,12 @@ mod tests {
 
     #[test]
     fn regressor_with_half_error_doubles_the_inertia() {
-        let half = Turning { measured: 1.1, left: 0.6, noise: 0.1, is_usable: true };
+        let half = RotationPrediction { measured: 1.1, left: 0.6, noise: 0.1, is_usable: true };
         assert!((half.unexplained() - 0.5).abs() < 1e-12 && (half.inflation() - 1.0).abs() < 1e-12);
-        let exact = Turning { left: 0.1, ..half };
+        let exact = RotationPrediction { left: 0.1, ..half };
         assert_eq!((exact.unexplained(), exact.inflation()), (0.0, 0.0));
         // Without rotation nothing is known.
-        let still = Turning { measured: 0.1, ..half };
+        let still = RotationPrediction { measured: 0.1, ..half };
         assert_eq!(still.unexplained(), UNEXPLAINED_MAX);
     }
 }

@@ -7,14 +7,14 @@ use crate::diagnose::catalogue::number::Target;
 
 /// An explanation that may be true: effects with their numbers.
 #[derive(Clone, Debug)]
-pub struct Live {
+pub struct LiveHypothesis {
     /// The effects, with the values of the true vehicle.
     pub effects: EffectSet,
     /// Its probability.
     pub probability: f64,
 }
 
-impl Live {
+impl LiveHypothesis {
     /// The vehicle as shipped.
     pub fn none(probability: f64) -> Self {
         Self { effects: EffectSet::new(), probability }
@@ -30,14 +30,14 @@ impl Live {
 #[derive(Clone, Debug)]
 pub struct OpenQuestions {
     /// Explanations that these logs do not separate; empty where one is named.
-    pub explanations: Vec<Live>,
+    pub explanations: Vec<LiveHypothesis>,
     /// Effects that these logs cannot show, each at its typical strength.
-    pub untested: Vec<Live>,
+    pub untested: Vec<LiveHypothesis>,
 }
 
 /// An effect with its numbers off the vehicle file's values by `strength` times their typical
 /// magnitude; `None` if the file lacks a number that the effect needs.
-pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option<Live> {
+pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option<LiveHypothesis> {
     let hypothesis = catalogue.hypotheses.iter().find(|h| h.effect == effect)?;
     let mut values = catalogue.references();
     for index in &hypothesis.numbers {
@@ -50,5 +50,5 @@ pub fn typical(catalogue: &Catalogue, effect: EffectId, strength: f64) -> Option
         values[*index] = if falls || up > high { down } else { up }.clamp(low, high);
     }
     let effects = catalogue.effects(&values, Some(&[effect]));
-    (!effects.is_empty()).then_some(Live { effects, probability: 0.5 })
+    (!effects.is_empty()).then_some(LiveHypothesis { effects, probability: 0.5 })
 }

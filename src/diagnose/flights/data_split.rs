@@ -1,6 +1,6 @@
 //! Splits the data into flights for fitting, for choosing among explanations, and held out.
 
-use crate::diagnose::flights::case::Case;
+use crate::diagnose::flights::input::DiagnosisInput;
 use crate::diagnose::flights::preparation::PreparedFlight;
 
 /// Least time for fitting, s: with less, all flights are for fitting and for choosing.
@@ -10,18 +10,18 @@ const GUARD_S: f64 = 1.0;
 
 /// The flights that explanations come from. Held-out flights are not among them.
 #[derive(Debug)]
-pub struct Parts {
+pub struct DataSplit {
     /// For fitting.
     pub fitted: Vec<PreparedFlight>,
     /// For choosing; the flights for fitting where there are too few for both.
     pub choosing: Vec<PreparedFlight>,
 }
 
-impl Parts {
+impl DataSplit {
     /// The last of several flights is for choosing; of a single one, its second half. Where that
     /// leaves too little for fitting, all flights do both.
-    pub fn of(case: &Case<'_>) -> Self {
-        let parted = match case.fitted {
+    pub fn of(input: &DiagnosisInput<'_>) -> Self {
+        let parted = match input.fitted {
             [fitted @ .., last] if !fitted.is_empty() => {
                 Some(Self { fitted: fitted.to_vec(), choosing: vec![last.clone()] })
             }
@@ -34,8 +34,8 @@ impl Parts {
             flights.iter().map(PreparedFlight::seconds).sum()
         };
         parted.filter(|parts| seconds(&parts.fitted) >= FITTED_MIN_S).unwrap_or_else(|| Self {
-            fitted: case.fitted.to_vec(),
-            choosing: case.fitted.to_vec(),
+            fitted: input.fitted.to_vec(),
+            choosing: input.fitted.to_vec(),
         })
     }
 }

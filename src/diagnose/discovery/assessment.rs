@@ -1,4 +1,4 @@
-//! Weighs a law against the other explanations: the gap that it leaves, and its answer.
+//! Compares a law with the other explanations: the gap that it leaves, and its answer.
 
 use vehicle::VehicleError;
 use vehicle::effects::EffectSet;
@@ -7,9 +7,9 @@ use vehicle::law::Quantity;
 use super::{Discovered, Draft};
 use crate::diagnose::catalogue::hypothesis::Catalogue;
 use crate::diagnose::catalogue::term::name_of;
+use crate::diagnose::context::DiagnosisContext;
 use crate::diagnose::discovery::law::{LawAnswer, NearEffect};
 use crate::diagnose::error::DiagnoseError;
-use crate::diagnose::inquiry::Inquiry;
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::search::explanation::Explanation;
@@ -17,44 +17,28 @@ use crate::diagnose::simulate::gap::Errors;
 use crate::diagnose::verdict::Verdict;
 use crate::diagnose::verdict::decide;
 use crate::diagnose::verdict::evidence::{Evidence, Explained, Found, Gaps};
-use crate::diagnose::verdict::posterior::OPEN;
+use crate::diagnose::verdict::posterior::OPEN_GAP;
 
 /// Explanations of the catalogue that are listed beside a law.
 const NEAREST: usize = 3;
 
-impl Inquiry<'_> {
-    /// Weighs a draft against the other explanations, and describes it for the answer.
-    pub(super) fn weigh(
+impl DiagnosisContext<'_> {
+    /// Compares a draft with the other explanations, and describes it for the answer.
+    pub(super) fn assess(
         &self,
         evidence: &Evidence,
         floors: &[Option<Errors>; 2],
-        (draft, explanation): (Draft, Explanation),
+        draft: Draft,
+        explanation: &Explanation,
     ) -> Result<Discovered, DiagnoseError> {
-        let catalogue = draft.catalogue(self);
-        let name = name_of(&self.case.vehicle.modelled_effects);
-        let mut explained = Explained {
-            effects: self.names(&draft),
-            blocks: explanation.blocks.clone(),
-            ..Explained::default()
-        };
-        explained.effects.push(name.clone());
-        let first = self.catalogue.numbers.len();
-        explained.numbers = (first..catalogue.numbers.len())
-            .map(|index| Found {
-                effect: name.clone(),
-                name: catalogue.numbers[index].target.name(),
-                value: draft.fit.values[index],
-                deviation: draft.fit.deviation[index],
-                magnitude: catalogue.numbers[index].magnitude,
-                ..Found::default()
-            })
-            .collect();
+        let name = name_of(&self.input.vehicle.modelled_effects);
         let reported = |draft: &Draft| self.law_gaps(floors[1].as_ref(), &self.reported, draft);
+        let mut explained = self.explained_by(&draft, explanation, &name);
         explained.choosing = self.law_gaps(floors[0].as_ref(), &self.choosing, &draft)?;
         explained.reported = reported(&draft)?;
         // Where a flight shows no gap and the law adds none, its predictions cannot rank the two:
         // noise alone would decide. Its equations can.
-        let is_small = |gap: Option<f64>| gap.is_none_or(|gap| gap < OPEN);
+        let is_small = |gap: Option<f64>| gap.is_none_or(|gap| gap < OPEN_GAP);
         if is_small(evidence.shipped[0]) && is_small(explained.choosing.map(|gaps| gaps.effects)) {
             explained.choosing = None;
         }
@@ -69,24 +53,10 @@ impl Inquiry<'_> {
         let refit = self.fitted_terms(&self.all, &draft.fit, &draft.beside, &draft.terms);
         let refit = Draft { fit: refit.unwrap_or_else(|| draft.fit.clone()), ..draft };
         let after = reported(&refit)?;
-        let (law, effects) = self.written(&refit, &name)?;
+        let (law, effects) = self.law_with_effects(&refit, &name)?;
         let shipped = evidence.shipped[1];
         let gap = shipped.zip(after).map(|(before, after)| [before, after.effects, after.both]);
-        let because = match (is_chosen, decision.explanation) {
-            (true, _) => None,
-            (false, 0) => Some(
-                "it predicts the held-out flights no better than the vehicle file's \
-                 numbers do within their tolerances"
-                    .to_owned(),
-            ),
-            (false, other) if other == index => {
-                Some("the gap that it leaves makes another cause more likely".to_owned())
-            }
-            (false, other) => {
-                let effects = with.explanations[other].effects.join(" and ");
-                Some(format!("{effects} from the catalogue does as well"))
-            }
-        };
+        let because = (!is_chosen).then(|| not_named(&with, decision.explanation));
         let mut order: Vec<usize> = (1..index).collect();
         order.sort_by(|a, b| scores[*b].total_cmp(&scores[*a]));
         let nearest = order.into_iter().take(NEAREST).map(|rank| NearEffect {
@@ -116,6 +86,29 @@ impl Inquiry<'_> {
         Ok(Discovered { answer, effects })
     }
 
+    /// A draft in plain numbers, before its predictions, with the law's coefficients as the numbers
+    /// of an effect `name`.
+    fn explained_by(&self, draft: &Draft, explanation: &Explanation, name: &str) -> Explained {
+        let catalogue = draft.catalogue(self);
+        let coefficient = |index: usize| Found {
+            effect: name.to_owned(),
+            name: catalogue.numbers[index].target.name(),
+            value: draft.fit.values[index],
+            deviation: draft.fit.deviation[index],
+            magnitude: catalogue.numbers[index].magnitude,
+            ..Found::default()
+        };
+        let first = self.catalogue.numbers.len();
+        let mut effects = self.names(draft);
+        effects.push(name.to_owned());
+        Explained {
+            effects,
+            numbers: (first..catalogue.numbers.len()).map(coefficient).collect(),
+            blocks: explanation.blocks.clone(),
+            ..Explained::default()
+        }
+    }
+
     /// Ids of the effects beside a law.
     pub(super) fn names(&self, draft: &Draft) -> Vec<String> {
         let effects = draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect);
@@ -126,15 +119,15 @@ impl Inquiry<'_> {
     pub(super) fn law_gaps(
         &self,
         floor: Option<&Errors>,
-        look: &Observed<'_>,
+        data: &Observed<'_>,
         draft: &Draft,
     ) -> Result<Option<Gaps>, VehicleError> {
         let catalogue = draft.catalogue(self);
-        let flights = look.flights;
+        let flights = data.flights;
         let Some(floor) = floor else { return Ok(None) };
         let alone = self.simulator(&self.set_of(&catalogue, draft, &draft.fit.values))?;
         let Some(effects) = alone.errors(flights) else { return Ok(None) };
-        let values = self.adapted_to(&catalogue, draft, look);
+        let values = self.adapted_to(&catalogue, draft, data);
         let (vehicle, all) = catalogue.vehicle_of(&values);
         let own: Vec<_> =
             draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect).collect();
@@ -144,15 +137,15 @@ impl Inquiry<'_> {
             let _ = file.insert(id, *slots);
         }
         let errors = |effects: &EffectSet| -> Result<Option<Errors>, VehicleError> {
-            Ok(self.simulator(effects)?.flying(&vehicle, effects)?.errors(flights))
+            Ok(self.simulator(effects)?.with_vehicle(&vehicle, effects)?.errors(flights))
         };
         let both = errors(&all)?.zip(errors(&file)?);
         Ok(both.map(|(both, file)| Gaps::over([effects, file, both], floor, self.metric)))
     }
 
-    /// The values of a draft, with the file's numbers adapted to the flights of `look`.
-    fn adapted_to(&self, catalogue: &Catalogue, draft: &Draft, look: &Observed<'_>) -> Vec<f64> {
-        let observed = look.by(catalogue);
+    /// The values of a draft, with the file's numbers adapted to the flights of `data`.
+    fn adapted_to(&self, catalogue: &Catalogue, draft: &Draft, data: &Observed<'_>) -> Vec<f64> {
+        let observed = data.with_catalogue(catalogue);
         let values = &draft.fit.values;
         let pinned = catalogue.with_pinned(&draft.active(self), values);
         let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
@@ -170,5 +163,24 @@ impl Inquiry<'_> {
             let _ = set.insert_law(law.clone());
         }
         set
+    }
+}
+
+/// Why a law, the last explanation of the evidence, is not named where the verdict rests on
+/// explanation `chosen`.
+fn not_named(evidence: &Evidence, chosen: usize) -> String {
+    match chosen {
+        0 => {
+            "it predicts the held-out flights no better than the vehicle file's numbers do within \
+              their tolerances"
+                .to_owned()
+        }
+        law if law + 1 == evidence.explanations.len() => {
+            "the gap that it leaves makes another cause more likely".to_owned()
+        }
+        other => {
+            let effects = evidence.explanations[other].effects.join(" and ");
+            format!("{effects} from the catalogue does as well")
+        }
     }
 }

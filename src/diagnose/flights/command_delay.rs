@@ -19,9 +19,9 @@ const AGREEMENT: f64 = 2e-6;
 /// All other setpoints must differ by this multiple of it.
 const DISTINCT: f64 = 20.0;
 /// Age limit of setpoints that may be in force at a tick, s.
-const ANSWERED_WITHIN_S: f64 = 0.2;
+const RESPONSE_TIME_MAX_S: f64 = 0.2;
 /// Fewest outputs with a known setpoint for an estimate of the delay.
-const ANSWERS_MIN: usize = 200;
+const RESPONSES_MIN: usize = 200;
 /// Step of the delays that are tried, s, and the jitters that are tried with each, s.
 const STEP_S: f64 = 2.5e-4;
 const JITTERS_S: [f64; 6] = [1e-4, 3e-4, 6e-4, 1e-3, 2e-3, 4e-3];
@@ -31,21 +31,21 @@ const JITTERS_S: [f64; 6] = [1e-4, 3e-4, 6e-4, 1e-3, 2e-3, 4e-3];
 const SHIFT_S: f64 = 1e-3;
 const SHIFTS_S: [f64; 6] = [-1.5e-3, -1e-3, -5e-4, 5e-4, 1e-3, 1.5e-3];
 /// Shifts are tried for links down to this far below the likeliest one, nats.
-const SHIFTED_FROM: f64 = 60.0;
+const SHIFT_SEARCH_NATS: f64 = 60.0;
 /// Probability of an arrival that contradicts the jitter model.
-const STRAY: f64 = 1e-3;
+const OUTLIER_PROBABILITY: f64 = 1e-3;
 /// Accuracy to which the downlink's least delay ties the two clocks, s.
 const CLOCK_TIE_S: f64 = 7e-4;
 /// Probability below which older setpoints are ignored.
 const NEGLIGIBLE: f64 = 1e-6;
 /// Densities that are multiplied before taking the logarithm, without underflow.
-const MULTIPLIED: usize = 64;
+const FACTORS_PER_LOG: usize = 64;
 /// Consecutive outputs respond to the same setpoint: this many count as one.
 const CORRELATED: f64 = 4.0;
 
 /// Delay from sending a setpoint to its use, on average.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Delay {
+pub struct MeasuredDelay {
     /// Mean, s.
     pub mean: f64,
     /// Standard deviation of the mean, s.
@@ -55,7 +55,7 @@ pub struct Delay {
 }
 
 /// A setpoint that may be in force at a tick.
-struct Candidate<'a> {
+struct PossibleSetpoint<'a> {
     /// Time since it was sent, s.
     age: f64,
     /// Possible lateness where the log lacks it: equally likely values, s.
@@ -66,33 +66,33 @@ struct Candidate<'a> {
 
 /// The newest setpoints at the tick of an output, the newest first. The one in force has arrived;
 /// those before it here have not.
-struct Answer<'a>(Vec<Candidate<'a>>);
+struct Response<'a>(Vec<PossibleSetpoint<'a>>);
 
-impl Delay {
+impl MeasuredDelay {
     /// The delay in flights under `law`; `None` where too few outputs show their setpoint.
     pub fn of(flights: &[PreparedFlight], law: &OnboardLaw) -> Option<Self> {
-        let answers: Vec<Answer<'_>> = flights.iter().flat_map(|f| answers(f, law)).collect();
-        Self::between(&answers)
+        let responses: Vec<Response<'_>> = flights.iter().flat_map(|f| responses(f, law)).collect();
+        Self::between(&responses)
     }
 
     /// The posterior mean over constant delays with a flat prior and exponential jitter.
-    fn between(answers: &[Answer<'_>]) -> Option<Self> {
-        if answers.len() < ANSWERS_MIN {
+    fn between(responses: &[Response<'_>]) -> Option<Self> {
+        if responses.len() < RESPONSES_MIN {
             return None;
         }
         let weighed = |links: Vec<Link>| -> Vec<(Link, f64)> {
-            links.into_par_iter().map(|link| (link, link.log_posterior(answers))).collect()
+            links.into_par_iter().map(|link| (link, link.log_posterior(responses))).collect()
         };
-        let steps = (ANSWERED_WITHIN_S / STEP_S) as usize;
+        let steps = (RESPONSE_TIME_MAX_S / STEP_S) as usize;
         let constants = (0..steps).map(|step| step as f64 * STEP_S);
         let link = |constant| JITTERS_S.map(|jitter| Link { constant, jitter, shift: 0.0 });
         let mut options = weighed(constants.flat_map(link).collect());
         let most = |options: &[(Link, f64)]| {
             options.iter().map(|(_, density)| *density).fold(f64::NEG_INFINITY, f64::max)
         };
-        let is_inferred = |candidate: &Candidate<'_>| !candidate.lateness.is_empty();
-        if answers.iter().any(|answer| answer.0.iter().any(is_inferred)) {
-            let least = most(&options) - SHIFTED_FROM;
+        let is_inferred = |candidate: &PossibleSetpoint<'_>| !candidate.lateness.is_empty();
+        if responses.iter().any(|response| response.0.iter().any(is_inferred)) {
+            let least = most(&options) - SHIFT_SEARCH_NATS;
             let likely = options.iter().filter(|(_, density)| *density > least);
             let shifted = likely
                 .flat_map(|(link, _)| SHIFTS_S.map(|shift| Link { shift, ..*link }))
@@ -125,21 +125,21 @@ struct Link {
 }
 
 impl Link {
-    /// Log density of all answers, of the jitter (within a factor of two of the usual one) and of
+    /// Log density of all responses, of the jitter (within a factor of two of the usual one) and of
     /// the shift, without constants.
-    fn log_posterior(&self, answers: &[Answer<'_>]) -> f64 {
-        let of_some = |answers: &[Answer<'_>]| {
-            answers.iter().map(|answer| self.density(answer)).product::<f64>().ln()
+    fn log_posterior(&self, responses: &[Response<'_>]) -> f64 {
+        let of_some = |responses: &[Response<'_>]| {
+            responses.iter().map(|response| self.density(response)).product::<f64>().ln()
         };
-        let log_density: f64 = answers.chunks(MULTIPLIED).map(of_some).sum();
+        let log_density: f64 = responses.chunks(FACTORS_PER_LOG).map(of_some).sum();
         let octaves = (self.jitter / JITTER_MEAN_S).log2();
         log_density / CORRELATED - 0.5 * (octaves.powi(2) + (self.shift / SHIFT_S).powi(2))
     }
 
-    /// Density of an answer; at least [`STRAY`].
-    fn density(&self, answer: &Answer<'_>) -> f64 {
-        let (mut density, mut none_newer) = (STRAY, 1.0);
-        for candidate in &answer.0 {
+    /// Density of a response; at least [`OUTLIER_PROBABILITY`].
+    fn density(&self, response: &Response<'_>) -> f64 {
+        let (mut density, mut none_newer) = (OUTLIER_PROBABILITY, 1.0);
+        for candidate in &response.0 {
             let under_way = self.under_way(candidate);
             if candidate.may_rule {
                 density += none_newer * (1.0 - under_way);
@@ -153,7 +153,7 @@ impl Link {
     }
 
     /// Probability that a setpoint is still under way.
-    fn under_way(&self, Candidate { age, lateness, .. }: &Candidate<'_>) -> f64 {
+    fn under_way(&self, PossibleSetpoint { age, lateness, .. }: &PossibleSetpoint<'_>) -> f64 {
         let at = |age: f64| {
             let waited = age - self.constant;
             if waited > 0.0 { (-waited / self.jitter).exp() } else { 1.0 }
@@ -167,7 +167,7 @@ impl Link {
 }
 
 /// The setpoints that each output of a flight may respond to.
-fn answers<'a>(flight: &'a PreparedFlight, law: &OnboardLaw) -> Vec<Answer<'a>> {
+fn responses<'a>(flight: &'a PreparedFlight, law: &OnboardLaw) -> Vec<Response<'a>> {
     let (sent, setpoints) = (flight.setpoint.times(), flight.setpoint.values());
     let collective_max = law.allocation().collective_max();
     let inferred = &flight.inferred;
@@ -180,7 +180,7 @@ fn answers<'a>(flight: &'a PreparedFlight, law: &OnboardLaw) -> Vec<Answer<'a>> 
             let tick = law.tick_of_report(*time);
             let collective = law.allocation().wrench(*u)[0] / collective_max;
             let newest = sent.partition_point(|sent| *sent <= tick).checked_sub(1)?;
-            let oldest = sent.partition_point(|sent| *sent < tick - ANSWERED_WITHIN_S);
+            let oldest = sent.partition_point(|sent| *sent < tick - RESPONSE_TIME_MAX_S);
             let mut off: Vec<(f64, usize)> = (oldest..=newest)
                 .filter(|index| !inferred.has(*index))
                 .filter_map(|i| Some(((setpoints[i].thrust? - collective).abs(), i)))
@@ -195,13 +195,13 @@ fn answers<'a>(flight: &'a PreparedFlight, law: &OnboardLaw) -> Vec<Answer<'a>> 
             {
                 return None;
             }
-            let candidate = |i: usize| Candidate {
+            let candidate = |i: usize| PossibleSetpoint {
                 age: tick - sent[i],
                 lateness: if inferred.has(i) { inferred.lateness() } else { &[] },
                 may_rule: if is_of_log { i == index } else { inferred.has(i) },
             };
             let oldest = if is_of_log { index } else { oldest };
-            Some(Answer((oldest..=newest).rev().map(candidate).collect()))
+            Some(Response((oldest..=newest).rev().map(candidate).collect()))
         })
         .collect()
 }
@@ -212,7 +212,7 @@ mod tests {
 
     /// Answers at ticks of 4 ms to setpoints every 10 ms. Their delay is `constant` plus an
     /// exponential jitter of 1 ms, with quantiles instead of draws.
-    fn flown(constant: f64) -> Vec<Answer<'static>> {
+    fn flown(constant: f64) -> Vec<Response<'static>> {
         let late = |k: usize| -1e-3 * (1.0 - (k * 37 % 101) as f64 / 101.0).ln();
         let arrives: Vec<f64> =
             (0..4000).map(|k| k as f64 * 0.01 + 0.0013 + constant + late(k)).collect();
@@ -224,27 +224,27 @@ mod tests {
                 while arrives[index] > tick {
                     index -= 1;
                 }
-                let candidate = |i: usize| Candidate {
+                let candidate = |i: usize| PossibleSetpoint {
                     age: tick - (i as f64 * 0.01 + 0.0013),
                     lateness: &[],
                     may_rule: i == index,
                 };
-                Answer((index..=newest).rev().map(candidate).collect())
+                Response((index..=newest).rev().map(candidate).collect())
             })
             .collect()
     }
 
     #[test]
-    fn delay_is_estimated_from_jittered_answers() {
+    fn delay_is_estimated_from_jittered_responses() {
         for constant in [0.003, 0.0121, 0.0305] {
-            let delay = Delay::between(&flown(constant)).unwrap();
+            let delay = MeasuredDelay::between(&flown(constant)).unwrap();
             assert!((delay.mean - constant - 0.001).abs() < 5e-4, "{constant}: {delay:?}");
             assert!(delay.deviation < 2e-3, "{delay:?}");
         }
     }
 
     #[test]
-    fn few_answers_give_no_delay() {
-        assert_eq!(Delay::between(&flown(0.003)[..100]), None);
+    fn few_responses_give_no_delay() {
+        assert_eq!(MeasuredDelay::between(&flown(0.003)[..100]), None);
     }
 }

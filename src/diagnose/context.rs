@@ -4,8 +4,8 @@ use vehicle::VehicleError;
 use vehicle::effects::{EffectId, EffectSet};
 
 use crate::diagnose::catalogue::hypothesis::Catalogue;
-use crate::diagnose::flights::arrival::Delay;
-use crate::diagnose::flights::case::{Case, Settings};
+use crate::diagnose::flights::command_delay::MeasuredDelay;
+use crate::diagnose::flights::input::{DiagnosisInput, Settings};
 use crate::diagnose::flights::onboard::OnboardLaw;
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::likelihood::observed::Observed;
@@ -14,43 +14,43 @@ use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::simulate::metric::Metric;
 use crate::diagnose::simulate::open_loop::Simulator;
 
-/// Everything that follows from a case's flights and vehicle file before any fit.
-pub(super) struct Premises {
+/// What the input's flights and vehicle file determine before any fit.
+pub(super) struct Preliminaries {
     pub evaluator: Evaluator,
-    /// Whether the leg from setpoints to outputs is compared.
-    pub leg: bool,
+    /// Whether the on-board loop is known: all logs hold setpoints, and the vehicle file its law.
+    pub is_loop_known: bool,
     /// The setpoints' delay, measured from the outputs.
-    pub arrival: Option<Delay>,
+    pub measured_delay: Option<MeasuredDelay>,
     /// Half a period of the outputs' reports, s.
-    held: f64,
+    half_period_s: f64,
 }
 
-impl Premises {
-    /// The premises of a case.
-    pub fn of(case: &Case<'_>) -> Self {
-        let evaluator = Evaluator::new(case.vehicle).observing(case.fitted).until(case.stop);
-        let is_led = |flight: &PreparedFlight| flight.channels.setpoint;
-        let leg = case.fitted.iter().chain(case.held_out).all(is_led);
-        let onboard = evaluator.onboard().filter(|_| leg);
-        let arrival = onboard.and_then(|law| Delay::of(case.fitted, law));
+impl Preliminaries {
+    /// Evaluates the preliminaries of a diagnosis.
+    pub fn of(input: &DiagnosisInput<'_>) -> Self {
+        let evaluator = Evaluator::new(input.vehicle).observing(input.fitted).until(input.stop);
+        let has_setpoints = |flight: &PreparedFlight| flight.channels.setpoint;
+        let is_loop_known = input.fitted.iter().chain(input.held_out).all(has_setpoints);
+        let onboard = evaluator.onboard().filter(|_| is_loop_known);
+        let measured_delay = onboard.and_then(|law| MeasuredDelay::of(input.fitted, law));
         // The stamp of an output is accurate to half a period of the reports.
-        let rates = case.fitted.iter().map(|flight| flight.outputs.rate());
-        let held = 0.5 / rates.fold(f64::INFINITY, f64::min);
-        Self { evaluator, leg, arrival, held }
+        let rates = input.fitted.iter().map(|flight| flight.outputs.rate());
+        let half_period_s = 0.5 / rates.fold(f64::INFINITY, f64::min);
+        Self { evaluator, is_loop_known, measured_delay, half_period_s }
     }
 
     /// The law from setpoints to outputs, where all logs hold both.
     pub fn onboard(&self) -> Option<&OnboardLaw> {
-        self.evaluator.onboard().filter(|_| self.leg)
+        self.evaluator.onboard().filter(|_| self.is_loop_known)
     }
 
     /// The catalogue, with the tolerances that the vehicle file does not state multiplied by
     /// `scale`.
-    pub fn catalogue(&self, case: &Case<'_>, scale: f64) -> Catalogue {
-        let catalogue = Catalogue::at_scale(case.vehicle, self.leg, scale)
-            .without(case.without)
-            .with_outputs_held(self.held);
-        match &self.arrival {
+    pub fn catalogue(&self, input: &DiagnosisInput<'_>, scale: f64) -> Catalogue {
+        let catalogue = Catalogue::at_scale(input.vehicle, self.is_loop_known, scale)
+            .without(input.without)
+            .with_outputs_held(self.half_period_s);
+        match &self.measured_delay {
             Some(delay) => catalogue.with_delay(delay),
             None => catalogue,
         }
@@ -58,15 +58,15 @@ impl Premises {
 }
 
 /// The context of a diagnosis.
-pub(super) struct Inquiry<'a> {
-    pub case: &'a Case<'a>,
+pub(super) struct DiagnosisContext<'a> {
+    pub input: &'a DiagnosisInput<'a>,
     pub settings: &'a Settings,
     pub evaluator: &'a Evaluator,
     pub catalogue: &'a Catalogue,
     /// The law from setpoints to outputs, where all logs hold both.
     pub onboard: Option<&'a OnboardLaw>,
     /// The setpoints' delay, measured from the outputs.
-    pub arrival: Option<Delay>,
+    pub measured_delay: Option<MeasuredDelay>,
     /// Flights for fitting, for choosing, both together, and held out.
     pub fitted: Observed<'a>,
     pub choosing: Observed<'a>,
@@ -78,15 +78,15 @@ pub(super) struct Inquiry<'a> {
     pub axes: [bool; 3],
 }
 
-impl Inquiry<'_> {
-    /// Whether the leg from setpoints to outputs is compared.
-    pub fn leg(&self) -> bool {
+impl DiagnosisContext<'_> {
+    /// Whether the on-board loop is known: all logs hold setpoints, and the vehicle file its law.
+    pub fn is_loop_known(&self) -> bool {
         self.onboard.is_some()
     }
 
     /// A simulator of the vehicle file with `effects` over it.
     pub fn simulator(&self, effects: &EffectSet) -> Result<Simulator, VehicleError> {
-        let simulator = Simulator::new(self.case.vehicle, effects, self.leg())?;
+        let simulator = Simulator::new(self.input.vehicle, effects, self.is_loop_known())?;
         Ok(simulator.compared_by(self.metric, self.axes))
     }
 
@@ -110,7 +110,7 @@ impl Inquiry<'_> {
             }
         }
         let simulator = self.simulator(&effects)?;
-        if file { simulator.flying(&vehicle, &effects) } else { Ok(simulator) }
+        if file { simulator.with_vehicle(&vehicle, &effects) } else { Ok(simulator) }
     }
 
     /// The effects of an explanation, one for each of its hypotheses.

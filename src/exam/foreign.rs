@@ -11,7 +11,7 @@ use super::draw::{Draw, rounded};
 
 /// A truth outside the catalogue; size 1 is the largest that a vehicle may sensibly meet.
 #[derive(Clone, Debug)]
-pub struct Stranger {
+pub struct ForeignDirection {
     full: Foreign,
     /// The part that the catalogue can describe, at size 1.
     beside: Option<Payload>,
@@ -50,7 +50,7 @@ const PAYLOAD: f64 = 0.2;
 const PAYLOAD_BELOW: f64 = 0.3;
 const PAYLOAD_INERTIA: f64 = 0.07;
 
-impl Stranger {
+impl ForeignDirection {
     /// Draws a disturbance from outside.
     pub fn disturbance(draw: &mut Draw, vehicle: &VehicleParams) -> Self {
         let weight = vehicle.mass * vehicle.gravity;

@@ -1,4 +1,4 @@
-//! A case: the flights, their vehicle, and the settings of the diagnosis.
+//! The input and the settings of a diagnosis.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -10,7 +10,7 @@ use crate::diagnose::flights::preparation::PreparedFlight;
 
 /// The input of a diagnosis.
 #[derive(Debug)]
-pub struct Case<'a> {
+pub struct DiagnosisInput<'a> {
     /// The vehicle as shipped.
     pub vehicle: &'a VehicleParams,
     /// Flights for fitting and for choosing.

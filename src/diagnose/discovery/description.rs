@@ -10,18 +10,18 @@ use vehicle::rigid_body::State;
 
 use super::Draft;
 use crate::diagnose::catalogue::term::law_of;
+use crate::diagnose::context::DiagnosisContext;
 use crate::diagnose::discovery::law::{Shape, TermAnswer};
 use crate::diagnose::error::DiagnoseError;
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::flights::series::attitude;
-use crate::diagnose::inquiry::Inquiry;
 use crate::diagnose::likelihood::fit::interval;
 use crate::diagnose::verdict::calibration::Calibration;
 
-/// Sampling period of [`support`](Inquiry::support), s.
-const LOOK_S: f64 = 0.1;
+/// Sampling period of [`observed_ranges`](DiagnosisContext::observed_ranges), s.
+const SAMPLING_S: f64 = 0.1;
 
-impl Inquiry<'_> {
+impl DiagnosisContext<'_> {
     /// The terms for the answer, with their names in the law's file.
     pub(super) fn terms_of(&self, draft: &Draft) -> Vec<TermAnswer> {
         let first = self.catalogue.numbers.len();
@@ -38,7 +38,7 @@ impl Inquiry<'_> {
                     interval: interval(value, draft.deviations[index]),
                 });
                 TermAnswer {
-                    term: term.in_words(),
+                    term: term.text(),
                     name: format!("c{}", index + 1),
                     value,
                     interval: interval(value, deviation),
@@ -53,7 +53,7 @@ impl Inquiry<'_> {
     }
 
     /// The law with its range of validity, and the effects beside it.
-    pub(super) fn written(
+    pub(super) fn law_with_effects(
         &self,
         draft: &Draft,
         name: &str,
@@ -65,7 +65,7 @@ impl Inquiry<'_> {
         text.about = Some("written by downwash diagnose --discover".to_owned());
         text.intervals_90 =
             self.terms_of(draft).into_iter().map(|term| (term.name, term.interval)).collect();
-        text.range = self.support(draft)?;
+        text.range = self.observed_ranges(draft)?;
         let law = Law::new(name, text)?;
         let which: Vec<_> =
             draft.beside.iter().map(|h| self.catalogue.hypotheses[*h].effect).collect();
@@ -76,16 +76,16 @@ impl Inquiry<'_> {
     }
 
     /// The range in the fitted flights of each quantity that a law reads.
-    fn support(&self, draft: &Draft) -> Result<BTreeMap<String, [f64; 2]>, DiagnoseError> {
+    fn observed_ranges(&self, draft: &Draft) -> Result<BTreeMap<String, [f64; 2]>, DiagnoseError> {
         let all = draft.terms.iter().flat_map(|(term, _)| term.quantities());
         let needed = all.fold(Needed::default(), Needed::with);
-        let physics = Physics::new(self.case.vehicle, &EffectSet::new())?;
+        let physics = Physics::new(self.input.vehicle, &EffectSet::new())?;
         let mut range: BTreeMap<String, [f64; 2]> = BTreeMap::new();
-        for flight in self.case.fitted {
+        for flight in self.input.fitted {
             for span in &flight.spans {
-                let count = ((span.end - span.start) / LOOK_S) as usize;
-                for look in 0..count {
-                    let time = span.start + look as f64 * LOOK_S;
+                let count = ((span.end - span.start) / SAMPLING_S) as usize;
+                for sample in 0..count {
+                    let time = span.start + sample as f64 * SAMPLING_S;
                     let values = quantities(flight, &physics, needed, time);
                     // A heading wraps around.
                     for quantity in needed.iter().filter(|q| *q != Quantity::Heading) {
