@@ -13,7 +13,7 @@ use crate::log::sink::Listener;
 use crate::onset::cells::Sample;
 use crate::onset::change::Change;
 use crate::onset::detector::{Detector, Event, Settings};
-use crate::onset::words;
+use crate::onset::text;
 
 /// Flight states in which only the air acts on the vehicle.
 const FLYING: [&str; 3] = ["approach", "track", "hold"];
@@ -105,7 +105,7 @@ impl Monitor {
         detector.push(time_s, sample, |event| match event {
             Event::Look(look) => view.lock().evidence = Some(look.evidence),
             Event::Change(change) => {
-                let text = format!("the vehicle changed at {}", words::line(&change));
+                let text = format!("the vehicle changed at {}", text::line(&change));
                 remarks.push_back(Record::Event {
                     host: *now,
                     severity: Severity::Warning,

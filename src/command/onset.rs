@@ -18,7 +18,7 @@ use crate::diagnose::onset::{OnsetReport, changes};
 use crate::onset::change::Change;
 use crate::onset::detector::Settings;
 use crate::onset::history::{Step, of_flight, steps};
-use crate::onset::words::{line, step_line};
+use crate::onset::text::{line, step_line};
 use crate::report::onset::SeenFlight;
 
 /// The JSON of `onset`.

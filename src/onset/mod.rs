@@ -17,4 +17,4 @@ mod equations;
 pub mod history;
 pub mod likelihood;
 pub mod noise;
-pub mod words;
+pub mod text;

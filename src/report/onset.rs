@@ -6,7 +6,7 @@ use super::table::Table;
 use crate::diagnose::onset::OnsetReport;
 use crate::onset::change::Change;
 use crate::onset::history::Step;
-use crate::onset::words::{line, step_line, what};
+use crate::onset::text::{line, step_line, what};
 
 /// Looks further apart than this have a gap between them, s.
 const PAUSE_S: f64 = 1.5;

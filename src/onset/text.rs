@@ -1,4 +1,4 @@
-//! A change in words.
+//! A change as text.
 
 use super::change::{Change, Estimate, Value};
 use super::columns::Cause;
