@@ -139,7 +139,7 @@ fn gap_change(gaps: [f64; 2], closure: Option<f64>) -> String {
         );
     }
     format!(
-        " On the held-out flights the gap gap_change from {before} to {after} times the noise floor: \
+        " On the held-out flights the gap shrinks from {before} to {after} times the noise floor: \
          {:.0} % of what can be closed.",
         100.0 * closure
     )
@@ -440,7 +440,7 @@ mod tests {
 
     #[test]
     fn growing_gap_is_not_reported_as_shrinking() {
-        assert!(gap_change([1.29, 1.23], Some(0.3)).contains("gap_change from 1.29 to 1.23"));
+        assert!(gap_change([1.29, 1.23], Some(0.3)).contains("shrinks from 1.29 to 1.23"));
         for gaps in [[1.23, 1.29], [1.231, 1.229]] {
             let text = gap_change(gaps, Some(0.3));
             assert!(text.contains("does not close the gap"), "{text}");
