@@ -148,7 +148,7 @@ impl<'a> Posterior<'a> {
 
     /// Among the parts of an explanation with as many effects as `best`, the one that best predicts
     /// the flights for choosing; `best` itself unless that one leaves a smaller gap by more than
-    /// [`CHANGES`].
+    /// [`PREDICTION_SHARE_MIN`].
     fn best_part(&self, whole: usize, best: usize) -> usize {
         let own: BTreeSet<&str> = self.explained(whole).effects.iter().map(|e| class(e)).collect();
         let count = self.explained(best).effects.len();
@@ -164,8 +164,9 @@ impl<'a> Posterior<'a> {
         let parts = (0..self.masses.len()).filter(is_part);
         let left = parts.filter_map(|index| Some((index, self.chosen(index)?)));
         let least = left.min_by(|a, b| a.1.total_cmp(&b.1));
-        let is_better =
-            |left: f64| self.chosen(best).is_none_or(|own| left < (1.0 - CHANGES) * own);
+        let is_better = |left: f64| {
+            self.chosen(best).is_none_or(|own| left < (1.0 - PREDICTION_SHARE_MIN) * own)
+        };
         least.filter(|(_, left)| is_better(*left)).map_or(best, |(index, _)| index)
     }
 
