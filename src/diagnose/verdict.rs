@@ -349,8 +349,14 @@ mod tests {
         // Acts like a part, but was not predicted on the held-out flights.
         let mut mass = explained(&["mass"], 330.0, [2.0, 2.0]);
         mass.reported = None;
-        let sets = vec![file, both, level, sag, mass];
+        let sets = vec![file.clone(), both, level, sag, mass];
         assert_eq!(named(&decide(&evidence(40.0, sets))), ["battery_sag"]);
+        // A difference that means nothing does not outweigh the evidence.
+        let both = explained(&["ground_effect", "parasitic_drag"], 400.0, [4.0, 4.0]);
+        let ground = explained(&["ground_effect"], 390.0, [4.1, 4.1]);
+        let drag = explained(&["parasitic_drag"], 20.0, [4.0, 4.0]);
+        let sets = vec![file, both, ground, drag];
+        assert_eq!(named(&decide(&evidence(40.0, sets))), ["ground_effect"]);
     }
 
     #[test]

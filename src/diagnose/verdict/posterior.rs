@@ -164,9 +164,9 @@ impl<'a> Posterior<'a> {
         let parts = (0..self.masses.len()).filter(is_part);
         let left = parts.filter_map(|index| Some((index, self.chosen(index)?)));
         let least = left.min_by(|a, b| a.1.total_cmp(&b.1));
-        let is_better = |left: f64| {
-            self.chosen(best).is_none_or(|own| left < (1.0 - PREDICTION_SHARE_MIN) * own)
-        };
+        let own_left = self.chosen(best).filter(|_| is_part(&best));
+        let is_better =
+            |left: f64| own_left.is_none_or(|own| left < (1.0 - PREDICTION_SHARE_MIN) * own);
         least.filter(|(_, left)| is_better(*left)).map_or(best, |(index, _)| index)
     }
 
