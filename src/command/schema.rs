@@ -154,7 +154,8 @@ pub(super) fn run(args: &SchemaArgs) -> anyhow::Result<Exit> {
         let all = OUTPUTS.iter().map(|output| (output.name.to_owned(), output.schema()));
         print_json(&all.collect::<serde_json::Map<String, Value>>())?;
     } else {
-        let line = |output: &Output| format!("{:24}{}\n", output.name, output.command);
+        let width = OUTPUTS.iter().map(|output| output.name.len()).max().unwrap_or(0);
+        let line = |output: &Output| format!("{:<width$}  {}\n", output.name, output.command);
         print_text(&OUTPUTS.iter().map(line).collect::<String>())?;
     }
     Ok(Exit::Ok)

@@ -75,7 +75,7 @@ impl VehicleFile {
     pub fn built_in() -> anyhow::Result<Self> {
         let text = include_str!("../../config/vehicles/crazyflie.toml").to_owned();
         let params = VehicleParams::from_toml_str(&text)?;
-        Ok(Self { name: "crazyflie.toml (built in)".to_owned(), text, params })
+        Ok(Self { name: "crazyflie (built in)".to_owned(), text, params })
     }
 }
 

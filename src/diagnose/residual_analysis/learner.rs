@@ -39,6 +39,9 @@ const ROWS_MIN: usize = 40;
 pub struct Learner {
     networks: NetworkModel,
     allocation: Allocation,
+    /// The largest label of each output. Beyond the training data a network may return anything, and
+    /// a prediction that follows it diverges.
+    largest: [f64; ACCELERATIONS],
     /// Residual share of the mean square of force and of moment on rows outside the training set,
     /// 0..1.
     pub left: [f64; 2],
@@ -80,6 +83,9 @@ impl Learner {
         if training.len() < ROWS_MIN || validation.len() < ROWS_MIN {
             return None;
         }
+        let largest = std::array::from_fn(|i| {
+            training.iter().map(|row| row.label[i].abs()).fold(0.0, f64::max)
+        });
         // A force may be fixed to the body or to the world.
         [Features::Body, Features::World]
             .into_iter()
@@ -90,7 +96,9 @@ impl Learner {
                 let networks = networks.scaled(fits.map(|fit| fit.share));
                 let left: f64 = fits.iter().map(|fit| fit.left).sum();
                 let allocation = *allocation;
-                Some((left, Self { networks, allocation, left: fits.map(|fit| fit.left) }))
+                let learner =
+                    Self { networks, allocation, largest, left: fits.map(|fit| fit.left) };
+                Some((left, learner))
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
             .map(|(_, learner)| learner)
@@ -105,7 +113,11 @@ impl Learner {
             attitude: state.attitude.euler(),
             input: self.allocation.wrench(outputs),
         };
-        let [n, e, d, p, q, r] = self.networks.accelerations(&at);
+        let mut corrections = self.networks.accelerations(&at);
+        for (correction, largest) in corrections.iter_mut().zip(self.largest) {
+            *correction = correction.clamp(-largest, largest);
+        }
+        let [n, e, d, p, q, r] = corrections;
         (Ned::new(n, e, d), Frd::new(p, q, r))
     }
 }
