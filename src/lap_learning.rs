@@ -212,7 +212,7 @@ impl LapLearner {
             return;
         }
         let lap = errors.lap(self.model_name.clone(), self.foreseen_m.take());
-        self.report(now, Severity::Info, lap.in_words());
+        self.report(now, Severity::Info, lap.text());
         self.laps.push(lap);
         if self.learns_after(number) {
             self.learn(now);
@@ -297,7 +297,7 @@ impl LapLearner {
                     }
                 };
                 let foreseen_m = self.foreseen_m(&learned);
-                self.report(now, Severity::Info, in_words(&learned, &effort));
+                self.report(now, Severity::Info, lap_text(&learned, &effort));
                 let (last_sample, stage) = (now, Stage::Ready);
                 self.candidate =
                     Some(Candidate { learned, last_sample, ready, stage, effort, foreseen_m });
@@ -408,7 +408,7 @@ impl LapLearner {
 }
 
 /// Describes a learned model's errors, and what limits the next lap.
-fn in_words(learned: &Learned, effort: &str) -> String {
+fn lap_text(learned: &Learned, effort: &str) -> String {
     let Learned { held_out, nominal, flown_s, .. } = learned;
     let HeldOutErrors { residual_m_s2, lasting_m_s2, .. } = *held_out;
     let limit = if lasting_m_s2.powi(2) > LASTING_SHARE * residual_m_s2.powi(2) {

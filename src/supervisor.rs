@@ -202,7 +202,7 @@ impl Supervisor {
 
     /// Records that the vehicle refused a request; `text` says why, where it is known.
     pub fn refused(&mut self, now: HostTime, action: Action, text: &str) {
-        let text = format!("the vehicle refuses {}: {text}", action.in_words());
+        let text = format!("the vehicle refuses {}: {text}", action.text());
         // The request is repeated every second, and mostly refused for the same reason.
         if self.refusal.as_ref() != Some(&text) {
             self.report(now, Severity::Warning, text.clone());

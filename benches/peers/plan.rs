@@ -251,7 +251,7 @@ fn print(options: &Options, name: &str, start: &str, outcome: &Outcome<4>, secon
             1e3 * least,
             outcome.cost,
             outcome.violation.defect,
-            outcome.status.in_words()
+            outcome.status.text()
         );
     }
 }

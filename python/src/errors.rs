@@ -1,6 +1,6 @@
 //! Errors as exceptions, with the command line's messages.
 
-use downwash::command::{Exit, exit_of, in_words};
+use downwash::command::{Exit, exit_of, error_text};
 use pyo3::exceptions::{PyException, PyValueError};
 use pyo3::prelude::*;
 
@@ -19,7 +19,7 @@ pub fn add(module: &Bound<'_, PyModule>) -> PyResult<()> {
 
 /// The exception for an error, with the command line's exit code.
 pub fn exception(py: Python<'_>, error: &anyhow::Error) -> PyErr {
-    raised(py, in_words(error), exit_of(error))
+    raised(py, error_text(error), exit_of(error))
 }
 
 fn raised(py: Python<'_>, text: String, exit: Exit) -> PyErr {
@@ -32,7 +32,7 @@ fn raised(py: Python<'_>, text: String, exit: Exit) -> PyErr {
 
 /// The result of reading a file, or the exception for a refused one.
 pub fn read<T, E: Into<anyhow::Error>>(py: Python<'_>, result: Result<T, E>) -> PyResult<T> {
-    result.map_err(|error| raised(py, in_words(&error.into()), Exit::Usage))
+    result.map_err(|error| raised(py, error_text(&error.into()), Exit::Usage))
 }
 
 /// Makes the ValueError for an argument that is invalid whatever the others are.

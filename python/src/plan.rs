@@ -53,7 +53,7 @@ impl Plan {
 
     #[getter]
     fn status(&self) -> &'static str {
-        self.plan.status.in_words()
+        self.plan.status.text()
     }
 
     #[getter]

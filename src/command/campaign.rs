@@ -21,7 +21,7 @@ use self::kit::kit;
 use super::progress::count_bar;
 use super::rows::{Folder, Header, Numbered, Rows, interrupted};
 use super::{
-    Exit, ExitContext, Interruption, in_words, print_json, print_status, print_text, write_file,
+    Exit, ExitContext, Interruption, error_text, print_json, print_status, print_text, write_file,
 };
 use crate::campaign::bench;
 use crate::campaign::coverage::Coverage;
@@ -80,7 +80,7 @@ impl CampaignFlight {
     fn not_flown(index: usize, error: &anyhow::Error) -> Self {
         Self {
             index,
-            failure: Some(in_words(error)),
+            failure: Some(error_text(error)),
             end: String::new(),
             ending: None,
             violations: Vec::new(),

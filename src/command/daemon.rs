@@ -61,7 +61,7 @@ pub(super) fn run(args: &DaemonArgs, preparation: Interruption) -> anyhow::Resul
     let (end, exit) = match signals.first() {
         // A service manager stops a service with SIGTERM; nothing failed.
         Some(Stop::Terminate) => ("stopped".to_owned(), Exit::Ok),
-        stop => summary::end_in_words(finished.end.as_ref(), stop),
+        stop => summary::end_text(finished.end.as_ref(), stop),
     };
     print_status(format_args!("daemon {end}"));
     Ok(exit)

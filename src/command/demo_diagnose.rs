@@ -341,7 +341,7 @@ impl Loop<'_> {
             let track = Track::new(&report, &self.desired, reference.as_ref(), hover_thrust_n);
             tracks.extend((!track.is_empty()).then_some(track));
             logs.push(log);
-            let (text, exit) = summary::end_in_words(Some(&end), None);
+            let (text, exit) = summary::end_text(Some(&end), None);
             if end != End::Done {
                 print_status(format_args!("{name} did not end as planned: {text}"));
             }

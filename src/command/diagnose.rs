@@ -20,7 +20,7 @@ use super::patience::Patience;
 use super::setup::capability;
 use super::vehicle_file::warn;
 use super::{
-    Exit, ExitContext, config, in_words, print_json, print_status, print_text, write_file,
+    Exit, ExitContext, config, error_text, print_json, print_status, print_text, write_file,
 };
 use crate::audit::{Audit, UnusableSpan};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
@@ -103,7 +103,7 @@ fn sorted(args: &DiagnoseArgs, paths: &[PathBuf], vehicle: &VehicleParams) -> So
             Ok(flight) if args.holdout.contains(path) => sorted.held_out.push(flight),
             Ok(flight) => sorted.fitted.push(flight),
             Err(error) => {
-                print_status(format_args!("{}: left out: {}", path.display(), in_words(&error)))
+                print_status(format_args!("{}: left out: {}", path.display(), error_text(&error)))
             }
         }
         sorted.logs.extend(log.audit);

@@ -35,7 +35,7 @@ pub(super) use self::onsets::OnsetsSummary;
 pub(super) use self::practice::PracticeSummary;
 pub(super) use self::questions::{Questions, settings};
 use super::{
-    Exit, ExitContext, Interruption, in_words, print_json, print_status, print_text, write_file,
+    Exit, ExitContext, Interruption, error_text, print_json, print_status, print_text, write_file,
 };
 use crate::cli::ExamArgs;
 use crate::exam::answer::GivenAnswer;
@@ -248,7 +248,7 @@ impl Hall<'_> {
                     case: case.name.clone(),
                     key: case.key.clone(),
                     evidence: evidence.and_then(|bytes| serde_json::from_slice(&bytes).ok()),
-                    answer: given.as_ref().cloned().map_err(in_words),
+                    answer: given.as_ref().cloned().map_err(error_text),
                     true_closure: closed,
                     seconds,
                 };
@@ -258,7 +258,7 @@ impl Hall<'_> {
             if !self.args.keep {
                 let _ = fs::remove_dir_all(self.folder(&case.name));
             }
-            let given = given.as_ref().map_err(in_words);
+            let given = given.as_ref().map_err(error_text);
             let given = given.as_ref().map(|given| *given).map_err(String::as_str);
             Ok(Some(Row::new(&case.name, &case.key, given, closed, seconds)))
         })?;

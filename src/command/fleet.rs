@@ -27,7 +27,7 @@ use super::rows::{Folder, Header, Rows, interrupted};
 use super::sweep::alone;
 use super::vehicle_file::warn;
 use super::{
-    Exit, ExitContext, Interruption, in_words, print_json, print_status, print_text, write_file,
+    Exit, ExitContext, Interruption, error_text, print_json, print_status, print_text, write_file,
 };
 use crate::cli::{DiagnoseArgs, FailOnVerdict, Shard};
 use crate::diagnose::answer::LogAnswer;
@@ -179,7 +179,7 @@ fn read_one(given: Given, args: &DiagnoseArgs, vehicle: &VehicleParams) -> Read 
         }
         match log.flight {
             Ok(flight) => read.flights.push(flight),
-            Err(error) => read.reasons.push(in_words(&error)),
+            Err(error) => read.reasons.push(error_text(&error)),
         }
     }
     read
@@ -344,7 +344,7 @@ impl Work<'_> {
                         if self.stop.load(Ordering::Relaxed) {
                             return Ok(None);
                         }
-                        let done = done.unwrap_or_else(|error| Done::Failed(in_words(&error)));
+                        let done = done.unwrap_or_else(|error| Done::Failed(error_text(&error)));
                         let name = self.read[*vehicle].given.name.clone();
                         let row = Row { number, vehicle: name, done: done.clone() };
                         self.rows.lock().unwrap_or_else(PoisonError::into_inner).add(&row)?;

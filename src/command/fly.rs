@@ -154,7 +154,7 @@ fn check(
     let running = daemon::start(station, clock, Connection::new(endpoint), outlets)
         .context("cannot start the control thread")?;
     let finished = watch(running, clock, &mut Audience::default(), &mut signals);
-    let (end, exit) = summary::end_in_words(finished.end.as_ref(), signals.first());
+    let (end, exit) = summary::end_text(finished.end.as_ref(), signals.first());
     if json {
         print_json(&CheckSummary { schema: "downwash.check", schema_version: 1, end })?;
     } else {
@@ -235,7 +235,7 @@ impl Run {
             .context("cannot start the control thread")?;
         let finished = watch(running, clock, &mut audience, signals);
         print_tlog_loss(finished.tlog);
-        let (end, exit) = summary::end_in_words(finished.end.as_ref(), signals.first());
+        let (end, exit) = summary::end_text(finished.end.as_ref(), signals.first());
         match finished.log {
             Ok(_) => Ok(Flown { end, exit, log: Some(path) }),
             Err(error) => {

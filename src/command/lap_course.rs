@@ -11,7 +11,7 @@ use rustix::time::{ClockId, clock_gettime};
 use super::course::Course;
 use super::plan::{PlanModel, planner};
 use super::vehicle_file::VehicleFile;
-use super::{Exit, ExitContext, in_words};
+use super::{Exit, ExitContext, error_text};
 use crate::cli::LearnArgs;
 use crate::config::Config;
 use crate::lap_learning::{LapLearner, LapSettings, Pace, Planning, Spent};
@@ -111,7 +111,7 @@ fn planning(vehicle: &VehicleFile, config: &Config) -> Planning {
         let model = Arc::new(learned.model.clone());
         PlanModel::of(model, &learned.actuation, &params, note)
             .and_then(|plan_model| planner(&params, &plan_model, &config))
-            .map_err(|error| in_words(&error))
+            .map_err(|error| error_text(&error))
     })
 }
 

@@ -230,7 +230,7 @@ mod tests {
         let refusal = |name: &str, content: &[u8]| {
             let file = folder.join(name);
             std::fs::write(&file, content).expect("a file");
-            super::super::in_words(&open(&file).err().expect("no log of this program"))
+            super::super::error_text(&open(&file).err().expect("no log of this program"))
         };
         for (name, content, format) in [
             ("a.ulg", b"ULog\x01\x12\x35\x01".as_slice(), "a ulog log"),

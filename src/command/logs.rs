@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow};
 use rayon::prelude::*;
 use vehicle::VehicleParams;
 
-use super::{in_words, print_status};
+use super::{error_text, print_status};
 use crate::audit::Audit;
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
@@ -58,7 +58,7 @@ impl Logs {
             match kept {
                 Ok(flight) => logs.flights.push(flight),
                 Err(error) => {
-                    let reason = in_words(&error);
+                    let reason = error_text(&error);
                     print_status(format_args!("{}: left out: {reason}", path.display()));
                     logs.refused.push(RefusedLog { path: path.to_path_buf(), reason });
                 }
@@ -118,7 +118,7 @@ fn check_rotor_order(flight: &Flight, vehicle: &VehicleParams) -> anyhow::Result
         right: rotor.position_m[1],
         spin: rotor.spin,
     });
-    let [stated, file] = [stated, file].map(|rotors| RotorFact::in_words(&rotors));
+    let [stated, file] = [stated, file].map(|rotors| RotorFact::descriptions(&rotors));
     if stated == file {
         return Ok(());
     }

@@ -141,7 +141,7 @@ pub fn main(program: Option<PathBuf>, args: impl IntoIterator<Item = OsString>) 
     let result = run(cli);
     messages.flush();
     let exit = result.unwrap_or_else(|error| {
-        eprintln!("error: {}", in_words(&error));
+        eprintln!("error: {}", error_text(&error));
         exit_of(&error)
     });
     if exit == Exit::Interrupted {
@@ -236,7 +236,7 @@ fn run(cli: Cli) -> anyhow::Result<Exit> {
 
 /// An error that ends the command with a certain exit code.
 #[derive(Debug, thiserror::Error)]
-#[error("{}", in_words(error))]
+#[error("{}", error_text(error))]
 struct Failed {
     exit: Exit,
     error: anyhow::Error,
@@ -256,7 +256,7 @@ impl<T, E: Into<anyhow::Error>> ExitContext<T> for Result<T, E> {
 
 /// An error with its causes. A text that two neighbours contain appears once: many errors name
 /// their cause or their file themselves.
-pub fn in_words(error: &anyhow::Error) -> String {
+pub fn error_text(error: &anyhow::Error) -> String {
     let mut causes: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {
         match causes.last_mut() {
@@ -347,8 +347,8 @@ mod tests {
     #[test]
     fn error_text_is_not_repeated() {
         let cause = || anyhow::anyhow!("no such file").context("a.toml: no such file");
-        assert_eq!(in_words(&cause()), "a.toml: no such file");
-        assert_eq!(in_words(&cause().context("a.toml")), "a.toml: no such file");
-        assert_eq!(in_words(&cause().context("b.toml")), "b.toml: a.toml: no such file");
+        assert_eq!(error_text(&cause()), "a.toml: no such file");
+        assert_eq!(error_text(&cause().context("a.toml")), "a.toml: no such file");
+        assert_eq!(error_text(&cause().context("b.toml")), "b.toml: a.toml: no such file");
     }
 }

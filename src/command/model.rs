@@ -111,7 +111,7 @@ fn info(path: &Path, json: bool) -> anyhow::Result<Exit> {
     }
     let summary: TrainingSummary = serde_json::from_value(file.training.clone())
         .context("cannot read how the model was trained")?;
-    print_text(&summary_in_words(&summary))?;
+    print_text(&summary_text(&summary))?;
     Ok(Exit::Ok)
 }
 
@@ -323,7 +323,7 @@ impl Samples {
 }
 
 /// The results of a training, for people.
-pub(super) fn summary_in_words(summary: &TrainingSummary) -> String {
+pub(super) fn summary_text(summary: &TrainingSummary) -> String {
     let [training, validation, test] = summary.data.rows;
     let seconds: f64 = summary.data.logs.iter().map(|log| log.usable_s).sum();
     let mut text = format!(
@@ -358,11 +358,11 @@ pub(super) fn summary_in_words(summary: &TrainingSummary) -> String {
         text += &one_step_line(name, "test, truth", errors.truth[2].as_ref());
     }
     text += &multi_step_table(&summary.multi_step);
-    text + &best_in_words(standing(summary).best, summary.preferred)
+    text + &best_text(standing(summary).best, summary.preferred)
 }
 
 /// How the default model compares.
-fn best_in_words(best: Best, preferred: ModelKind) -> String {
+fn best_text(best: Best, preferred: ModelKind) -> String {
     let reason = best.reason().unwrap_or_default();
     let preferred = preferred.name();
     match best {
@@ -409,7 +409,7 @@ mod tests {
 
     #[test]
     fn only_a_model_better_than_holding_is_called_best() {
-        let words = |best| best_in_words(best, ModelKind::Hybrid);
+        let words = |best| best_text(best, ModelKind::Hybrid);
         assert_eq!(words(Best::Better), "best on validation: hybrid\n");
         let poor = words(Best::NoBetterThanHolding);
         assert!(

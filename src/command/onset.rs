@@ -11,7 +11,7 @@ use super::logs::listed;
 use super::output::create_report_folder;
 use super::patience::Patience;
 use super::vehicle_file::warn;
-use super::{Exit, ExitContext, in_words, print_json, print_status, print_text, write_file};
+use super::{Exit, ExitContext, error_text, print_json, print_status, print_text, write_file};
 use crate::cli::OnsetArgs;
 use crate::diagnose::flights::preparation::PreparedFlight;
 use crate::diagnose::onset::{OnsetReport, changes};
@@ -85,7 +85,7 @@ pub fn changed(args: &OnsetArgs) -> anyhow::Result<Changes> {
         match log.flight {
             Ok(flight) => flights.push((path.display().to_string(), flight)),
             Err(error) => {
-                print_status(format_args!("{}: left out: {}", path.display(), in_words(&error)))
+                print_status(format_args!("{}: left out: {}", path.display(), error_text(&error)))
             }
         }
     }

@@ -389,7 +389,7 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
     if args.json {
         print_json(&summary)?;
     } else {
-        print_text(&summary.in_words(&plan))?;
+        print_text(&summary.text(&plan))?;
     }
     if is_late && plan.status == Status::Stopped {
         print_status(format_args!(

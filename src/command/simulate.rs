@@ -315,7 +315,7 @@ impl Simulation {
         simulated_s: f64,
         gatherer: &MetricsGatherer,
     ) -> (Row, Exit) {
-        let (text, exit) = summary::end_in_words(Some(end), None);
+        let (text, exit) = summary::end_text(Some(end), None);
         let row = Row {
             schema: "downwash.simulate",
             schema_version: 1,

@@ -10,7 +10,7 @@ use crate::station::End;
 
 /// The end in words, and its exit code. `stop`, a request of the user, decides only where the
 /// station gives no end: a lost link or a takeover meanwhile keeps its own code.
-pub(super) fn end_in_words(end: Option<&End>, stop: Option<Stop>) -> (String, Exit) {
+pub(super) fn end_text(end: Option<&End>, stop: Option<Stop>) -> (String, Exit) {
     match end {
         Some(End::Done) => ("done".to_owned(), Exit::Ok),
         Some(End::Checked) => ("preflight checks passed".to_owned(), Exit::Ok),
@@ -69,13 +69,13 @@ mod tests {
 
     #[test]
     fn interrupt_is_the_exit_only_without_another_end() {
-        let exit = |end: Option<End>| end_in_words(end.as_ref(), Some(Stop::Interrupt)).1;
+        let exit = |end: Option<End>| end_text(end.as_ref(), Some(Stop::Interrupt)).1;
         assert_eq!(exit(Some(End::Stopped)), Exit::Interrupted);
         assert_eq!(exit(None), Exit::Interrupted);
         assert_eq!(exit(Some(End::LinkLost("silent".to_owned()))), Exit::Link);
         assert_eq!(exit(Some(End::Aborted("tilted".to_owned()))), Exit::Aborted);
         assert_eq!(exit(Some(End::PilotTookOver)), Exit::Aborted);
         assert_eq!(exit(Some(End::Done)), Exit::Ok);
-        assert_eq!(end_in_words(None, None).1, Exit::Failure);
+        assert_eq!(end_text(None, None).1, Exit::Failure);
     }
 }

@@ -33,7 +33,7 @@ use self::manifest::{Manifest, Point};
 use self::subject::Subject;
 use super::progress::count_bar;
 use super::rows::{Folder, Header, Rows, interrupted};
-use super::{Exit, ExitContext, Interruption, in_words, print_json, print_status, print_text};
+use super::{Exit, ExitContext, Interruption, error_text, print_json, print_status, print_text};
 use crate::cli::{Shard, SweepArgs};
 
 /// The result of a sweep: the JSON of `sweep`.
@@ -157,7 +157,7 @@ fn done_at(manifest: &Manifest, index: usize, stop: &Arc<AtomicBool>) -> Line {
     let point = manifest.point(index);
     let (row, failure) = match row(manifest, index, &point, stop) {
         Ok(row) => (Some(row), None),
-        Err(error) => (None, Some(in_words(&error))),
+        Err(error) => (None, Some(error_text(&error))),
     };
     let inputs = point.varied.into_iter();
     let inputs =

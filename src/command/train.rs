@@ -13,7 +13,7 @@ use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::StageBar;
 use super::vehicle_file::warn;
 use super::{
-    Exit, ExitContext, Interruption, in_words, model, print_json, print_status, print_text,
+    Exit, ExitContext, Interruption, error_text, model, print_json, print_status, print_text,
     write_file,
 };
 use crate::cli::{FeatureChoice, MethodChoice, TrainArgs};
@@ -44,7 +44,7 @@ pub(super) fn run(args: &TrainArgs, interruption: &Interruption) -> anyhow::Resu
     if args.json {
         print_json(&summary)?;
     } else {
-        let mut text = model::summary_in_words(&summary);
+        let mut text = model::summary_text(&summary);
         text += &format!("model   {}\n", args.out.display());
         if let Some(page) = report {
             text += &format!("report  {}\n", page.display());
@@ -174,7 +174,7 @@ pub fn learn(
                 print_status(format_args!(
                     "warning: with the window of {:.1} ms: {}; using the earlier window's models",
                     1e3 * windows.half_s,
-                    in_words(&error)
+                    error_text(&error)
                 ));
                 break found;
             }
@@ -288,7 +288,7 @@ fn train_with(
     let path = checkpoint_path(&args.out);
     let keep_trained: Box<dyn Fn(&Progress) + Send> = Box::new(move |reached| {
         if let Err(error) = keep(reached, &path) {
-            print_status(format_args!("warning: {}", in_words(&error)));
+            print_status(format_args!("warning: {}", error_text(&error)));
         }
     });
     // A checkpoint of a later window stays, as after an interruption.

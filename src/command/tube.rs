@@ -26,7 +26,7 @@ use super::progress::count_bar;
 use super::simulation::Truth;
 use super::vehicle_file::VehicleFile;
 use super::{
-    Exit, ExitContext, Interruption, config, in_words, print_json, print_status, print_text,
+    Exit, ExitContext, Interruption, config, error_text, print_json, print_status, print_text,
     write_file,
 };
 use crate::cli::{TubeCommand, TubeFitArgs};
@@ -144,7 +144,7 @@ fn fit(args: &TubeFitArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
     if args.json {
         print_json(&summary)?;
     } else {
-        print_text(&summary.in_words())?;
+        print_text(&summary.text())?;
     }
     if let Err(error @ TubeError::TooFew { .. }) = tube.radius(0.95) {
         print_status(format_args!("{error}"));
@@ -189,7 +189,7 @@ fn of_logs(
         match flown {
             Ok(flown) => flights.push(flown),
             Err(error) => {
-                print_status(format_args!("{}: left out: {}", path.display(), in_words(&error)));
+                print_status(format_args!("{}: left out: {}", path.display(), error_text(&error)));
             }
         }
     }
@@ -279,7 +279,7 @@ impl Drop for Desk {
 }
 
 impl TubeSummary<'_> {
-    fn in_words(&self) -> String {
+    fn text(&self) -> String {
         let Shape { feedback, error } = self.shape;
         let axis = |name: &str, axis: &crate::plan::tube::error::AxisError| {
             format!(
@@ -300,7 +300,7 @@ impl TubeSummary<'_> {
             feedback.damping_s[1],
             self.flights,
             self.ended_early,
-            self.position.in_words()
+            self.position.text()
         );
         for Width { confidence, multiplier, flights_needed } in &self.widths {
             let width = match multiplier {

@@ -13,7 +13,7 @@ use super::patience::Patience;
 use super::setup::endpoint;
 use super::vehicle_file::remark_text;
 use super::{
-    Exit, ExitContext, in_words, link_parameters, output, print_json, print_status, print_text,
+    Exit, ExitContext, error_text, link_parameters, output, print_json, print_status, print_text,
     write_file,
 };
 use crate::cli::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
@@ -339,7 +339,7 @@ fn of_file(file: &Path, system: Option<u8>) -> anyhow::Result<Parameters> {
                 ImportError::NoMapping { .. } => {
                     format!("{name} is a table, which states no parameters")
                 }
-                error => in_words(&error.into()),
+                error => error_text(&error.into()),
             };
             return Err(anyhow!("{found}; it is not a parameter file either: {why_none}"))
                 .or_exit(Exit::Usage);
@@ -434,7 +434,7 @@ mod tests {
         let vehicle = VehicleParams::load(Path::new("crazyflie")).expect("a vehicle");
         let refusal = |mapping: Option<&Path>| {
             let refused = against(Shown { log: &log, mapping }, &vehicle).expect_err("no flight");
-            in_words(&refused)
+            error_text(&refused)
         };
         let without = refusal(None);
         assert!(without.contains("--mapping"), "{without}");
@@ -458,7 +458,7 @@ mod tests {
     #[test]
     fn vehicle_is_chosen_among_those_of_a_parameter_file() {
         let both = rows(1, 1, "1.0") + &rows(7, 1, "2.0") + "7\t100\tCAM_MODE\t1\t6\n";
-        let refused = in_words(&made("both", &both, &[]).expect_err("two vehicles"));
+        let refused = error_text(&made("both", &both, &[]).expect_err("two vehicles"));
         for said in ["quad.params", "system 1", "system 7", "--system"] {
             assert!(refused.contains(said), "{said}: {refused}");
         }

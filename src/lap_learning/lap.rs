@@ -20,7 +20,7 @@ pub struct Lap {
 
 impl Lap {
     /// One line for people.
-    pub fn in_words(&self) -> String {
+    pub fn text(&self) -> String {
         let Self { number, rms_m, most_m, through, .. } = self;
         let foreseen =
             self.foreseen_m.map(|m| format!(" (predicted {m:.3} m)")).unwrap_or_default();

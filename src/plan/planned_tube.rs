@@ -15,7 +15,7 @@ pub enum PositionSource {
 
 impl PositionSource {
     /// The name in reports.
-    pub fn in_words(self) -> &'static str {
+    pub fn text(self) -> &'static str {
         match self {
             Self::True => "the true position",
             Self::Reported => "the vehicle's estimate of its position",

@@ -74,7 +74,7 @@ pub enum Status {
 
 impl Status {
     /// A description for people.
-    pub fn in_words(self) -> &'static str {
+    pub fn text(self) -> &'static str {
         match self {
             Self::Converged => "converged",
             Self::Stalled => "no further improvement found",

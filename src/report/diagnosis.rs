@@ -232,8 +232,7 @@ fn how_far(answer: &Answer, gap: &Gap) -> String {
         rows.insert(rows.len() - 1, ("with a learner".to_owned(), learner, floor_mark));
     }
     let mut html = String::new();
-    let _ =
-        write!(html, "<h3>{}, in multiples of the noise floor</h3>", metric_in_words(gap.metric));
+    let _ = write!(html, "<h3>{}, in multiples of the noise floor</h3>", metric_text(gap.metric));
     html += &bars(&rows);
     let mut table = Table::new(&[
         ("quantity", false),
@@ -254,7 +253,7 @@ fn how_far(answer: &Answer, gap: &Gap) -> String {
 }
 
 /// What a gap's metric is the mean of.
-fn metric_in_words(metric: &str) -> &'static str {
+fn metric_text(metric: &str) -> &'static str {
     match metric {
         "guided" => {
             "Mean of position and velocity at 0.5 and 1 s, with the body turning as reported, and \

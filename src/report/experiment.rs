@@ -11,8 +11,8 @@ use super::comparison::{Contender, Instant};
 use super::page::{Mood, Page};
 use super::scene::Scene;
 use super::table::{Table, definitions};
+use super::text::{beside, effects, length};
 use super::training;
-use super::words::{beside, effects, length};
 use crate::learn::summary::TrainingSummary;
 
 const TIME: &str = "time since the start of the trajectory (s)";

@@ -10,7 +10,7 @@ use super::page::{Mood, Page};
 use super::recording_page::{self, TIME, Timeline};
 use super::scene::Scene;
 use super::table::{Cell, Table, definitions};
-use super::words::length;
+use super::text::length;
 use crate::log::info::EventInfo;
 use crate::log::schema::{
     ControlMessage, LinkStatsMessage, ReferenceMessage, SetpointMessage, StateMessage,

@@ -25,8 +25,8 @@ pub mod repair;
 pub mod scene;
 pub mod side_by_side;
 pub mod table;
+pub mod text;
 pub mod training;
-pub mod words;
 
 pub use flight::FlightReport;
 pub use recording::Recording;

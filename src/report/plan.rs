@@ -7,7 +7,7 @@ use super::chart::{Chart, Curve, Panel, Style};
 use super::page::{Mood, Page};
 use super::scene::Scene;
 use super::table::{Table, definitions};
-use super::words::{length, smallness};
+use super::text::{length, smallness};
 use crate::control::Limits;
 use crate::plan::planned::Plan;
 use crate::plan::problem::StateVector;
@@ -69,7 +69,7 @@ pub fn html(plan: &Plan, not_flyable: Option<&str>, limits: &Limits) -> String {
              provided that it is of the same kind as the {} calibration flights. The tube bounds {}.",
             100.0 * tube.confidence,
             tube.flights,
-            tube.position.in_words()
+            tube.position.text()
         );
         page.section("Tube", &description, &radius(plan, tube));
     }
@@ -107,7 +107,7 @@ fn verdict(plan: &Plan, not_flyable: Option<&str>, page: &mut Page) {
     let mood = if reasons.is_empty() { Mood::Good } else { Mood::Bad };
     page.verdict(mood, &sentence, &reasons);
     page.figures(&[
-        ("search", plan.status.in_words().to_owned(), Mood::Plain),
+        ("search", plan.status.text().to_owned(), Mood::Plain),
         ("cost", significant(plan.cost), Mood::Plain),
         ("subproblems", plan.records.len().to_string(), Mood::Plain),
         ("largest defect of the dynamics", smallness(plan.violation.defect), Mood::Plain),

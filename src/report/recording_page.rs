@@ -12,7 +12,7 @@ use super::power::Spectrum;
 use super::recording::{Recording, load_factor, streams, vibration_over_time};
 use super::scene::Scene;
 use super::table::{Cell, Table, definitions};
-use super::words::length;
+use super::text::length;
 use crate::log::import::{Clock, MotorUnit, SetpointSource, Stream};
 
 pub(super) const TIME: &str = "time since the start of the log (s)";

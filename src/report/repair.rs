@@ -8,7 +8,7 @@ use super::comparison::Contender;
 use super::experiment::{errors, trajectories};
 use super::page::{Mood, Page};
 use super::table::{Table, definitions};
-use super::words::beside;
+use super::text::beside;
 
 /// What the page is about.
 pub struct Repair<'a> {

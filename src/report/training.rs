@@ -6,7 +6,7 @@ use super::axis::significant;
 use super::chart::{Chart, Curve, Panel, Style};
 use super::page::{Mood, Page};
 use super::table::{Table, definitions};
-use super::words::{effects, file_name, smallness};
+use super::text::{effects, file_name, smallness};
 use crate::learn::evaluation::{ACCELERATION_NAMES, OneStep};
 use crate::learn::judgement::{Best, standing};
 use crate::learn::summary::{LearningCurve, Series, TrainingSummary};

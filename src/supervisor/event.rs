@@ -23,7 +23,7 @@ pub enum Action {
 
 impl Action {
     /// The request as messages name it.
-    pub(super) fn in_words(self) -> &'static str {
+    pub(super) fn text(self) -> &'static str {
         match self {
             Self::SetModeOffboard => "OFFBOARD",
             Self::SetModeHold => "the hold mode",

@@ -158,7 +158,7 @@ impl Read<'_> {
         } else {
             None
         };
-        Placed { positions, spins, order: RotorFact::in_words(&rotors) }
+        Placed { positions, spins, order: RotorFact::descriptions(&rotors) }
     }
 
     fn rotor_source(&self) -> &'static str {

@@ -191,10 +191,10 @@ impl ParameterFile {
         let chosen = match (system, systems.as_slice()) {
             (Some(system), systems) if systems.contains(&Some(system)) => Some(system),
             (Some(system), _) => {
-                return Err(NotOneVehicle::NoSystem { system, found: in_words(&ids) });
+                return Err(NotOneVehicle::NoSystem { system, found: ids_text(&ids) });
             }
             (None, [only]) => *only,
-            (None, _) => return Err(NotOneVehicle::Several(in_words(&ids))),
+            (None, _) => return Err(NotOneVehicle::Several(ids_text(&ids))),
         };
         let of_vehicle: Vec<Option<Ids>> =
             ids.into_iter().filter(|ids| of(ids) == chosen).collect();
@@ -204,7 +204,7 @@ impl ParameterFile {
             several => several
                 .iter()
                 .find(is_autopilot)
-                .ok_or_else(|| NotOneVehicle::NoAutopilot(in_words(several)))?,
+                .ok_or_else(|| NotOneVehicle::NoAutopilot(ids_text(several)))?,
         };
         let set = self.sets.get(autopilot).cloned().unwrap_or_default();
         if let (true, Some(first)) = (set.is_two(), set.differing.first()) {
@@ -216,7 +216,7 @@ impl ParameterFile {
         if !others.is_empty() {
             remarks.push(format!(
                 "the parameters of {} are left out; the autopilot is component {AUTOPILOT}",
-                in_words(&others)
+                ids_text(&others)
             ));
         }
         Ok(OneVehicle { parameters: set.values, remarks })
@@ -224,7 +224,7 @@ impl ParameterFile {
 }
 
 /// Senders as words, such as `system 1 (components 1, 100) and system 2 (component 1)`.
-fn in_words(senders: &[Option<Ids>]) -> String {
+fn ids_text(senders: &[Option<Ids>]) -> String {
     let mut systems: BTreeMap<Option<u8>, Vec<String>> = BTreeMap::new();
     for ids in senders {
         let components = systems.entry(ids.map(|ids| ids.system)).or_default();

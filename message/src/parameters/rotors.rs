@@ -19,7 +19,7 @@ pub struct RotorFact {
 
 impl RotorFact {
     /// Each rotor in words, such as `front right (spin +1)`.
-    pub fn in_words(rotors: &[Self; 4]) -> [String; 4] {
+    pub fn descriptions(rotors: &[Self; 4]) -> [String; 4] {
         // A position nearer to an axis than this share of the arm counts as on it.
         const ON_AXIS: f64 = 0.2;
         let arm = rotors.iter().map(|rotor| rotor.front.hypot(rotor.right)).fold(0.0, f64::max);

@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 
 use crate::command::simulation::Truth;
 use crate::command::vehicle_file::VehicleFile;
-use crate::command::{in_words, print_status};
+use crate::command::{error_text, print_status};
 use crate::config::Config;
 use crate::log::LogReader;
 use crate::log::descriptor::hex;
@@ -101,7 +101,11 @@ pub(super) fn logs_of_flights(folder: &Path) -> anyhow::Result<BTreeMap<String, 
             Ok((Some(fingerprint), log)) => logs.entry(fingerprint).or_default().push(log),
             Ok((None, _)) => {}
             Err(error) => {
-                print_status(format_args!("{}: left alone: {}", path.display(), in_words(&error)));
+                print_status(format_args!(
+                    "{}: left alone: {}",
+                    path.display(),
+                    error_text(&error)
+                ));
             }
         }
     }

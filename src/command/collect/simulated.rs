@@ -123,7 +123,7 @@ impl Simulator<'_> {
         });
         let flown = flown.with_context(|| flight.name.clone())?;
         self.progress.set_message(flight.name.clone());
-        let (end, exit) = summary::end_in_words(Some(&flown.end), None);
+        let (end, exit) = summary::end_text(Some(&flown.end), None);
         let (_, log) = LogOf::read(&flown.log)?;
         Ok(FlightRow::flown(flight, &end, exit, Some(&log)))
     }

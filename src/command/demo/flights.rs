@@ -89,7 +89,7 @@ impl Demo<'_> {
                     tracks.extend((!track.is_empty()).then_some(track));
                 }
                 reading_s += reading.elapsed().as_secs_f64();
-                let (text, exit) = summary::end_in_words(Some(&end), None);
+                let (text, exit) = summary::end_text(Some(&end), None);
                 if end != End::Done {
                     print_status(format_args!("{name} did not end as planned: {text}"));
                 }

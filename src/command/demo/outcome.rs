@@ -16,7 +16,7 @@ use crate::plan::scp::Status;
 use crate::report::comparison::Contender;
 use crate::report::experiment::{self, Experiment};
 use crate::report::flight::FlightSummary;
-use crate::report::words::smallness;
+use crate::report::text::smallness;
 
 /// The JSON of `demo`, and its summary.json.
 #[derive(JsonSchema, Serialize)]
@@ -149,7 +149,7 @@ impl Demo<'_> {
                 row.contender,
                 format!(
                     "plan: {}, {} subproblems in {:.2} s, largest defect {}",
-                    row.status.in_words(),
+                    row.status.text(),
                     row.subproblems,
                     row.wall_s,
                     smallness(row.violation.defect)

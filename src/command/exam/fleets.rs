@@ -10,7 +10,7 @@ use serde::Serialize;
 use vehicle::effects::EffectId;
 
 use super::super::fleet::find;
-use super::super::{Exit, in_words, print_status, write_file};
+use super::super::{Exit, error_text, print_status, write_file};
 use super::Hall;
 use super::candidate::log_names;
 use crate::cli::{DiagnoseArgs, ExamArgs};
@@ -117,7 +117,7 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
         match hall.read_answer(&format!("fleet_{number:03}"), &case) {
             Ok(row) => Ok(row),
             Err(error) => {
-                print_status(format_args!("fleet {number}: left out: {}", in_words(&error)));
+                print_status(format_args!("fleet {number}: left out: {}", error_text(&error)));
                 Ok(None)
             }
         }

@@ -10,7 +10,7 @@ use vehicle::effects::EffectSet;
 
 use super::super::diagnose::find;
 use super::super::logs::open_for;
-use super::super::{Exit, ExitContext, in_words, print_status, write_file};
+use super::super::{Exit, ExitContext, error_text, print_status, write_file};
 use super::Hall;
 use super::candidate::log_names;
 use crate::cli::ExamArgs;
@@ -81,7 +81,7 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
         let mut row = match row {
             Ok(row) => row,
             Err(error) => {
-                print_status(format_args!("case {number}: left out: {}", in_words(&error)));
+                print_status(format_args!("case {number}: left out: {}", error_text(&error)));
                 return Ok(None);
             }
         };

@@ -15,7 +15,7 @@ use super::super::diagnose::audited;
 use super::super::simulate::Simulation;
 use super::super::simulation::Truth;
 use super::super::vehicle_file::VehicleFile;
-use super::super::{Exit, ExitContext, configuration, in_words, print_status};
+use super::super::{Exit, ExitContext, configuration, error_text, print_status};
 use super::Hall;
 use crate::campaign::bench::set_up;
 use crate::cli::ExamArgs;
@@ -91,7 +91,7 @@ pub(super) fn run(args: &ExamArgs, count: usize, hall: &Hall<'_>) -> anyhow::Res
         match hall.flown_onset(&name, number as u64, number < count) {
             Ok(row) => Ok(Some(row)),
             Err(error) => {
-                print_status(format_args!("{name}: left out: {}", in_words(&error)));
+                print_status(format_args!("{name}: left out: {}", error_text(&error)));
                 Ok(None)
             }
         }

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{Hall, Sheet};
-use crate::command::{Exit, ExitContext, in_words, print_status, write_file};
+use crate::command::{Exit, ExitContext, error_text, print_status, write_file};
 use crate::exam::answer::GivenAnswer;
 
 /// Paths of a set's scripts, relative to its folder. One set may use another's.
@@ -209,7 +209,7 @@ fn row(
             ambiguous_with: given.ambiguous_with,
             ..row
         },
-        Err(error) => PracticeRow { error: Some(in_words(&error)), ..row },
+        Err(error) => PracticeRow { error: Some(error_text(&error)), ..row },
     }
 }
 

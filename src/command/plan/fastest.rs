@@ -46,7 +46,7 @@ impl Fastest {
     }
 
     /// The text for people, in whole lines.
-    pub(in crate::command) fn in_words(&self) -> String {
+    pub(in crate::command) fn text(&self) -> String {
         let percent = |share: f64| 100.0 * share;
         let times: Vec<String> = self.passed_s.iter().map(|t| format!("{t:.2}")).collect();
         format!(

@@ -86,15 +86,15 @@ impl<'a> PlanSummary<'a> {
     }
 
     /// The text for people.
-    pub(super) fn in_words(&self, plan: &Plan) -> String {
+    pub(super) fn text(&self, plan: &Plan) -> String {
         let wish = match &self.time_optimal {
-            Some(fastest) => fastest.in_words(),
+            Some(fastest) => fastest.text(),
             None => format!(
                 "from the desired position {:.3} m RMS, {:.3} m at most\n",
                 self.position_rms_m, self.position_max_m
             ),
         };
-        let tube = self.tube.as_ref().map_or(String::new(), TubeOfPlan::in_words);
+        let tube = self.tube.as_ref().map_or(String::new(), TubeOfPlan::text);
         format!(
             "plan        {:.2} s through the {} model: {}\n\
              cost        {:.4} after {} subproblems in {:.2} s\n\
@@ -103,7 +103,7 @@ impl<'a> PlanSummary<'a> {
              plan        {}\n",
             self.seconds,
             plan.model.kind,
-            plan.status.in_words(),
+            plan.status.text(),
             plan.cost,
             self.subproblems,
             self.wall_s,

@@ -122,14 +122,14 @@ impl From<&PlannedTube> for TubeOfPlan {
 
 impl TubeOfPlan {
     /// Lines for people, with line ends.
-    pub fn in_words(&self) -> String {
+    pub fn text(&self) -> String {
         format!(
             "tube        {} %: {:.3} m on average, {:.3} m at most, for {}, from {} flights\n\
              margin      radius of {:.2} % to keep-out regions\n",
             100.0 * self.confidence,
             self.radius_mean_m,
             self.radius_max_m,
-            self.position.in_words(),
+            self.position.text(),
             self.flights,
             100.0 * self.margin_confidence
         )

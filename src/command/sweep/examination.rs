@@ -15,8 +15,8 @@ use serde::{Deserialize, Serialize};
 
 use super::exam_inputs::Given;
 use super::manifest::{Manifest, Point};
+use crate::command::error_text;
 use crate::command::exam::{Candidate, Flown, Sheet, settings};
-use crate::command::in_words;
 use crate::exam::answer::GivenAnswer;
 use crate::exam::case::Case;
 use crate::exam::score;
@@ -93,7 +93,7 @@ pub(super) fn row(
         Err(error) => Err(error),
     };
     let closed = given.as_ref().ok().and_then(|given| flown.closed(&desk.0, given));
-    let given = given.as_ref().map_err(in_words);
+    let given = given.as_ref().map_err(error_text);
     let given = given.as_ref().map(|given| *given).map_err(String::as_str);
     Ok(ExamRow {
         schema: "downwash.exam.case",

@@ -248,12 +248,12 @@ impl Written {
         let paths = || self.grid.keys().chain(self.list.keys()).chain(self.draw.keys());
         for path in self.fixed.keys() {
             if !self.of.is_fixed_input(path) {
-                return Err(anyhow!("{path:?}: expected {}", self.of.fixed_in_words()));
+                return Err(anyhow!("{path:?}: expected {}", self.of.fixed_text()));
             }
         }
         for path in paths() {
             if !self.of.is_input(path) {
-                return Err(anyhow!("{path:?}: expected {}", self.of.inputs_in_words()));
+                return Err(anyhow!("{path:?}: expected {}", self.of.inputs_text()));
             }
             if paths().filter(|other| *other == path).count() > 1 {
                 bail!("{path:?} varies in two ways");

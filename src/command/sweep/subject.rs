@@ -78,7 +78,7 @@ impl Subject {
     }
 
     /// The inputs that may vary, for people.
-    pub fn inputs_in_words(self) -> String {
+    pub fn inputs_text(self) -> String {
         let inputs = self.inputs().join(", ");
         match self {
             Self::Simulate => {
@@ -89,7 +89,7 @@ impl Subject {
     }
 
     /// The inputs that may be given for every point, for people.
-    pub fn fixed_in_words(self) -> String {
+    pub fn fixed_text(self) -> String {
         let all = self.inputs().iter().chain(self.constants()).chain(self.tables());
         let all: Vec<&str> = all.copied().collect();
         format!("one of {}, or of, grid, list, draw, samples, draw_seed and seeds", all.join(", "))

@@ -145,7 +145,7 @@ pub(super) fn run(args: &TubeCheckArgs, stop: &AtomicBool) -> anyhow::Result<Exi
     if args.json {
         print_json(&check)?;
     } else {
-        print_text(&check.in_words())?;
+        print_text(&check.text())?;
     }
     if stop.load(Ordering::Relaxed) {
         return Ok(Exit::Interrupted);
@@ -186,7 +186,7 @@ impl TubeCheck {
         self.whole.rate.is_some_and(|rate| rate < self.confidence - DEVIATIONS * deviation)
     }
 
-    fn in_words(&self) -> String {
+    fn text(&self) -> String {
         let rate = |rate: &Rate| {
             let [low, high] = rate.interval.map(|bound| 100.0 * bound);
             let share = 100.0 * rate.rate.unwrap_or(f64::NAN);

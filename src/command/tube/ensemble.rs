@@ -8,7 +8,7 @@ use vehicle::effects::{EffectId, EffectSet, Mass, RotorDrag};
 use super::flown::{Flown, FlownGatherer};
 use crate::command::course::Course;
 use crate::command::simulation::{SimulatedFlight, Truth};
-use crate::command::summary::end_in_words;
+use crate::command::summary::end_text;
 use crate::command::vehicle_file::VehicleFile;
 use crate::command::{Exit, ExitContext};
 use crate::config::Config;
@@ -138,7 +138,7 @@ impl Ensemble<'_> {
             }
             None => (flight.fly_unlogged(|record| gatherer.on_record(&record), |_| {})?.0, None),
         };
-        let is_done = end_in_words(Some(&end), None).1 == Exit::Ok;
+        let is_done = end_text(Some(&end), None).1 == Exit::Ok;
         let flown = gatherer.flown();
         let flown =
             Flown { mission: course.name().to_owned(), wind_m_s, is_complete: is_done, ..flown };

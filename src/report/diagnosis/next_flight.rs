@@ -7,7 +7,7 @@ use crate::report::table::Table;
 
 /// The tables.
 pub(super) fn html(next: &NextFlight) -> String {
-    let in_words = |ids: &[&str]| if ids.is_empty() { "no effect".into() } else { ids.join(", ") };
+    let names = |ids: &[&str]| if ids.is_empty() { "no effect".into() } else { ids.join(", ") };
     let mut table = Table::new(&[
         ("if this is true", false),
         ("probability now (%)", true),
@@ -20,10 +20,10 @@ pub(super) fn html(next: &NextFlight) -> String {
             table.row(
                 Mood::Plain,
                 &[
-                    in_words(&outlook.truth),
+                    names(&outlook.truth),
                     format!("{:.0}", 100.0 * outlook.now),
                     format!("{:.1}", 100.0 * outlook.expected),
-                    in_words(&rival.rival),
+                    names(&rival.rival),
                     significant(rival.nats),
                 ],
             );

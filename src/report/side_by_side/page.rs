@@ -8,7 +8,7 @@ use crate::report::chart::{Chart, Curve, Panel, Ribbon, Style};
 use crate::report::page::{Mood, Page, escape};
 use crate::report::scene::Scene;
 use crate::report::table::{Table, definitions};
-use crate::report::words::{self, length, smallness};
+use crate::report::text::{self, length, smallness};
 
 /// Places along the shared axis.
 const PLACES: usize = 400;
@@ -67,7 +67,7 @@ impl Comparison {
             Outcome::Undecided => Mood::Warning,
         };
         let others = self.differences.iter().skip(1).filter(|d| d.stands());
-        let reasons: Vec<String> = others.filter_map(in_words).collect();
+        let reasons: Vec<String> = others.filter_map(difference_text).collect();
         page.verdict(mood, &self.sentence, &reasons);
     }
 
@@ -241,7 +241,7 @@ impl Comparison {
             .differences
             .iter()
             .find_map(|d| d.tested)
-            .map_or("none: too few flights", |t| t.test.in_words());
+            .map_or("none: too few flights", |t| t.test.text());
         definitions([
             ("pairs", pairing.as_str()),
             (
@@ -273,7 +273,7 @@ impl Comparison {
     }
 }
 
-fn in_words(difference: &Difference) -> Option<String> {
+fn difference_text(difference: &Difference) -> Option<String> {
     let tested = difference.tested?;
     let [by, low, high] = signed(&tested, difference.unit);
     Some(format!("{}: {by} ({low} to {high})", difference.metric))
@@ -301,7 +301,7 @@ pub(super) fn value(value: f64, unit: &str) -> String {
 
 /// Four digits, without zeros at the end; a tiny number by its power of ten.
 fn short(value: f64) -> String {
-    if value != 0.0 && value.abs() < 1e-4 { smallness(value) } else { words::short(value) }
+    if value != 0.0 && value.abs() < 1e-4 { smallness(value) } else { text::short(value) }
 }
 
 /// A number to two digits of the half width of its interval: further digits say nothing.

@@ -52,7 +52,7 @@ pub enum Test {
 
 impl Test {
     /// In words.
-    pub fn in_words(self) -> &'static str {
+    pub fn text(self) -> &'static str {
         match self {
             Self::PairedT => "paired t-test",
             Self::WelchT => "Welch's t-test",

@@ -1,4 +1,4 @@
-//! Quantities as people read them.
+//! Quantities, effects and files as text for people.
 
 use std::path::Path;
 
