@@ -74,7 +74,6 @@ def test_a_log_plays_pauses_and_seeks(program, browser, log):
     browser.open(url, 1400, 1000)
     browser.until("playback && !playback.playing && known.rotors.length === 4 || playback && known.now > 0")
     # The playback state arrives before any command.
-    assert browser.value("playback.playing") in (True, False)
     middle = browser.value("(playback.from + playback.to) / 2")
     browser.value("control(1, 1, (playback.from + playback.to) / 2)")
     browser.until("!playback.playing && Math.abs(known.now - (playback.from + playback.to) / 2) < 0.01")
