@@ -1,6 +1,6 @@
 //! Errors as exceptions, with the command line's messages.
 
-use downwash::command::{Exit, exit_of, error_text};
+use downwash::command::{Exit, error_text, exit_of};
 use pyo3::exceptions::{PyException, PyValueError};
 use pyo3::prelude::*;
 
