@@ -22,6 +22,9 @@ const HALF_PERIODS: f64 = 5.0;
 /// Number and step of the delays from an output to the rotor's response that are tried, s.
 const DELAYS: usize = 9;
 const DELAY_STEP: f64 = 0.015;
+/// Distance within which a mean is subtracted, s. A payload that shifts or a rotor that weakens moves
+/// the outputs for the rest of the flight without turning the vehicle.
+const LOCAL_S: f64 = 1.5;
 /// Least share of the angular acceleration that the outputs must explain.
 const EXPLAINED_MIN: f64 = 0.4;
 /// Intervals by which an effect must differ from zero to have a sign.
@@ -83,13 +86,11 @@ impl RotorEffects {
                 times.push(bump.centre);
             }
         }
-        let count = pairs.len() as f64;
-        let turning = pairs.iter().map(|(turning, _)| turning).sum::<Vector3<f64>>() / count;
-        let outputs = pairs.iter().map(|(_, outputs)| outputs).sum::<SVector<f64, 4>>() / count;
+        let pairs = without_local_means(&times, &pairs);
         let rows = |effects: &[f64; 12]| {
             let effects = SMatrix::<f64, 3, 4>::from_column_slice(effects);
             let row = |(time, (measured, output)): (&f64, &(Vector3<f64>, SVector<f64, 4>))| {
-                let (measured, output) = (measured - turning, output - outputs);
+                let measured = *measured;
                 let mut slopes = SMatrix::<f64, 3, 12>::zeros();
                 for i in 0..4 {
                     for axis in 0..3 {
@@ -101,11 +102,9 @@ impl RotorEffects {
             times.iter().zip(&pairs).map(row).collect()
         };
         // An effect matters if the output's changes cause rotation as large as the body's.
-        let turns: f64 =
-            pairs.iter().map(|(measured, _)| (measured - turning).norm_squared()).sum();
+        let turns: f64 = pairs.iter().map(|(measured, _)| measured.norm_squared()).sum();
         let size = |output: usize| {
-            let moved = |of: &SVector<f64, 4>| (of[output] - outputs[output]).powi(2);
-            let moves: f64 = pairs.iter().map(|(_, of)| moved(of)).sum();
+            let moves: f64 = pairs.iter().map(|(_, outputs)| outputs[output].powi(2)).sum();
             if moves > 0.0 { (turns / moves).sqrt() } else { 0.0 }
         };
         let fit = fit([0.0; 12], std::array::from_fn(|at| size(at / 3)), rows)?;
@@ -150,5 +149,46 @@ impl RotorEffects {
             what: format!("do not turn the vehicle as {whose} would: {named}"),
             advice: "check the order of the outputs and the direction of rotation",
         })
+    }
+}
+
+/// Angular accelerations and outputs without their means within [`LOCAL_S`].
+fn without_local_means(
+    times: &[f64],
+    pairs: &[(Vector3<f64>, SVector<f64, 4>)],
+) -> Vec<(Vector3<f64>, SVector<f64, 4>)> {
+    let centred = |(time, (turning, outputs)): (&f64, &(Vector3<f64>, SVector<f64, 4>))| {
+        let from = times.partition_point(|other| *other < time - LOCAL_S);
+        let to = times.partition_point(|other| *other <= time + LOCAL_S);
+        let near = &pairs[from..to];
+        let count = near.len() as f64;
+        let turning_mean = near.iter().map(|(turning, _)| turning).sum::<Vector3<f64>>() / count;
+        let outputs_mean = near.iter().map(|(_, of)| of).sum::<SVector<f64, 4>>() / count;
+        (turning - turning_mean, outputs - outputs_mean)
+    };
+    times.iter().zip(pairs).map(centred).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shift_of_the_outputs_is_local() {
+        // The outputs alternate, and shift by a hundred times as much after 10 s.
+        let times: Vec<f64> = (0..400).map(|k| 0.05 * f64::from(k)).collect();
+        let pair = |(k, time): (usize, &f64)| {
+            let swing = if k % 2 == 0 { 0.01 } else { -0.01 };
+            let shift = if *time < 10.0 { 0.0 } else { 1.0 };
+            (Vector3::new(swing, 0.0, 0.0), SVector::from([swing + shift, 0.0, 0.0, 0.0]))
+        };
+        let pairs: Vec<_> = times.iter().enumerate().map(pair).collect();
+        let centred = without_local_means(&times, &pairs);
+        for (time, (turning, outputs)) in times.iter().zip(&centred) {
+            if (time - 10.0).abs() > 2.0 * LOCAL_S {
+                assert!((outputs[0] - turning[0]).abs() < 1e-12, "{time}: {outputs}");
+                assert!((outputs[0].abs() - 0.01).abs() < 1e-3, "{time}: {outputs}");
+            }
+        }
     }
 }
