@@ -132,8 +132,8 @@ impl Comparison {
                     let [low, high] = tested.interval.map(|v| to_digits_of(half, v));
                     cells.push(to_digits_of(half, tested.difference));
                     cells.push(format!("{low} to {high}"));
-                    cells.push(format!("{:.3}", tested.p));
-                    cells.push(d.p_of_all.map_or_else(String::new, |p| format!("{p:.3}")));
+                    cells.push(probability(tested.p));
+                    cells.push(d.p_of_all.map_or_else(String::new, probability));
                 }
                 None => {
                     cells.push(number(d.b.mean - d.a.mean));
@@ -297,6 +297,11 @@ pub(super) fn value(value: f64, unit: &str) -> String {
         "m" => length(value),
         unit => format!("{} {unit}", short(scale * value)).trim_end().to_owned(),
     }
+}
+
+/// A probability to three decimals.
+fn probability(p: f64) -> String {
+    if p < 5e-4 { "< 0.001".to_owned() } else { format!("{p:.3}") }
 }
 
 /// Four digits, without zeros at the end; a tiny number by its power of ten.
