@@ -9,6 +9,7 @@ use serde_json::Value;
 
 use super::output::refuse_input;
 use super::patience::Patience;
+use super::plan::sha256_of;
 use super::{Exit, ExitContext, print_json, print_status, print_text, write_file};
 use crate::cli::{AlignChoice, CompareArgs, PairChoice};
 use crate::log::LogReader;
@@ -50,7 +51,8 @@ pub struct Compared {
 /// Compares the flights that `args` names; its output and its baseline are the caller's.
 ///
 /// # Errors
-/// A log that cannot be read; pairs in order of groups that differ in size.
+/// A log that cannot be read; a group with one file twice; pairs in order of groups that differ in
+/// size.
 pub fn compared(args: &CompareArgs) -> anyhow::Result<Compared> {
     let mapping = args.mapping.as_deref();
     let read = |logs: &[PathBuf]| -> anyhow::Result<Vec<Entry>> {
@@ -64,6 +66,8 @@ pub fn compared(args: &CompareArgs) -> anyhow::Result<Compared> {
         );
         return Err(error).or_exit(Exit::Usage);
     }
+    refuse_copies(&args.a)?;
+    refuse_copies(&args.b)?;
     let (a, b) = (read(&args.a)?, read(&args.b)?);
     let (a, b): (Vec<&Entry>, Vec<&Entry>) = (a.iter().collect(), b.iter().collect());
     let alignment = match args.align {
@@ -87,6 +91,22 @@ pub fn compared(args: &CompareArgs) -> anyhow::Result<Compared> {
     Ok(Compared { comparison, html })
 }
 
+/// Refuses a group that holds one file twice. The test takes the flights of a group for
+/// independent: copies have no spread, so any difference would count as proven. A file may be in
+/// both groups: simulated flights of two versions that behave alike are equal.
+fn refuse_copies(logs: &[PathBuf]) -> anyhow::Result<()> {
+    let hashes: anyhow::Result<Vec<String>> = logs.par_iter().map(|log| sha256_of(log)).collect();
+    let mut seen: BTreeMap<String, &Path> = BTreeMap::new();
+    for (log, hash) in logs.iter().zip(hashes.or_exit(Exit::Usage)?) {
+        if let Some(twin) = seen.insert(hash, log) {
+            let (log, twin) = (log.display(), twin.display());
+            let error = anyhow!("{log}: the same file as {twin}; leave one of them out");
+            return Err(error).or_exit(Exit::Usage);
+        }
+    }
+    Ok(())
+}
+
 /// Reads a flight for a comparison: along its trajectory where it is one of this program's.
 ///
 /// # Errors
@@ -95,6 +115,10 @@ pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
     let name = log.file_stem().unwrap_or_default().to_string_lossy();
     let own = LogReader::open(log).ok().and_then(|mut reader| {
         let report = FlightReport::read(&mut reader).ok()?;
+        if !report.summary().log_finished {
+            let log = log.display();
+            print_status(format_args!("{log}: unfinished log, comparing its complete part"));
+        }
         let mut facts = run_facts(&report.summary().run);
         for attachment in reader.attachments() {
             let text = String::from_utf8_lossy(&attachment.data);

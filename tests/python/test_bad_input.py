@@ -126,3 +126,13 @@ def test_missing_files_are_named(program, hover, tmp_path):
     refused(program, fly(hover, tmp_path, vehicle=tmp_path / "none.toml"), 2, "none.toml")
     refused(program, ["daemon", "--config", tmp_path / "none.toml"], 2, "none.toml")
     refused(program, ["log", "info", tmp_path / "none.mcap"], 2, "none.mcap")
+
+
+def test_a_file_twice_in_one_group_is_no_second_flight(program, tmp_path):
+    first, copy, other = (tmp_path / name for name in ("a.ulg", "copy.ulg", "b.ulg"))
+    for path, content in ((first, b"one flight"), (copy, b"one flight"), (other, b"another flight")):
+        path.write_bytes(content)
+    out = ["--baseline", "-o", tmp_path / "compare.html", "--"]
+    refused(program, ["compare", first, first, *out, other], 2, "a.ulg", "the same file as")
+    refused(program, ["compare", other, *out, first, copy], 2, "copy.ulg", "the same file as", "a.ulg")
+    assert not (tmp_path / "compare.html").exists()
