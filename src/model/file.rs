@@ -122,6 +122,16 @@ pub enum ModelFileError {
         /// The cause.
         source: std::io::Error,
     },
+    /// Text, such as a vehicle file.
+    #[error(
+        "model file {}: expected a file that `downwash train` wrote, found text; \
+         --vehicle takes a vehicle file",
+        path.display()
+    )]
+    Text {
+        /// The file.
+        path: PathBuf,
+    },
     /// Not a model file, or a damaged one.
     #[error("model file {}: {reason}; train it again or copy it again", path.display())]
     Damaged {
@@ -300,8 +310,12 @@ impl ModelFile {
     /// [`ModelFileError`].
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, ModelFileError> {
         let damaged = |reason: String| ModelFileError::Damaged { path: path.to_owned(), reason };
-        let (_, metadata) = SafeTensors::read_metadata(bytes)
-            .map_err(|error| damaged(format!("not a safetensors file ({error})")))?;
+        let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|error| {
+            if is_text(bytes) {
+                return ModelFileError::Text { path: path.to_owned() };
+            }
+            damaged(format!("not a safetensors file ({error})"))
+        })?;
         let text = metadata
             .metadata()
             .as_ref()
@@ -397,6 +411,11 @@ impl Tensor {
         let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         Self { name, kind: Dtype::F32, shape: shape.to_vec(), bytes }
     }
+}
+
+/// Whether bytes are text. A model file begins with a length of 8 bytes, some of them zero.
+fn is_text(bytes: &[u8]) -> bool {
+    bytes.len() >= 8 && !bytes.contains(&0) && std::str::from_utf8(bytes).is_ok()
 }
 
 fn read_network(

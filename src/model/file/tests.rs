@@ -71,6 +71,13 @@ fn model_round_trips_through_its_file() {
 }
 
 #[test]
+fn vehicle_file_in_place_of_a_model_is_named_as_text() {
+    let error = refusal(b"name = \"quad\"\nmass = 0.030\n");
+    assert!(matches!(error, ModelFileError::Text { .. }), "{error}");
+    assert!(error.to_string().contains("--vehicle"), "{error}");
+}
+
+#[test]
 fn same_model_gives_the_same_bytes() {
     // Each run creates a new hash map, whose order differs.
     let first = bytes(Features::World);
