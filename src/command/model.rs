@@ -388,14 +388,14 @@ fn multi_step_table(summaries: &[MultiStepSummary]) -> String {
     let Some(first) = summaries.first() else { return String::new() };
     let mut text = format!("open loop, {} windows (RMS)\n", first.windows);
     text += &format!(
-        "  {:18}{:>8}{:>12}{:>12}{:>12}{:>12}\n",
-        "", "horizon", "position/m", "velocity", "attitude", "rate/rad/s"
+        "  {:18}{:>8}{:>12}{:>14}{:>14}{:>14}\n",
+        "", "horizon", "position/m", "velocity/m/s", "attitude/rad", "rate/rad/s"
     );
     for (index, horizon) in first.horizons_s.iter().enumerate() {
         for summary in summaries {
             let e = &summary.errors[index];
             text += &format!(
-                "  {:18}{horizon:>6} s{:12.4}{:12.4}{:12.4}{:12.4}\n",
+                "  {:18}{horizon:>6} s{:12.4}{:14.4}{:14.4}{:14.4}\n",
                 summary.predictor, e.position_m, e.velocity_m_s, e.attitude_rad, e.rate_rad_s
             );
         }

@@ -7,7 +7,11 @@ use super::VehicleParams;
 
 /// The first difference between two vehicles.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{field}{place} is {other} there and {this} in this vehicle")]
+#[error(
+    "{field}{place} is {other}{} there and {this}{} in this vehicle",
+    unit(.field),
+    unit(.field)
+)]
 pub struct Difference {
     /// The field's name in vehicle files.
     pub field: &'static str,
@@ -40,6 +44,16 @@ impl Difference {
         other: &Option<T>,
     ) -> Option<Self> {
         Self::of(field, this.as_ref()?, other.as_ref()?)
+    }
+}
+
+/// The unit of a field whose name states none, after a space.
+fn unit(field: &str) -> &'static str {
+    match field {
+        "mass" => " kg",
+        "inertia" => " kg m^2",
+        "gravity" => " m/s^2",
+        _ => "",
     }
 }
 
@@ -112,6 +126,14 @@ mod tests {
         let text = quad().difference(&other).expect("a difference").to_string();
         assert!(text.starts_with("rotors[2].thrust_max_N is 7.5 there and "), "{text}");
         assert!(!text.contains('{'), "{text}");
+    }
+
+    #[test]
+    fn differing_mass_has_its_unit() {
+        let (mut this, mut other) = (quad(), quad());
+        (this.mass, other.mass) = (1.5, 0.03);
+        let text = this.difference(&other).expect("a difference").to_string();
+        assert_eq!(text, "mass is 0.03 kg there and 1.5 kg in this vehicle");
     }
 
     #[test]
