@@ -1,6 +1,6 @@
 //! The manifest: what is done at each point, its inputs, and which of them vary.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
@@ -123,6 +123,12 @@ impl Manifest {
             bail!("samples: expected 1, because nothing is drawn, found {}", written.samples);
         }
         let seeds = written.seeds.each();
+        if let Seeds::These(listed) = &written.seeds {
+            let mut distinct = BTreeSet::new();
+            if let Some(seed) = listed.iter().find(|seed| !distinct.insert(**seed)) {
+                bail!("seeds: {seed} is given twice, and would only repeat the same points");
+            }
+        }
         let cases = match written.of {
             Subject::Exam => exam_inputs::cases(&written.fixed)?,
             Subject::Simulate | Subject::Diagnose => 1,
@@ -314,8 +320,6 @@ fn dotted(prefix: &str, table: &Table) -> Table {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
-
     use super::*;
 
     fn parse(text: &str) -> anyhow::Result<Manifest> {
@@ -374,6 +378,7 @@ mod tests {
         assert!(refused("samples = 3").contains("nothing is drawn"));
         assert!(refused("seeds = 0").contains("found 0"));
         assert!(refused("seeds = -1").contains("a list of seeds"));
+        assert!(refused("seeds = [4, 2, 4]").contains("seeds: 4 is given twice"));
         assert!(refused("[grid]\n'set.a' = 3").contains("a list of values"));
         assert!(
             refused("[grid]\n'effects.wnd.north_m_s' = [1]").contains("unknown effect \"wnd\"")
