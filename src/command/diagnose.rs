@@ -15,7 +15,7 @@ use vehicle::effects::EffectSet;
 
 use super::improved::{Additions, Form};
 use super::logs::{listed, open_for};
-use super::output::{create_report_folder, refuse_input};
+use super::output::{create_report_folder, is_same_file, refuse_input};
 use super::patience::Patience;
 use super::setup::capability;
 use super::vehicle_file::warn;
@@ -75,13 +75,18 @@ pub(super) fn run(args: &DiagnoseArgs) -> anyhow::Result<Exit> {
 fn paths(args: &DiagnoseArgs) -> Vec<PathBuf> {
     let mut paths = args.logs.clone();
     for path in &args.holdout {
-        if !paths.contains(path) {
+        if !is_among(path, &paths) {
             paths.push(path.clone());
         }
     }
-    paths.retain(|path| !args.new.contains(path));
+    paths.retain(|path| !is_among(path, &args.new));
     paths.extend(args.new.iter().cloned());
     paths
+}
+
+/// Whether `path` is one of `files`, however it is written: `--holdout ./a.ulg` names `a.ulg`.
+fn is_among(path: &Path, files: &[PathBuf]) -> bool {
+    files.iter().any(|file| file == path || is_same_file(file, path))
 }
 
 /// Usable flights by their use, and the audits of all logs.
@@ -99,8 +104,8 @@ fn sorted(args: &DiagnoseArgs, paths: &[PathBuf], vehicle: &VehicleParams) -> So
         Sorted { fitted: Vec::new(), held_out: Vec::new(), new: Vec::new(), logs: Vec::new() };
     for (path, log) in paths.iter().zip(read) {
         match log.flight {
-            Ok(flight) if args.new.contains(path) => sorted.new.push(flight),
-            Ok(flight) if args.holdout.contains(path) => sorted.held_out.push(flight),
+            Ok(flight) if is_among(path, &args.new) => sorted.new.push(flight),
+            Ok(flight) if is_among(path, &args.holdout) => sorted.held_out.push(flight),
             Ok(flight) => sorted.fitted.push(flight),
             Err(error) => {
                 print_status(format_args!("{}: left out: {}", path.display(), error_text(&error)))
@@ -133,9 +138,19 @@ pub fn find(
         (None, None) => None,
         _ => Some(config::load(args.config.as_deref(), vec![])?.settings),
     };
+    for path in args.holdout.iter().chain(&args.new) {
+        std::fs::metadata(path)
+            .with_context(|| format!("cannot read {}", path.display()))
+            .or_exit(Exit::Usage)?;
+    }
     create_report_folder(args.report.as_deref())?;
     let paths = paths(args);
     let Sorted { mut fitted, mut held_out, mut new, logs } = sorted(args, &paths, &vehicle);
+    if held_out.is_empty() && !args.holdout.is_empty() {
+        print_status(format_args!(
+            "--holdout: none of its logs can be used; other flights are held out"
+        ));
+    }
     if fitted.is_empty() {
         fitted.append(&mut new);
     }
@@ -392,4 +407,21 @@ fn halves(flight: &PreparedFlight) -> anyhow::Result<(Vec<PreparedFlight>, Vec<P
         anyhow!("{}: too short to hold out a part of it; give another flight", flight.name)
     })?;
     Ok((vec![first], vec![second]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn holdout_names_a_log_however_its_path_is_written() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let (log, other) = (root.join("Cargo.toml"), root.join("README.md"));
+        let mut args = DiagnoseArgs::new(vec![log.clone(), other.clone()], PathBuf::new());
+        args.holdout = vec![root.join("src/../README.md")];
+        assert_eq!(paths(&args), [log.clone(), other.clone()]);
+        assert!(is_among(&other, &args.holdout) && !is_among(&log, &args.holdout));
+        args.new = vec![root.join("src/../Cargo.toml")];
+        assert_eq!(paths(&args), [other, root.join("src/../Cargo.toml")]);
+    }
 }

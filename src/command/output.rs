@@ -30,7 +30,7 @@ pub(super) fn refuse_input<'a>(
 }
 
 /// Whether both name one existing file.
-fn is_same_file(a: &Path, b: &Path) -> bool {
+pub(super) fn is_same_file(a: &Path, b: &Path) -> bool {
     match (a.canonicalize(), b.canonicalize()) {
         (Ok(a), Ok(b)) => a == b,
         _ => false,

@@ -126,6 +126,9 @@ def test_missing_files_are_named(program, hover, tmp_path):
     refused(program, fly(hover, tmp_path, vehicle=tmp_path / "none.toml"), 2, "none.toml")
     refused(program, ["daemon", "--config", tmp_path / "none.toml"], 2, "none.toml")
     refused(program, ["log", "info", tmp_path / "none.mcap"], 2, "none.mcap")
+    for flag in ("--holdout", "--new"):
+        arguments = ["diagnose", "--vehicle", CRAZYFLIE, hover, flag, tmp_path / "none.mcap"]
+        refused(program, arguments, 2, "cannot read", "none.mcap")
 
 
 def test_a_file_twice_in_one_group_is_no_second_flight(program, tmp_path):
