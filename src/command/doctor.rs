@@ -14,7 +14,6 @@ use self::observed::{Observed, Report};
 use super::listen::Listener;
 use super::{Exit, ExitContext, print_json, print_status, print_text};
 use crate::cli::DoctorArgs;
-use crate::link::silence::Silence;
 
 /// Listening time, s: for AUTOPILOT_VERSION, then parameters, then rates.
 const SECONDS: f64 = 8.0;
@@ -51,8 +50,7 @@ pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
     let now = listener.clock.now();
     let report = observed.report(&listener, now.since(started).as_secs_f64());
     let (findings, verdict, exit) = if listener.session.vehicle().is_none() {
-        let silence = Silence::of(&listener.session, now);
-        let finding = Finding::new(Weight::Refuses, "vehicle", silence.line);
+        let finding = Finding::new(Weight::Refuses, "vehicle", listener.silence(now));
         (vec![finding], "no vehicle", Exit::Link)
     } else {
         let found = findings(&report, &observed, &listener, args.rates);

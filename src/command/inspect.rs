@@ -19,6 +19,8 @@ use crate::link::session::Delivery;
 
 /// Listening time without a terminal, s.
 const SECONDS: f64 = 8.0;
+/// A listening time must be below, s.
+const SECONDS_MAX: f64 = 1e6;
 /// Period at which the table is drawn.
 const REDRAW: Duration = Duration::from_millis(500);
 /// Longest time over which rates are averaged, s.
@@ -63,9 +65,14 @@ type Table = BTreeMap<(u32, u8, u32), Seen>;
 pub(super) fn run(args: &ListenArgs) -> anyhow::Result<Exit> {
     let is_live = io::stdout().is_terminal() && !args.json;
     let limit_s = args.seconds.or((!is_live).then_some(SECONDS));
-    let is_sensible = limit_s.is_none_or(|limit| limit > 0.0 && limit < 1e6);
     let checked = || -> anyhow::Result<()> {
-        ensure!(is_sensible, "--seconds: expected a time above 0, found {limit_s:?}");
+        if let Some(limit) = limit_s {
+            let is_sensible = limit > 0.0 && limit < SECONDS_MAX;
+            ensure!(
+                is_sensible,
+                "--seconds: expected above 0 and below {SECONDS_MAX}, found {limit}"
+            );
+        }
         Ok(())
     };
     checked().or_exit(Exit::Usage)?;

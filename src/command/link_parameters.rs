@@ -56,6 +56,7 @@ pub(super) fn read(endpoint: Endpoint, system: Option<u8>) -> anyhow::Result<Par
         under_way: 0,
         found: Parameters::default(),
         is_reported: false,
+        failure: None,
     };
     runtime.block_on(reading.run())
 }
@@ -71,6 +72,8 @@ struct Reading {
     under_way: usize,
     found: Parameters,
     is_reported: bool,
+    /// Why the endpoint is not open, after an attempt.
+    failure: Option<String>,
 }
 
 impl Reading {
@@ -131,16 +134,19 @@ impl Reading {
                 self.session.receive(now, peer, &buffer[..len], is_datagram, &mut |_| {});
             }
             Input::Failed { error, .. } => {
+                let failure = error.to_string();
                 if !self.is_reported {
-                    print_status(format_args!("{error}; trying again until it opens"));
+                    print_status(format_args!("{failure}; trying again until it opens"));
                     self.is_reported = true;
                 }
+                self.failure = Some(failure);
             }
             Input::Lost(_) => self.session.transport_closed(),
             Input::PeerClosed(peer) => {
                 self.session.peer_closed(peer);
             }
-            Input::Opened | Input::PeerOpened(_) => {}
+            Input::Opened => self.failure = None,
+            Input::PeerOpened(_) => {}
         }
     }
 
@@ -183,7 +189,9 @@ impl Reading {
         }
         let bytes = self.session.stats().received.bytes;
         if waited > SEARCH {
-            let error = anyhow!("no vehicle was found: {}", Silence::of(&self.session, now).line);
+            let why = self.failure.clone();
+            let why = why.unwrap_or_else(|| Silence::of(&self.session, now).line);
+            let error = anyhow!("no vehicle was found: {why}");
             return Err(error).or_exit(Exit::Link);
         }
         if waited > WAIT_REPORTED_AFTER && !self.is_reported {

@@ -24,6 +24,7 @@ use crate::link::profile::MessageRate;
 use crate::link::session::{Delivery, Session, Settings};
 use crate::link::several;
 use crate::link::signing::SigningSettings;
+use crate::link::silence::Silence;
 
 /// Without a chosen vehicle, another autopilot is listened for at least so long: each sends a
 /// HEARTBEAT a second.
@@ -38,6 +39,7 @@ pub(super) struct Listener {
     connection: Connection,
     runtime: Runtime,
     buffer: Vec<u8>,
+    /// Why the endpoint is not open, after an attempt.
     failure: Option<String>,
     /// Stores the stamps of signed frames.
     _signing: Option<SigningState>,
@@ -175,12 +177,21 @@ impl Listener {
                     *failure = Some(text);
                 }
             }
-            Some(Input::Opened | Input::PeerOpened(_)) | None => {}
+            Some(Input::Opened) => *failure = None,
+            Some(Input::PeerOpened(_)) | None => {}
         }
         session.poll(now);
         self.flush();
         while self.session.next_event().is_some() {}
         output
+    }
+
+    /// Why no vehicle is found: the endpoint is not open, or what arrives on it.
+    pub fn silence(&self, now: HostTime) -> String {
+        match &self.failure {
+            Some(failure) => failure.clone(),
+            None => Silence::of(&self.session, now).line,
+        }
     }
 
     /// Checks that the vehicle is the only autopilot on the link, or the one that the user chose.

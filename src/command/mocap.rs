@@ -24,7 +24,6 @@ use crate::config::Config;
 use crate::link::external_pose::{ExternalPose, PoseForm};
 use crate::link::profile::ARDUPILOT;
 use crate::link::session::{Delivery, Session};
-use crate::link::silence::Silence;
 use crate::mocap::bridge::{Bridge, Pose};
 use crate::mocap::natnet::{self, Packet, Version};
 use crate::mocap::settings::MocapSettings;
@@ -331,7 +330,7 @@ impl Line {
         let session = &self.listener.session;
         let is_live = session.last_received().is_some_and(|at| now.since(at) < FIRST_REPORT_AFTER);
         if session.vehicle().is_none() || !is_live {
-            return Some(format!("waiting for the vehicle: {}", Silence::of(session, now).line));
+            return Some(format!("waiting for the vehicle: {}", self.listener.silence(now)));
         }
         if session.clock().is_none() {
             return Some(

@@ -16,7 +16,6 @@ use crate::cli::{ListenArgs, SetupArgs, SigningCommand};
 use crate::config::SIGNING_KEY_VARIABLE;
 use crate::link::session::Delivery;
 use crate::link::signing::{Ledger, Remembered, SigningSettings};
-use crate::link::silence::Silence;
 
 /// Wait for a vehicle, and for its reaction to a setup.
 const SEARCH: Duration = Duration::from_secs(10);
@@ -149,8 +148,6 @@ fn wait(
             return Ok(());
         }
     }
-    let failed = || -> anyhow::Result<()> {
-        bail!("{}", Silence::of(&listener.session, listener.clock.now()).line)
-    };
+    let failed = || -> anyhow::Result<()> { bail!("{}", listener.silence(listener.clock.now())) };
     failed().or_exit(Exit::Link)
 }

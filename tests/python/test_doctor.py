@@ -1,6 +1,7 @@
 """`downwash doctor` and `downwash inspect`, which report on a vehicle and command nothing."""
 
 import json
+import socket
 
 from conftest import free_port
 from vehicle_variants import VehicleVariant
@@ -52,6 +53,22 @@ def test_doctor_on_a_silent_link(program):
     code, out = running.finish(30)
     assert code == 3 and "0 bytes received" in out
     assert "listening on udpin" in running.err
+
+
+def test_doctor_on_a_port_in_use(program):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        url = f"udpin:127.0.0.1:{other.getsockname()[1]}"
+        code, out = program("doctor", "--connect", url, "--seconds", "1", "--json").finish(30)
+    finding = json.loads(out)["findings"][0]
+    assert code == 3 and finding["subject"] == "vehicle"
+    assert "the port is in use" in finding["text"] and "bytes received" not in finding["text"]
+
+
+def test_inspect_refuses_a_listening_time_of_zero(program):
+    running = program("inspect", "--connect", f"udpin:127.0.0.1:{free_port()}", "--seconds", "0")
+    code, _ = running.finish(30)
+    assert code == 2 and "found 0" in running.err
 
 
 def test_inspect_reports_message_rates(program):
