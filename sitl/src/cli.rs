@@ -89,6 +89,19 @@ impl RoomArgs {
         self.mocap.is_some() || self.mocap_natnet.is_some()
     }
 
+    fn check(&self) -> Result<(), SitlError> {
+        if !(1.0..=1000.0).contains(&self.mocap_rate) {
+            return Err(SitlError::RoomRate(self.mocap_rate));
+        }
+        if !self.mocap_x_heading.is_finite() {
+            return Err(SitlError::RoomHeading(self.mocap_x_heading));
+        }
+        if !self.mocap_fault.is_empty() && !self.is_there() {
+            return Err(SitlError::NoRoom);
+        }
+        Ok(())
+    }
+
     fn open(&self, seed: u64) -> Result<Option<RoomSockets>, SitlError> {
         if !self.is_there() {
             return Ok(None);
@@ -151,6 +164,12 @@ pub enum SitlError {
     /// The room's frame rate is outside 1 to 1000 Hz.
     #[error("--mocap-rate: expected 1 to 1000 Hz, found {0}")]
     RoomRate(f64),
+    /// The heading of the room's x axis is not finite.
+    #[error("--mocap-x-heading: expected a finite number of degrees, found {0}")]
+    RoomHeading(f64),
+    /// A fault is given without a room.
+    #[error("--mocap-fault: there is no room; add --mocap HOST:PORT or --mocap-natnet HOST:PORT")]
+    NoRoom,
     /// A socket of the room does not open.
     #[error("--mocap, --mocap-natnet: {0}; expected HOST:PORT")]
     RoomSocket(std::io::Error),
@@ -205,10 +224,7 @@ pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
         Some(path) => SitlConfig::load(path)?,
         None => SitlConfig::default(),
     };
-    let rate_hz = args.room.mocap_rate;
-    if !(1.0..=1000.0).contains(&rate_hz) {
-        return Err(SitlError::RoomRate(rate_hz));
-    }
+    args.room.check()?;
     config.estimator.from_vision |= args.room.is_there();
     config.autopilot = args.autopilot.unwrap_or(config.autopilot);
     let schedule = Schedule::requested(args.effects.as_deref(), &args.effect)?;

@@ -43,7 +43,7 @@ const ARMED_KNOWN: Duration = Duration::from_secs(3);
 pub(super) fn run(args: &MocapArgs, preparation: Interruption) -> anyhow::Result<Exit> {
     let room: Room = args.room.parse::<Room>().or_exit(Exit::Usage)?;
     let config = config::load(args.config.as_deref(), flags(args))?;
-    check(args, &config).or_exit(Exit::Usage)?;
+    check(args, &room, &config).or_exit(Exit::Usage)?;
     let listen = ListenArgs {
         connect: args.connect.clone(),
         system: args.system,
@@ -115,7 +115,7 @@ fn flags(args: &MocapArgs) -> Vec<(&'static str, &'static str, Value)> {
     flags
 }
 
-fn check(args: &MocapArgs, config: &Config) -> anyhow::Result<()> {
+fn check(args: &MocapArgs, room: &Room, config: &Config) -> anyhow::Result<()> {
     let MocapSettings { rate_hz, position_deviation_m, system, .. } = config.settings.mocap;
     ensure!((1.0..=500.0).contains(&rate_hz), "mocap.rate_hz: expected 1 to 500, found {rate_hz}");
     ensure!(
@@ -126,6 +126,12 @@ fn check(args: &MocapArgs, config: &Config) -> anyhow::Result<()> {
         system > 0 && system != config.settings.link.system,
         "mocap.system: expected neither 0 nor link.system ({}), which flies",
         config.settings.link.system
+    );
+    let is_number = args.body.parse().is_ok_and(|id: i32| id.to_string() == args.body);
+    ensure!(
+        is_number || matches!(room, Room::Stream(_)),
+        "--body {}: expected the streaming id of the rigid body, a number: NatNet sends no names",
+        args.body
     );
     let seconds = args.seconds.unwrap_or(1.0);
     ensure!((0.1..=1e6).contains(&seconds), "--seconds: expected 0.1 to 1000000, found {seconds}");

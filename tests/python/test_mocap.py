@@ -168,6 +168,7 @@ def test_each_wait_is_reported(program, vehicle, tmp_path):
         (["--room", "vrpn:host"], 2, "expected stream:"),
         (["--room", "stream:127.0.0.1:0", "--rate", "0"], 2, "mocap.rate_hz"),
         (["--room", "stream:198.51.100.1:5005"], 2, "cannot open"),
+        (["--room", "natnet:127.0.0.1"], 2, "streaming id"),
     ],
 )
 def test_invalid_options_are_refused(program, options, code, words):
