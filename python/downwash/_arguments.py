@@ -64,6 +64,9 @@ def listed(what: str, given: Iterable[_T]) -> list[_T]:
     """The items of a list, limited in number: a broadcast array may be huge."""
     if isinstance(given, (str, bytes)):
         raise TypeError(f"{what}: expected a list, found one word")
+    # A Log would give the names of its streams.
+    if isinstance(given, Mapping):
+        raise TypeError(f"{what}: expected a list, found a {type(given).__name__}")
     try:
         items = iter(given)
     except TypeError:

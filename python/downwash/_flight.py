@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -39,6 +40,15 @@ def _onsets_json(onsets: Iterable[tuple[float, Effects]]) -> str:
     return to_json("onsets", pairs)
 
 
+def _reference_of(
+    given: Trajectory | Plan | Mapping[str, Any] | Path,
+) -> _native.Trajectory | _native.Plan:
+    # As on the command line, a file with this ending is a plan.
+    if isinstance(given, (str, os.PathLike)) and os.fspath(given).endswith(".json"):
+        return Plan.load(given)._native
+    return given._native if isinstance(given, Plan) else trajectory_of(given)._native
+
+
 def fly(
     vehicle: Vehicle | Path = "crazyflie",
     trajectory: Trajectory | Plan | Mapping[str, Any] | Path = "sinusoid-yaw",
@@ -56,8 +66,8 @@ def fly(
 ) -> Rows:
     """Flies the simulated vehicle in lockstep, once for each seed, and returns a row for each flight.
 
-    The controller knows the vehicle file. The vehicle also has ``effects``, and those of ``onsets``, pairs
-    of a time in s on its clock and effects. ``controller`` is the name of a law, or settings of
+    ``trajectory`` may be a plan, or the path of a plan file (.json). The controller knows the vehicle file.
+    The vehicle also has ``effects``, and those of ``onsets``, pairs of a time in s on its clock and effects. ``controller`` is the name of a law, or settings of
     ``control``; ``settings`` are other settings by dotted path, which override the configuration file
     ``config``. ``simulation`` has keys of the simulated vehicle's configuration. With ``logs``, each
     flight's log goes into the subfolder ``seed-N``. ``jobs`` flights run at once, by default one for each
@@ -69,7 +79,7 @@ def fly(
         jobs = count("jobs", jobs, 1, 1024)
     rows = _native.fly(
         vehicle_of(vehicle)._native,
-        trajectory._native if isinstance(trajectory, Plan) else trajectory_of(trajectory)._native,
+        _reference_of(trajectory),
         effects_json(effects),
         _onsets_json(onsets),
         settings_of(settings, controller),

@@ -35,6 +35,13 @@ def test_logs_are_compared_by_their_samples(logs: list[Path]) -> None:
     assert log["position"] != "position"
 
 
+def test_a_log_that_was_read_is_not_a_list_of_paths(logs: list[Path]) -> None:
+    log = dw.read(logs[0])
+    for call in (lambda: dw.audit(log), lambda: dw.compare(log, logs), lambda: dw.diagnose("crazyflie", log)):
+        with pytest.raises(TypeError, match="expected a list, found a Log"):
+            call()
+
+
 def test_a_table_is_audited_with_its_mapping(tmp_path: Path) -> None:
     table = tmp_path / "flight.csv"
     lines = ["t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat"]
@@ -112,6 +119,14 @@ def test_a_learner_is_one_of_scikit_learn(logs: list[Path]) -> None:
     assert best.predict(np.zeros((2, 13))).shape == (2, 6)
     assert best.named_steps["learn"].n_features_in_ == 13
     assert np.isfinite(best.score(logs[2:]))
+
+
+def test_a_plan_flies_from_its_file_as_from_its_object(tmp_path: Path) -> None:
+    plan = dw.plan({"family": "hover", "altitude_m": 1.0, "duration_s": 0.5})
+    plan.save(tmp_path / "plan.json")
+    assert dw.fly(trajectory=tmp_path / "plan.json") == dw.fly(trajectory=plan)
+    with pytest.raises(dw.DownwashError, match="plan nowhere.json"):
+        dw.fly(trajectory="nowhere.json")
 
 
 def test_a_planned_flight_tracks_closer_than_feedback_alone(tmp_path: Path) -> None:
