@@ -188,6 +188,8 @@ impl SitlError {
             | Self::Effects(_)
             | Self::Key(_)
             | Self::RoomRate(_)
+            | Self::RoomHeading(_)
+            | Self::NoRoom
             | Self::RoomSocket(_) => 2,
             Self::Link(_) => 3,
             Self::Runtime(_) => 1,
