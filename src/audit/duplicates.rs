@@ -136,8 +136,8 @@ fn is_same_flight(a: &Flight, b: &Flight) -> bool {
         && fine_correlation([&a.attitude, &b.attitude], [from, to]) > FINE_CORRELATION
 }
 
-/// The correlation of two attitudes' second differences from `from` to `to`; 1 where neither has
-/// any.
+/// The correlation of two attitudes' second differences between the times `from` and `to`, s: 1
+/// where neither turns, 0 where only one does.
 fn fine_correlation(attitudes: [&Stream<Attitude>; 2], [from, to]: [f64; 2]) -> f64 {
     let fine = |attitude: &Stream<Attitude>, time: f64| -> Option<Frd> {
         let at = |time: f64| interpolated(attitude, time);
@@ -154,5 +154,9 @@ fn fine_correlation(attitudes: [&Stream<Attitude>; 2], [from, to]: [f64; 2]) -> 
             of_b += q.dot(q);
         }
     }
-    if of_a == 0.0 && of_b == 0.0 { 1.0 } else { product / (of_a * of_b).sqrt() }
+    match (of_a > 0.0, of_b > 0.0) {
+        (true, true) => product / (of_a * of_b).sqrt(),
+        (false, false) => 1.0,
+        _ => 0.0,
+    }
 }

@@ -92,9 +92,6 @@ pub struct Decision {
 
 /// Share of the open squared gap that all effects together must close to be substantial.
 const SUBSTANTIAL_SHARE: f64 = 0.2;
-/// Evidence, nats, that outweighs the scatter of a gap, with a known on-board loop. Without an effect,
-/// none had more than 27 nats there (`downwash exam --cases 60 --nulls 30 --seed 555004`).
-const DECISIVE_EVIDENCE: f64 = 100.0;
 /// Probability of gusts where a force looks like turbulence, since other forces look like it too.
 const GUST_PROBABILITY: f64 = 0.7;
 /// Share of the closable gap above which the remainder shows that an equation is inexact.
@@ -171,11 +168,9 @@ fn by_predictions(
     let remainder = ((after - noise) / closable).clamp(0.0, 1.0);
     decision.signs = [1.0, remainder];
     decision.outside = calibration.discrepancy(&decision.signs);
-    // A share of the open gap, and more than noise scatters the gap by. Where the file's numbers leave
-    // little open, the gap shows less than the equations do.
-    let is_decisive = evidence.loop_known && posterior.evidence(leading.index) > DECISIVE_EVIDENCE;
+    // A share of the open gap, and more than noise scatters the gap by.
     let is_substantial = closed > SUBSTANTIAL_SHARE * (file - 1.0).max(f64::MIN_POSITIVE)
-        && (closed > 0.1 + 4.0 * evidence.scatter || is_decisive);
+        && closed > 0.1 + 4.0 * evidence.scatter;
     let file_gaps = evidence.explanations.first().and_then(|file| file.reported);
     let is_worse = evidence.is_worse([file_gaps, explained.reported], 1);
     if !leading.practical.is_empty() && is_substantial && !is_worse {

@@ -90,11 +90,6 @@ impl<'a> Posterior<'a> {
         Self { evidence, scores, masses }
     }
 
-    /// The evidence of an explanation over the file's numbers, less the price of its effects, nats.
-    pub fn evidence(&self, index: usize) -> f64 {
-        self.scores[index] - PRICE * self.explained(index).effects.len() as f64
-    }
-
     fn explained(&self, index: usize) -> &Explained {
         &self.evidence.explanations[index]
     }

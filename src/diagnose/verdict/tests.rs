@@ -76,21 +76,6 @@ fn nothing_is_named_if_file_numbers_close_the_gap() {
 }
 
 #[test]
-fn decisive_evidence_counts_where_the_gap_is_small() {
-    let of = |nats: f64, loop_known: bool| {
-        let file = explained(&[], 0.0, [8.0, 1.07]);
-        let ground = explained(&["ground_effect"], nats, [8.0, 1.0]);
-        decide(&Evidence { loop_known, ..evidence(8.0, vec![file, ground]) }).verdict
-    };
-    assert_eq!(of(190.0, true), Verdict::Effect);
-    assert_eq!((of(40.0, true), of(190.0, false)), (Verdict::None, Verdict::None));
-    // Whatever the evidence, an effect that closes nothing of the gap is not named.
-    let file = explained(&[], 0.0, [8.0, 1.3]);
-    let idle = explained(&["rotor_gyroscopic"], 190.0, [8.0, 1.29]);
-    assert_eq!(decide(&evidence(8.0, vec![file, idle])).verdict, Verdict::None);
-}
-
-#[test]
 fn effect_that_closes_most_of_the_gap_is_named() {
     let file = explained(&[], 0.0, [8.0, 6.0]);
     let whole = explained(&["rotor_drag"], 300.0, [1.1, 1.05]);
