@@ -146,6 +146,34 @@ fn pose_and_timesync_answers_use_vehicle_time() {
     }
 }
 
+/// Frames from before the restart may still be on their way: until the vehicle reports its mode
+/// again, nothing may rely on it.
+#[test]
+fn one_timesync_answer_from_a_restarted_vehicle_puts_the_mode_in_doubt() {
+    for restarted_s in [Some(0.05), Some(1e6), None] {
+        let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));
+        world.run(&mut vehicle, seconds(2.0));
+        sent(&mut world);
+        world.now = world.now + seconds(0.2);
+        world.session.poll(world.now);
+        let request = sent(&mut world).into_iter().find_map(|message| match message {
+            MavMessage::TIMESYNC(request) if request.tc1 == 0 => Some(request.ts1),
+            _ => None,
+        });
+        let boot_s = vehicle.boot(world.now).as_secs_f64();
+        let tc1 = (restarted_s.unwrap_or(boot_s) * 1e9) as i64;
+        let answer = TIMESYNC_DATA { tc1, ts1: request.expect("due"), ..Default::default() };
+        let bytes = vehicle.encode(&MavMessage::TIMESYNC(answer));
+        let before = world.messages.len();
+        world.deliver(VEHICLE, &bytes);
+        let doubts = world.messages[before..]
+            .iter()
+            .filter(|received| received.message == Inbound::DoubtfulMode)
+            .count();
+        assert_eq!(doubts, usize::from(restarted_s.is_some()), "{restarted_s:?}");
+    }
+}
+
 #[test]
 fn invalid_content_is_counted_and_not_forwarded() {
     let (mut world, mut vehicle) = (World::new(settings()), Vehicle::new(1));

@@ -202,6 +202,23 @@ fn mode_restored_on_disarming_is_not_the_pilots_switch() {
     }
 }
 
+/// Half of the release may pass before a cut and half after it: the pilot may have switched in it.
+#[test]
+fn release_counts_no_silence() {
+    let mut flight = in_track(EngagePolicy::PilotSwitch);
+    flight.switch(POSITION_MODE);
+    flight.run(0.3);
+    assert_eq!(flight.offboard.flight_state(), FlightState::AwaitRelease);
+    flight.receives = |_| false;
+    flight.run(2.0);
+    assert_eq!(flight.offboard.flight_state(), FlightState::AwaitRelease);
+    flight.receives = |_| true;
+    let back = flight.vehicle.now();
+    flight.run(0.9);
+    assert_eq!(flight.streamed_since(back), 0, "{:#?}", flight.events);
+    flight.until(FlightState::Standby, 2.0);
+}
+
 #[test]
 fn switch_on_the_ground_lapses_unless_the_pilot_arms() {
     let mut flight = flight(EngagePolicy::PilotSwitch);

@@ -97,6 +97,11 @@ pub enum Answer {
     NotOurs,
     /// The exchange was added.
     Sample,
+    /// The exchange contradicts the estimate, but too few do so far to drop it.
+    Contradiction {
+        /// Size of the jump that would explain it, ns.
+        by_ns: i64,
+    },
     /// The vehicle's clock jumped: the former estimate was dropped.
     Jump {
         /// Size of the jump, ns; negative backwards, as after a reboot or a simulator's pause.
@@ -129,14 +134,14 @@ impl TimeSync {
         self.answered = now;
 
         if self.is_contradicted_by(&exchange) {
-            if self.rivals.len() < CONTRADICTIONS {
-                // A single contradiction is not enough.
-                return Answer::Sample;
-            }
             let skew = self.skew.map_or(0.0, |skew| skew.value);
             let before = self.best.map_or(0.0, |best| {
                 best.offset_ns as f64 + skew * ns_between(best.at, exchange.at)
             });
+            if self.rivals.len() < CONTRADICTIONS {
+                let by_ns = (exchange.offset_ns as f64 - before) as i64;
+                return Answer::Contradiction { by_ns };
+            }
             let rivals = std::mem::take(&mut self.rivals);
             (self.exchanges, self.best, self.skew) = (rivals.into(), None, None);
             self.choose(now);
@@ -291,8 +296,10 @@ mod tests {
             let ts1 = sync.request(at);
             sync.answer(at + ms, PERIOD.as_nanos() as i64 * i64::from(k), ts1)
         };
-        assert_eq!(rebooted(1), Answer::Sample);
-        assert_eq!(rebooted(2), Answer::Sample);
+        for k in [1, 2] {
+            let Answer::Contradiction { by_ns } = rebooted(k) else { panic!("{k}: not in doubt") };
+            assert!(by_ns < -19_000_000_000, "{by_ns}");
+        }
         let Answer::Jump { by_ns } = rebooted(3) else { panic!("no jump") };
         assert!(by_ns < -19_000_000_000, "{by_ns}");
         assert_ne!(sync.estimate(), before);

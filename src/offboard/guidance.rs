@@ -127,6 +127,8 @@ pub(super) struct Guidance {
     weight_n: f64,
     hover_thrust_n: f64,
     trajectory: Box<dyn ReferenceSource + Send>,
+    /// The trajectory's start, as it last was a number: a planner may fail before the take-off.
+    start: Reference,
     /// The anchor of the present flight.
     anchor: Option<Ned>,
     /// Where the vehicle was last seen on the ground.
@@ -157,11 +159,13 @@ impl Guidance {
     ) -> Self {
         let weight_n = hover_thrust_n;
         let hover_thrust_n = trajectory.start_thrust_n().clamp(0.75 * weight_n, 1.25 * weight_n);
+        let start = trajectory.sample(0.0);
         Self {
             settings,
             weight_n,
             hover_thrust_n,
             trajectory,
+            start,
             anchor: None,
             ground: None,
             lowest_down: 0.0,
@@ -292,7 +296,7 @@ impl Guidance {
                 self.anchor = Some(position);
                 (self.lowest_down, self.lifted) = (position.down(), 0.0);
                 self.goal.arrive();
-                let start = self.trajectory.sample(0.0).position + self.goal.at() + position;
+                let start = self.find_start().position + self.goal.at() + position;
                 let top = Ned::new(position.north(), position.east(), start.down());
                 let yaw = here.attitude.yaw();
                 self.segment = Segment::between(
@@ -308,7 +312,7 @@ impl Guidance {
                 };
                 let below = self.anchor_below(position);
                 let anchor = *self.anchor.get_or_insert(below);
-                let start = self.trajectory.sample(0.0);
+                let start = self.find_start();
                 self.goal.arrive();
                 let anchor = anchor + self.goal.at();
                 self.segment = Segment::between(
@@ -326,6 +330,14 @@ impl Guidance {
             _ => {}
         }
         (self.state, self.entered, self.settled_since) = (state, sample.vehicle, None);
+    }
+
+    fn find_start(&mut self) -> Reference {
+        let start = self.trajectory.sample(0.0);
+        if start.position.is_finite() && start.attitude.yaw.is_finite() {
+            self.start = start;
+        }
+        self.start
     }
 
     fn hold(&mut self, here: &State) -> Reference {

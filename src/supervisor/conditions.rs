@@ -83,13 +83,10 @@ impl Supervisor {
         status.silence_s(now) < self.settings.link_lost_after_s
     }
 
-    /// Notes since when the vehicle has been released. A doubted mode may hide OFFBOARD: what was
-    /// read before the doubt does not count.
+    /// Notes since when the vehicle has been released. A doubt or a silence may hide OFFBOARD: what
+    /// was read before it does not count.
     pub(super) fn note_release(&mut self, now: HostTime, status: &VehicleStatus) {
-        if self.is_released(now, status)
-            && self.is_linked(now, status)
-            && status.mode_reported.is_some()
-        {
+        if self.is_released(now, status) && status.is_mode_known(now) {
             self.other_mode_since.get_or_insert(now);
         } else {
             self.other_mode_since = None;

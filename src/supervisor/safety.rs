@@ -221,10 +221,11 @@ impl SafetySettings {
     }
 
     /// Share of `tracking_error_for_s` to wait: all of it at the limit, none at 1.5 times the
-    /// limit. A vehicle that drifts off at metres per second is not coming back.
+    /// limit. A vehicle that drifts off at metres per second is not coming back, and no setpoint
+    /// follows from a reference that is not a number.
     fn patience(&self, tracking_error_m: f64) -> f64 {
         let beyond = tracking_error_m / self.tracking_error_max_m - 1.0;
-        if beyond.is_nan() { 1.0 } else { (1.0 - beyond / PATIENCE_ENDS).clamp(0.0, 1.0) }
+        if beyond.is_nan() { 0.0 } else { (1.0 - beyond / PATIENCE_ENDS).clamp(0.0, 1.0) }
     }
 
     /// The reaction to the fault.
@@ -270,6 +271,9 @@ impl SafetySettings {
                 c.round_trip_s.unwrap_or(f64::NAN),
                 self.round_trip_max_s
             ),
+            Fault::TrackingError if c.tracking_error_m.is_nan() => {
+                "the reference is not a number: the planner failed".to_owned()
+            }
             Fault::TrackingError => format!(
                 "{:.2} m from the reference, limit {:.2} m",
                 c.tracking_error_m, self.tracking_error_max_m

@@ -158,19 +158,16 @@ impl Core {
             }
             Newness::Doubtful => {
                 self.counters.repeated += 1;
-                let message = Inbound::DoubtfulMode;
-                return on(Delivery::Message(Received {
-                    host: now,
-                    vehicle: None,
-                    delay: None,
-                    message,
-                }));
+                return on(doubtful_mode(now));
             }
         }
         self.counters.arrival(frame.id());
         self.set_state(LinkState::Connected);
         if frame.id() == TIMESYNC_DATA::ID {
-            return self.timesync(now, frame);
+            if self.timesync(now, frame) {
+                on(doubtful_mode(now));
+            }
+            return;
         }
         match self.codec.decode(frame) {
             Ok(Some((vehicle, message))) => {
@@ -281,10 +278,12 @@ impl Core {
         self.request_intervals(now);
     }
 
-    fn timesync(&mut self, now: HostTime, frame: &Frame) {
+    /// Takes a TIMESYNC frame; returns whether it shows a clock that may be another vehicle's, or
+    /// that of a restarted one, whose mode is then unknown.
+    fn timesync(&mut self, now: HostTime, frame: &Frame) -> bool {
         let Ok(MavMessage::TIMESYNC(data)) = frame.message() else {
             self.counters.refused += 1;
-            return;
+            return false;
         };
         if data.tc1 == 0 {
             let clock = self.clock.estimate();
@@ -301,27 +300,31 @@ impl Core {
                 };
                 self.send(&MavMessage::TIMESYNC(answer));
             }
-            return;
+            return false;
         }
         let (system, component) = (self.settings.system, self.settings.component);
         let is_for_us = [0, system].contains(&data.target_system)
             && [0, component].contains(&data.target_component);
         if !is_for_us {
-            return;
+            return false;
         }
         let answer = self.clock.answer(now, data.tc1, data.ts1);
         self.timesync_due = self.timesync_due.min(now + self.clock.period());
         if answer != Answer::NotOurs {
             self.events.extend(self.clock.round_trip().map(Event::RoundTrip));
         }
-        if let Answer::Jump { by_ns } = answer {
-            self.events.push_back(Event::ClockJump { by_ns });
-            if by_ns.unsigned_abs() > JUMP_NS {
-                // It may be another vehicle, which takes other setpoints.
-                self.profile = None;
-                self.version_due = Some((now, 0));
-            }
+        let by_ns = match answer {
+            Answer::NotOurs | Answer::Sample => return false,
+            Answer::Contradiction { by_ns } => return by_ns.unsigned_abs() > JUMP_NS,
+            Answer::Jump { by_ns } => by_ns,
+        };
+        self.events.push_back(Event::ClockJump { by_ns });
+        if by_ns.unsigned_abs() > JUMP_NS {
+            // It may be another vehicle, which takes other setpoints.
+            self.profile = None;
+            self.version_due = Some((now, 0));
         }
+        false
     }
 
     /// Marks the link as stale until the transport is open again.
@@ -428,4 +431,10 @@ impl Core {
         .min()
         .unwrap_or(self.heartbeat_due)
     }
+}
+
+/// What reaches the telemetry when the known mode may be outdated.
+fn doubtful_mode(now: HostTime) -> Delivery<'static> {
+    let message = Inbound::DoubtfulMode;
+    Delivery::Message(Received { host: now, vehicle: None, delay: None, message })
 }
