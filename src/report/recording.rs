@@ -1,29 +1,23 @@
 //! What a recorded flight shows beside its path, whoever recorded it: motors, pack, vibration, jumps
 //! of the estimate, rates of the streams, and errors against what was asked.
 
+mod jumps;
+pub(super) mod vibration;
+
 use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
-use vehicle::frame::{Ned, wrap_angle};
+use vehicle::frame::wrap_angle;
 
+pub use self::jumps::Jump;
 use super::histogram::quantile;
 use crate::log::import::{Flight, MotorUnit, Stream};
 
 /// A motor at more than this share of full is at its limit.
 const FULL: f64 = 0.98;
-/// What is slower than this is motion, what is faster is vibration: length of a mean, s.
-const MOTION_S: f64 = 0.1;
-/// Vibration is averaged over so long, s.
-const VIBRATION_WINDOW_S: f64 = 0.5;
-/// A step of the estimate beyond so many usual ones, and beyond what any vehicle does, is a jump.
-const JUMP_FACTOR: f64 = 12.0;
-const JUMP_POSITION_M: f64 = 0.08;
-const JUMP_ATTITUDE_RAD: f64 = 0.07;
-/// Jumps that are this close are one, s.
-const JUMP_APART_S: f64 = 0.3;
-/// Samples further apart than so many periods say nothing of each other.
+/// Samples further apart than this many periods are not compared.
 const PAUSE: f64 = 3.0;
-/// The summary names a pause from this many periods on.
+/// Standard gravity, m/s^2.
 const GRAVITY: f64 = 9.80665;
 
 /// The numbers of a recorded flight, and the JSON beside its report.
@@ -111,17 +105,6 @@ pub struct VoltageSummary {
     pub min_v: f64,
 }
 
-/// A step of the estimate that no motion explains.
-#[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
-pub struct Jump {
-    /// When, s after the log's first sample.
-    pub time_s: f64,
-    /// `position` or `attitude`.
-    pub of: &'static str,
-    /// How far, m or rad.
-    pub size: f64,
-}
-
 /// A flight with outputs in one unit and times from its first sample on.
 #[derive(Clone, Debug)]
 pub struct Recording {
@@ -206,9 +189,9 @@ impl Recording {
             errors: tracked(&flight).iter().filter_map(Tracked::summary).collect(),
             motors: if has_range { motors(&flight.outputs) } else { None },
             battery: battery(&flight.voltage),
-            vibration_m_s2: vibration(&flight.specific_force.map(|f| f.to_array())),
-            vibration_rad_s: vibration(&flight.body_rate.map(|w| w.to_array())),
-            jumps: jumps(&flight, span.0),
+            vibration_m_s2: vibration::rms(&flight.specific_force.map(|f| f.to_array())),
+            vibration_rad_s: vibration::rms(&flight.body_rate.map(|w| w.to_array())),
+            jumps: jumps::jumps(&flight, span.0),
         };
         Self { flight, vehicle, has_range, span, summary }
     }
@@ -339,109 +322,6 @@ fn battery(voltage: &Stream<f64>) -> Option<VoltageSummary> {
     Some(VoltageSummary { first_v: *first, last_v: *last, min_v })
 }
 
-/// What is faster than motion: each sample less the mean around it.
-fn fast(stream: &Stream<[f64; 3]>) -> Vec<[f64; 3]> {
-    let (times, values) = (stream.times(), stream.values());
-    let (mut from, mut to) = (0, 0);
-    let mut sum = [0.0; 3];
-    let add = |sum: &mut [f64; 3], value: &[f64; 3], sign: f64| {
-        for (s, v) in sum.iter_mut().zip(value) {
-            *s += sign * v;
-        }
-    };
-    let mut out = Vec::with_capacity(times.len());
-    for (time, value) in times.iter().zip(values) {
-        while to < times.len() && times[to] <= time + MOTION_S / 2.0 {
-            add(&mut sum, &values[to], 1.0);
-            to += 1;
-        }
-        while from < to && times[from] < time - MOTION_S / 2.0 {
-            add(&mut sum, &values[from], -1.0);
-            from += 1;
-        }
-        let n = (to - from).max(1) as f64;
-        out.push(std::array::from_fn(|i| value[i] - sum[i] / n));
-    }
-    out
-}
-
-/// Whether a stream is fast enough to show vibration at all.
-fn shows_vibration(stream: &Stream<[f64; 3]>) -> bool {
-    stream.period().is_some_and(|period| period < MOTION_S / 4.0)
-}
-
-fn vibration(stream: &Stream<[f64; 3]>) -> Option<[f64; 3]> {
-    if !shows_vibration(stream) {
-        return None;
-    }
-    let fast = fast(stream);
-    let n = fast.len() as f64;
-    Some([0, 1, 2].map(|i| (fast.iter().map(|v| v[i] * v[i]).sum::<f64>() / n).sqrt()))
-}
-
-/// Vibration over time: middles of windows, and the root mean square of each axis.
-pub(super) fn vibration_over_time(stream: &Stream<[f64; 3]>) -> (Vec<f64>, [Vec<f64>; 3]) {
-    let (mut middles, mut rms) = (Vec::new(), [const { Vec::new() }; 3]);
-    if !shows_vibration(stream) {
-        return (middles, rms);
-    }
-    let (times, fast) = (stream.times(), fast(stream));
-    let mut from = 0;
-    while let Some(start) = times.get(from).copied() {
-        let to = times.partition_point(|time| *time < start + VIBRATION_WINDOW_S).max(from + 1);
-        let window = &fast[from..to];
-        middles.push(start + VIBRATION_WINDOW_S / 2.0);
-        for (axis, rms) in rms.iter_mut().enumerate() {
-            let square: f64 = window.iter().map(|v| v[axis] * v[axis]).sum();
-            rms.push((square / window.len() as f64).sqrt());
-        }
-        from = to;
-    }
-    (middles, rms)
-}
-
-/// Steps between samples less what the rates say, with their times.
-fn steps<T>(stream: &Stream<T>, surprise: impl Fn(f64, &T, f64, &T) -> f64) -> Vec<(f64, f64)> {
-    let limit = PAUSE * stream.period().unwrap_or(0.0);
-    let samples: Vec<(f64, &T)> = stream.iter().collect();
-    let near = samples.windows(2).filter(|pair| pair[1].0 - pair[0].0 <= limit);
-    near.map(|pair| (pair[1].0, surprise(pair[0].0, pair[0].1, pair[1].0, pair[1].1)))
-        .filter(|(_, step)| step.is_finite())
-        .collect()
-}
-
-fn jumps(flight: &Flight, start: f64) -> Vec<Jump> {
-    let velocity = |time: f64| flight.velocity.held_at(time).copied();
-    let position = steps(&flight.position, |from, a: &Ned, to, b: &Ned| {
-        let Some((before, after)) = velocity(from).zip(velocity(to)) else { return f64::NAN };
-        (*b - *a - (before + after) * (0.5 * (to - from))).norm()
-    });
-    let attitude = steps(&flight.attitude, |from, a, to, b| {
-        let rate = |time| flight.body_rate.held_at(time).map(|w| w.norm());
-        let Some((before, after)) = rate(from).zip(rate(to)) else { return f64::NAN };
-        // A turn in a step is at most as long as its fastest rate makes it.
-        (a.angle_to(*b) - before.max(after) * (to - from)).max(0.0)
-    });
-    let found = |steps: Vec<(f64, f64)>, of: &'static str, least: f64| {
-        let mut sizes: Vec<f64> = steps.iter().map(|(_, size)| *size).collect();
-        sizes.sort_by(f64::total_cmp);
-        let limit = least.max(JUMP_FACTOR * quantile(&sizes, 0.5).unwrap_or(0.0));
-        let mut jumps: Vec<Jump> = Vec::new();
-        for (time, size) in steps.into_iter().filter(|(_, size)| *size > limit) {
-            let time_s = time - start;
-            match jumps.last_mut().filter(|last| time_s - last.time_s < JUMP_APART_S) {
-                Some(last) => last.size = last.size.max(size),
-                None => jumps.push(Jump { time_s, of, size }),
-            }
-        }
-        jumps
-    };
-    let mut all = found(position, "position", JUMP_POSITION_M);
-    all.extend(found(attitude, "attitude", JUMP_ATTITUDE_RAD));
-    all.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-    all
-}
-
 /// The accelerometer's thrust over weight: 1 in hover.
 pub(super) fn load_factor(flight: &Flight) -> (Vec<f64>, Vec<f64>) {
     let force = &flight.specific_force;
@@ -453,50 +333,13 @@ pub(super) fn load_factor(flight: &Flight) -> (Vec<f64>, Vec<f64>) {
 mod tests {
     use std::path::PathBuf;
 
-    use vehicle::frame::{Attitude, Frd};
-
     use super::*;
     use crate::log::import::{Clock, Origin};
 
-    fn empty() -> Flight {
+    pub(super) fn empty() -> Flight {
         let (path, run) = (PathBuf::from("a.tlog"), "a".to_owned());
         let origin = Origin { path, run, sha256: String::new(), format: "tlog" };
         Flight::empty(origin, Clock::Single)
-    }
-
-    #[test]
-    fn estimate_jump_is_found_but_fast_flight_is_not() {
-        let mut flight = empty();
-        for k in 0..1000 {
-            let time = 0.02 * f64::from(k);
-            // 8 m/s, with a step of 0.5 m at 10 s.
-            let step = if k >= 500 { 0.5 } else { 0.0 };
-            flight.position.push(time, Ned::new(8.0 * time + step, 0.0, -1.0));
-            flight.velocity.push(time, Ned::new(8.0, 0.0, 0.0));
-            flight.attitude.push(time, Attitude::default());
-            flight.body_rate.push(time, Frd::new(0.0, 0.0, 0.0));
-        }
-        let recording = Recording::new(flight);
-        let jumps = &recording.summary().jumps;
-        assert_eq!(jumps.len(), 1, "{jumps:?}");
-        assert!((jumps[0].time_s - 10.0).abs() < 1e-9 && (jumps[0].size - 0.5).abs() < 1e-6);
-    }
-
-    #[test]
-    fn vibration_excludes_slow_motion() {
-        let mut flight = empty();
-        for k in 0..2000 {
-            let time = 0.002 * f64::from(k);
-            let slow = 3.0 * (2.0 * time).sin();
-            let fast = 2.0 * (2.0 * std::f64::consts::PI * 100.0 * time).sin();
-            flight.specific_force.push(time, Frd::new(slow, slow + fast, -9.8));
-        }
-        let recording = Recording::new(flight);
-        let [front, right, down] = recording.summary().vibration_m_s2.expect("fast enough");
-        assert!(
-            front < 0.02 && down < 1e-9 && (right - 2_f64.sqrt()).abs() < 0.05,
-            "{front} {right}"
-        );
     }
 
     #[test]

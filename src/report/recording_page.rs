@@ -9,7 +9,7 @@ use super::axis::significant;
 use super::chart::{Band, Chart, Curve, Mark, Panel, Style};
 use super::page::{Mood, Page};
 use super::power::Spectrum;
-use super::recording::{Recording, load_factor, streams, vibration_over_time};
+use super::recording::{Recording, load_factor, streams, vibration};
 use super::scene::Scene;
 use super::table::{Cell, Table, definitions};
 use super::text::length;
@@ -205,7 +205,7 @@ fn vibration(recording: &Recording, timeline: &Timeline<'_>) -> String {
         (&rate, "body rate above 10 Hz (deg/s)", AXES),
     ];
     for (stream, name, axes) in kinds {
-        let (time, rms) = vibration_over_time(stream);
+        let (time, rms) = vibration::over_time(stream);
         if time.is_empty() {
             continue;
         }
