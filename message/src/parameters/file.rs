@@ -10,8 +10,8 @@ use super::Parameters;
 const NAME_MAX: usize = 16;
 /// MAV_COMP_ID_AUTOPILOT1: the component of PX4 and ArduPilot.
 const AUTOPILOT: u8 = 1;
-/// Remarks of one kind that are worded one by one.
-const WORDED: usize = 5;
+/// Remarks of one kind that are listed; the rest are counted.
+const REMARKS_LISTED: usize = 5;
 
 /// The file is not a parameter file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -112,8 +112,8 @@ impl Set {
             (&self.unreadable, "parameters without a readable value"),
             (&repeated, "parameters with two values"),
         ] {
-            remarks.extend(kind.iter().take(WORDED).cloned());
-            let more = kind.len().saturating_sub(WORDED);
+            remarks.extend(kind.iter().take(REMARKS_LISTED).cloned());
+            let more = kind.len().saturating_sub(REMARKS_LISTED);
             if more > 0 {
                 remarks.push(format!("and {more} more {what}"));
             }
