@@ -99,6 +99,10 @@ fn damaged_plan_is_refused_with_the_reason() {
     fewer["states"].as_array_mut().expect("states").pop();
     let error = read("fewer", fewer.to_string().as_bytes()).expect_err("refused");
     assert!(error.contains("101 states") && error.contains("found 100"), "{error}");
+    let mut slack: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    slack["answer"]["attitude_pd"]["kp"][2] = serde_json::json!(0.0);
+    let error = read("slack", slack.to_string().as_bytes()).expect_err("refused");
+    assert!(error.contains("kp above 0"), "{error}");
     let mut none = fewer.clone();
     none["inputs"] = serde_json::json!([]);
     assert!(read("none", none.to_string().as_bytes()).expect_err("refused").contains("found 0"));

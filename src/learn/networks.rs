@@ -178,9 +178,13 @@ impl Progress {
             let resume = match std::mem::replace(state, State::Waiting) {
                 State::Waiting => None,
                 State::Running(checkpoint) => Some(*checkpoint),
-                done @ State::Done { .. } => {
-                    *state = done;
-                    return Ok::<(), TrainError>(());
+                State::Done { network, curve } => {
+                    let inputs = lesson.training.inputs();
+                    let fits = network.has_size(inputs, settings.hidden, OUTPUTS);
+                    *state = State::Done { network, curve };
+                    let size = training::TrainingError::Checkpoint("the network's size differs");
+                    let differs = || network_error(lesson.model, lesson.head, size.to_string());
+                    return fits.then_some(()).ok_or_else(differs);
                 }
             };
             let settings = training::Settings {

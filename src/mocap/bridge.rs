@@ -168,8 +168,9 @@ impl Bridge {
 
     /// Checks the time: a body that has been silent for too long is lost.
     pub fn tick(&mut self, now: HostTime) {
-        let gap = Duration::from_secs_f64(self.settings.watch.gap_s);
-        if self.watch.holds() && self.last_pose.is_some_and(|at| now.since(at) > gap) {
+        let gap_s = self.settings.watch.gap_s;
+        let is_silent = |at: HostTime| now.since(at).as_secs_f64() > gap_s;
+        if self.watch.holds() && self.last_pose.is_some_and(is_silent) {
             self.watch.lose(Fault::Silent);
             self.fault(now, Fault::Silent, None);
         }

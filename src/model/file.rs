@@ -437,12 +437,11 @@ fn read_network(
         let view = view(part, Dtype::F64)?;
         let values: Vec<f64> =
             view.data().as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
-        let sound = values.len() == length && values.iter().all(|v| v.is_finite());
+        let (found, finite) = (values.len(), values.iter().filter(|v| v.is_finite()).count());
+        let sound = [found, finite] == [length; 2];
         sound.then_some(values).ok_or_else(|| {
-            format!(
-                "tensor {}: expected {length} finite numbers, found others that are not",
-                name(part)
-            )
+            let name = name(part);
+            format!("tensor {name}: expected {length} finite numbers, found {finite} among {found}")
         })
     };
     let singles = |part: &str, shape: &[usize]| {
@@ -453,8 +452,10 @@ fn read_network(
         }
         let values: Vec<f32> =
             view.data().as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-        let sound = values.iter().all(|v| v.is_finite());
-        sound.then_some(values).ok_or_else(|| format!("tensor {}: not finite", name(part)))
+        let odd = values.iter().copied().find(|v| !v.is_finite());
+        odd.map_or(Ok(values), |odd| {
+            Err(format!("tensor {}: expected finite numbers, found {odd}", name(part)))
+        })
     };
     let inputs = features.names(head).len();
     debug_assert!(inputs <= FEATURES_MAX);

@@ -27,7 +27,7 @@ macro_rules! sized {
             12 => $network.$method::<12>($features),
             13 => $network.$method::<13>($features),
             15 => $network.$method::<15>($features),
-            _ => unreachable!("features are 10 to 13, or 15"),
+            _ => unreachable!("`Features::names` gives a head 10 to 13 or 15 features"),
         }
     };
 }

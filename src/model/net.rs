@@ -33,6 +33,18 @@ impl Normalization {
 }
 
 impl Mlp {
+    /// Whether the network has this size, and its weights and biases have the lengths that follow.
+    pub fn has_size(&self, inputs: usize, hidden: usize, outputs: usize) -> bool {
+        let lengths = [
+            self.hidden_weights.len(),
+            self.hidden_biases.len(),
+            self.output_weights.len(),
+            self.output_biases.len(),
+        ];
+        [self.inputs, self.hidden, self.outputs] == [inputs, hidden, outputs]
+            && lengths == [hidden * inputs, hidden, outputs * hidden, outputs]
+    }
+
     /// y(x), computed in f64.
     ///
     /// # Panics

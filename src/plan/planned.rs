@@ -236,6 +236,10 @@ impl Plan {
         if !(self.period_s > 0.0 && times.iter().all(|t| (0.0..=10.0).contains(t))) {
             return Err(format!("expected times of 0 to 10 s, found {times:?}"));
         }
+        // The setpoints divide moments by them.
+        if !attitude_pd.kp.iter().all(|kp| *kp > 0.0) {
+            return Err(format!("expected attitude gains kp above 0, found {:?}", attitude_pd.kp));
+        }
         let gains = attitude_pd.kp.iter().chain(&attitude_pd.kd);
         let numbers = self.states.iter().flatten().chain(self.inputs.iter().flatten());
         if !numbers.chain(gains).all(|number| number.is_finite()) {

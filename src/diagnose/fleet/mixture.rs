@@ -38,9 +38,14 @@ struct Posterior {
 }
 
 impl Quadratic {
-    /// The likelihood of a set that was fitted under a prior of one magnitude.
+    /// The likelihood of a set that was fitted under a prior of one magnitude; `None` if the set's
+    /// covariance is not a positive definite matrix over its numbers.
     pub fn of(set: &Surveyed) -> Option<Self> {
         let n = set.mean.len();
+        // The set may come from a file.
+        if set.covariance.len() != n * n {
+            return None;
+        }
         let covariance = DMatrix::from_row_slice(n, n, &set.covariance);
         let factor = covariance.cholesky()?;
         let inverse = factor.inverse();

@@ -140,7 +140,7 @@ fn ticks(times: &[f64], missing: &Stream<u32>) -> Option<Ticks> {
     let periods: Vec<f64> = pairs
         .clone()
         .filter(|(pair, _)| near(pair))
-        .map(|(pair, lacking)| (pair[1] - pair[0]) / f64::from(lacking + 1))
+        .map(|(pair, lacking)| (pair[1] - pair[0]) / (f64::from(*lacking) + 1.0))
         .collect();
     if periods.is_empty() {
         return None;

@@ -10,7 +10,7 @@ use crate::clock::HostTime;
 use crate::mocap::fault::Fault;
 use crate::mocap::room_frame::Up;
 use crate::mocap::sample::Sample;
-use crate::mocap::settings::MocapSettings;
+use crate::mocap::settings::{MocapSettings, WatchSettings};
 
 const START: HostTime = HostTime::from_ns(1_700_000_000_000_000_000);
 /// The room's clock, less the host's time since the start, s.
@@ -188,6 +188,15 @@ fn frozen_and_silent_rooms_are_reported() {
     let tally = room.bridge.tally();
     assert_eq!((tally.losses, tally.faults.silent), (1, 1));
     assert!(room.run(2.5, 4.0).len() > 60, "it returns to where it was");
+}
+
+#[test]
+fn room_is_never_silent_with_a_gap_beyond_any_time() {
+    let watch = WatchSettings { gap_s: 1e300, ..Default::default() };
+    let mut room = Room::with(MocapSettings { watch, ..Default::default() });
+    room.run(0.0, 2.0);
+    room.bridge.tick(at(1e6));
+    assert!(room.bridge.holds());
 }
 
 /// A restarted room has a different clock. It is accepted after a second, with the body where it
