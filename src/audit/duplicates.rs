@@ -92,10 +92,8 @@ fn shared(a: &BTreeSet<[u64; 4]>, b: &BTreeSet<[u64; 4]>) -> f64 {
 
 /// The position at `time`, interpolated.
 fn position_at(flight: &Flight, time: f64) -> Option<[f64; 3]> {
-    let at = flight.position.index_at(time)?;
-    let (times, values) = (flight.position.times(), flight.position.values());
-    let share = (time - times[at]) / (times.get(at + 1)? - times[at]);
-    Some((values[at] + (*values.get(at + 1)? - values[at]) * share).to_array())
+    let (before, after, share) = flight.position.around(time)?;
+    Some((*before + (*after - *before) * share).to_array())
 }
 
 /// Whether two logs on the same clock show the same motion.

@@ -278,15 +278,8 @@ impl Pair for PositionAndVelocity<'_> {
     }
 
     fn expected(&self, bump: Bump, _: f64, correction: &Correction) -> Option<Expected> {
-        let BumpIntegrals { value, slope } =
-            integrate(self.velocity, bump, |_, v| Some(vector(v.to_array())))?;
-        let unbiased = value / bump.area() - correction.bias;
-        Some(Expected {
-            value: correction.map * unbiased,
-            by_delay: correction.map * slope / bump.area(),
-            unbiased,
-            bias: -Matrix3::identity(),
-        })
+        let velocity = integrate(self.velocity, bump, |_, v| Some(vector(v.to_array())))?;
+        Some(Expected::of(velocity, bump, correction))
     }
 }
 
@@ -421,14 +414,7 @@ impl Pair for AttitudeAndSetpoint {
     }
 
     fn expected(&self, bump: Bump, _: f64, correction: &Correction) -> Option<Expected> {
-        let BumpIntegrals { value, slope } =
-            integrate(&self.setpoint, bump, |_, lean| Some(*lean))?;
-        let unbiased = value / bump.area() - correction.bias;
-        Some(Expected {
-            value: correction.map * unbiased,
-            by_delay: correction.map * slope / bump.area(),
-            unbiased,
-            bias: -Matrix3::identity(),
-        })
+        let lean = integrate(&self.setpoint, bump, |_, lean| Some(*lean))?;
+        Some(Expected::of(lean, bump, correction))
     }
 }

@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::weak::Bump;
+use super::weak::{Bump, BumpIntegrals};
 
 /// The prediction of the other sensor under a bump, as means over it.
 pub(super) struct Expected {
@@ -15,6 +15,19 @@ pub(super) struct Expected {
     pub unbiased: Vector3<f64>,
     /// Derivative of `unbiased` with respect to the bias.
     pub bias: Matrix3<f64>,
+}
+
+impl Expected {
+    /// The prediction of a signal under `bump` that needs the correction alone.
+    pub fn of(integrals: BumpIntegrals<3>, bump: Bump, correction: &Correction) -> Self {
+        let unbiased = integrals.value / bump.area() - correction.bias;
+        Self {
+            value: correction.map * unbiased,
+            by_delay: correction.map * integrals.slope / bump.area(),
+            unbiased,
+            bias: -Matrix3::identity(),
+        }
+    }
 }
 
 /// The bias of the other sensor, and the map that scales and rotates it.

@@ -5,7 +5,7 @@ use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet, Growth};
 
 use super::draw::{Draw, rounded};
-use crate::diagnose::catalogue::hypothesis::reference;
+use crate::diagnose::catalogue::hypothesis::reference_slots;
 
 /// An effect with a drawn direction.
 #[derive(Clone, Debug)]
@@ -21,10 +21,8 @@ impl Direction {
     /// Draws a direction. An effect that the vehicle file models starts at the file's values.
     pub fn draw(draw: &mut Draw, vehicle: &VehicleParams, effect: EffectId) -> Self {
         let spec = effect.spec();
-        let mut growth = Growth::default();
-        for slot in spec.slots() {
-            growth.from[slot.index] = reference(vehicle, effect, slot.index);
-        }
+        let from = reference_slots(vehicle, effect);
+        let mut growth = Growth { from, ..Growth::default() };
         (spec.strong)(vehicle, draw, &mut growth);
         let modelled = vehicle.modelled_effects.contains(effect);
         // A modelled value may grow or shrink, but does not change sign.
@@ -53,7 +51,7 @@ impl Direction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::catalogue::hypothesis::Catalogue;
+    use crate::diagnose::catalogue::hypothesis::{Catalogue, reference};
 
     #[test]
     fn drawn_effects_lie_within_the_diagnosis_bounds() {

@@ -50,11 +50,8 @@ impl Alignment {
 
 /// The attitude at `time`, interpolated; `None` outside the stream.
 pub fn interpolated(stream: &Stream<Attitude>, time: f64) -> Option<Attitude> {
-    let index = stream.index_at(time)?;
-    let (times, values) = (stream.times(), stream.values());
-    let (a, b) = (values[index], *values.get(index + 1)?);
-    let share = (time - times[index]) / (times[index + 1] - times[index]);
-    Some(a.between(b, share))
+    let (before, after, share) = stream.around(time)?;
+    Some(before.between(*after, share))
 }
 
 /// The running integral of a stream.

@@ -384,10 +384,7 @@ fn scalar(stream: &Stream<f64>) -> Stream<[f64; 1]> {
 
 /// The simulator's accelerations at `time`, interpolated.
 fn truth_at(flight: &Flight, time: f64) -> Option<[f64; ACCELERATIONS]> {
-    let index = flight.truth.index_at(time)?;
-    let times = flight.truth.times();
-    let (a, b) = (&flight.truth.values()[index], flight.truth.values().get(index + 1)?);
-    let share = (time - times[index]) / (times[index + 1] - times[index]);
+    let (a, b, share) = flight.truth.around(time)?;
     let mix = |a: f64, b: f64| a + share * (b - a);
     let [n, e, d] = a.acceleration.to_array();
     let [n2, e2, d2] = b.acceleration.to_array();

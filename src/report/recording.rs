@@ -165,10 +165,7 @@ impl Recording {
         let has_range = match (&vehicle, flight.facts.output_ranges, flight.motor_unit) {
             (Some(vehicle), ..) => flight.normalise_outputs(vehicle).is_ok(),
             (None, Some(ranges), MotorUnit::VehicleFile) => {
-                for outputs in flight.outputs.values_mut() {
-                    *outputs = std::array::from_fn(|i| ranges[i].fraction(outputs[i]));
-                }
-                flight.motor_unit = MotorUnit::ThrustFraction;
+                flight.scale_outputs(ranges);
                 true
             }
             (None, _, unit) => unit == MotorUnit::ThrustFraction,

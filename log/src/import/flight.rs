@@ -88,6 +88,15 @@ impl<T> Stream<T> {
         self.values.get(self.index_at(time)?)
     }
 
+    /// The newest value at or before `time`, the next one, and the share of the way from one to the
+    /// other, 0..1; `None` before the first sample and from the last one on.
+    pub fn around(&self, time: f64) -> Option<(&T, &T, f64)> {
+        let first = self.index_at(time)?;
+        let (from, to) = (self.times.get(first)?, self.times.get(first + 1)?);
+        let share = (time - from) / (to - from);
+        Some((self.values.get(first)?, self.values.get(first + 1)?, share))
+    }
+
     /// Mean samples per second over the stream's span, without pauses of the logger; 0 with fewer
     /// than two samples.
     pub fn rate(&self) -> f64 {
@@ -389,6 +398,14 @@ impl Flight {
         }
     }
 
+    /// Converts the outputs to thrust fractions by each motor's range.
+    pub fn scale_outputs(&mut self, ranges: [OutputRange; 4]) {
+        for outputs in &mut self.outputs.values {
+            *outputs = std::array::from_fn(|i| ranges[i].fraction(outputs[i]));
+        }
+        self.motor_unit = MotorUnit::ThrustFraction;
+    }
+
     /// Converts the outputs to thrust fractions of `vehicle`. Without outputs it always succeeds.
     ///
     /// # Errors
@@ -411,10 +428,7 @@ impl Flight {
                 }
             }
             (MotorUnit::VehicleFile, None) => {
-                let ranges = self.facts.output_ranges.ok_or(UnitUnknown)?;
-                for outputs in &mut self.outputs.values {
-                    *outputs = std::array::from_fn(|i| ranges[i].fraction(outputs[i]));
-                }
+                self.scale_outputs(self.facts.output_ranges.ok_or(UnitUnknown)?);
             }
         }
         self.motor_unit = MotorUnit::ThrustFraction;

@@ -1,13 +1,11 @@
 //! Turns values of a catalogue's numbers into a vehicle: its physics, its inputs and its reports.
 
-use vehicle::effects::{
-    AttitudeTrim, CommandDelay, EffectId, EffectSet, EstimatorLatency, PdGain, Slots,
-};
+use vehicle::effects::{AttitudeTrim, CommandDelay, EffectId, EffectSet, EstimatorLatency, PdGain};
 use vehicle::law::{Law, LawText};
 use vehicle::physics::Physics;
 use vehicle::{VehicleError, VehicleParams};
 
-use crate::diagnose::catalogue::hypothesis::{Catalogue, reference};
+use crate::diagnose::catalogue::hypothesis::{Catalogue, reference_slots};
 use crate::diagnose::catalogue::number::{CONTRASTS, Target};
 use crate::diagnose::catalogue::term::{law_of, name_of};
 
@@ -39,7 +37,7 @@ impl Catalogue {
             if which.is_some_and(|which| !which.contains(&effect)) {
                 continue;
             }
-            let mut slots = base_slots(&self.vehicle, effect);
+            let mut slots = reference_slots(&self.vehicle, effect);
             let mut off = false;
             for (number, value) in self.numbers.iter().zip(values) {
                 match number.target {
@@ -135,15 +133,6 @@ impl Catalogue {
             physics,
         })
     }
-}
-
-/// The slots of an effect from the vehicle file, or else neutral.
-fn base_slots(vehicle: &VehicleParams, effect: EffectId) -> Slots {
-    let mut slots = Slots::default();
-    for slot in effect.spec().slots() {
-        slots[slot.index] = reference(vehicle, effect, slot.index);
-    }
-    slots
 }
 
 #[cfg(test)]

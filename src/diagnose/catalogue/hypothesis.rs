@@ -5,7 +5,7 @@
 //! under a prior of that width. An effect is named if its numbers must be further off; its
 //! hypothesis replaces their tolerance by a wide prior.
 
-use vehicle::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLoss};
+use vehicle::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLoss, Slots};
 use vehicle::{ROTORS, VehicleParams};
 
 use crate::diagnose::catalogue::number::{CONTRASTS, Number, Target};
@@ -349,6 +349,15 @@ pub fn reference(vehicle: &VehicleParams, effect: EffectId, slot: usize) -> f64 
         Neutral::Vehicle(value) => value(vehicle),
         Neutral::None => s.parameter.default.unwrap_or(0.0),
     })
+}
+
+/// The slots of an effect with the vehicle file's values, else the neutral ones.
+pub fn reference_slots(vehicle: &VehicleParams, effect: EffectId) -> Slots {
+    let mut slots = Slots::default();
+    for slot in effect.spec().slots() {
+        slots[slot.index] = reference(vehicle, effect, slot.index);
+    }
+    slots
 }
 
 fn modelled_scale(vehicle: &VehicleParams, rotor: usize) -> f64 {

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::VehicleParams;
-use vehicle::effects::{EffectId, EffectSet, Slots};
+use vehicle::effects::{EffectId, EffectSet};
 
 use crate::diagnose::answer::{Answer, FullVerdict};
-use crate::diagnose::catalogue::hypothesis::reference;
+use crate::diagnose::catalogue::hypothesis::reference_slots;
 use crate::diagnose::fleet::shared::{Cause, Fleet};
 use crate::diagnose::fleet::survey::Survey;
 use crate::diagnose::likelihood::fit::interval;
@@ -222,10 +222,7 @@ pub fn effects_of(vehicle: &VehicleParams, causes: &[Cause]) -> EffectSet {
     let mut effects = EffectSet::new();
     for cause in causes {
         let Ok(id) = cause.effect().parse::<EffectId>() else { continue };
-        let mut slots = Slots::default();
-        for slot in id.spec().slots() {
-            slots[slot.index] = reference(vehicle, id, slot.index);
-        }
+        let mut slots = reference_slots(vehicle, id);
         for number in &cause.numbers {
             slots[number.number.slot] = number.value;
         }

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use vehicle::VehicleParams;
-use vehicle::effects::{EffectId, EffectSet, Slots};
+use vehicle::effects::{EffectId, EffectSet};
 
 use super::Bench;
 use super::drawn::Drawn;
 use super::size::TruthStrength;
 use super::truth::ids;
-use crate::diagnose::catalogue::hypothesis::reference;
+use crate::diagnose::catalogue::hypothesis::reference_slots;
 use crate::diagnose::verdict::Verdict;
 use crate::diagnose::verdict::parameter::parameters;
 use crate::exam::condition::Condition;
@@ -93,11 +93,7 @@ fn true_effect(
         all.iter().map(|(name, value)| ((*name).to_owned(), value.into())).collect()
     };
     let mut neutral = EffectSet::new();
-    let mut slots = Slots::default();
-    for slot in effect.spec().slots() {
-        slots[slot.index] = reference(nominal, effect, slot.index);
-    }
-    let _ = neutral.insert(effect, slots);
+    let _ = neutral.insert(effect, reference_slots(nominal, effect));
     TrueEffect {
         id: effect.name().to_owned(),
         parameters: values(effects),

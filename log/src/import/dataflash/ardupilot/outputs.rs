@@ -62,10 +62,7 @@ impl Contents {
         flight.motor_source = MotorSource::Rcou;
         match ranges::ardupilot(&self.parameters) {
             Some((ranges, basis)) => {
-                flight.outputs = flight
-                    .outputs
-                    .map(|pulses| std::array::from_fn(|i| ranges[i].fraction(pulses[i])));
-                flight.motor_unit = MotorUnit::ThrustFraction;
+                flight.scale_outputs(ranges);
                 facts.notes.push(format!("outputs over the range {basis}"));
             }
             None => flight.motor_unit = MotorUnit::VehicleFile,

@@ -159,10 +159,7 @@ impl Contents {
         let most = flight.outputs.values().iter().flatten().copied().fold(0.0, f64::max);
         match ranges::px4(&self.parameters, &drive, most) {
             Some((ranges, basis)) => {
-                flight.outputs = flight
-                    .outputs
-                    .map(|outputs| std::array::from_fn(|i| ranges[i].fraction(outputs[i])));
-                flight.motor_unit = MotorUnit::ThrustFraction;
+                flight.scale_outputs(ranges);
                 facts.notes.push(format!("outputs over the range {basis}"));
             }
             None => flight.motor_unit = MotorUnit::VehicleFile,
