@@ -217,6 +217,7 @@ struct ComparisonFit {
 }
 
 impl<P: Pair> Comparison<'_, P> {
+    /// The fit from `start`, with a scale for each axis, or a single one.
     fn fit(&self, start: [f64; UNKNOWNS], own_scales: bool) -> Option<ComparisonFit> {
         let mut sizes = [0.0; UNKNOWNS];
         sizes[DELAY] = DELAY_STEP;
@@ -255,11 +256,13 @@ impl<P: Pair> Comparison<'_, P> {
         Some(ComparisonFit { fit, explained, pace })
     }
 
+    /// `exp(w) R`.
     fn turn(&self, value: &[f64; UNKNOWNS]) -> Matrix3<f64> {
         let small = Vector3::from_column_slice(&value[ROTATION..ROTATION + 3]);
         (Rotation3::new(small) * self.rotation).into_inner()
     }
 
+    /// The misfit under each bump at these unknowns, with its slopes.
     fn rows(&self, value: &[f64; UNKNOWNS]) -> Vec<Row<UNKNOWNS>> {
         let turn = self.turn(value);
         let own = Vector3::from_column_slice(&value[SCALE..SCALE + 3]);

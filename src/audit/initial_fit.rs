@@ -33,6 +33,7 @@ const SWEEPS: usize = 200;
 pub(super) struct InitialFit {
     /// Delay at `middle`, s.
     pub delay: f64,
+    /// Change of the delay over time, s/s.
     pub drift: f64,
     /// Mean time of the motion, s.
     pub middle: f64,
@@ -40,14 +41,16 @@ pub(super) struct InitialFit {
     pub rotation: Rotation3<f64>,
     /// Sign of each axis of the expected derivative; -1 for a reversed one.
     pub signs: Vector3<f64>,
+    /// Ratio of the measured derivative to the expected one.
     pub scale: f64,
+    /// Share of the motion that the fit explains.
     pub explained: f64,
     /// Number of axes that move.
     pub moving: usize,
 }
 
 impl InitialFit {
-    /// Tries all delays and drifts.
+    /// The best over all delays and drifts; `None` with too few bumps.
     pub fn best(pair: &impl Pair) -> Option<Self> {
         let bumps: Vec<&Bump> = pair.bumps().iter().filter(|bump| bump.group == 0).collect();
         let stride = bumps.len().div_ceil(BUMPS).max(1);
@@ -96,7 +99,8 @@ impl InitialFit {
         1.0 - self.explained < share * (1.0 - other.explained) - NEGLIGIBLE
     }
 
-    /// The best rotation and scale (Kabsch, Umeyama) of pairs, without their means.
+    /// The best rotation and scale (Kabsch, Umeyama) of pairs of a measured and an expected
+    /// derivative, without their means.
     fn at(pairs: &[(Vector3<f64>, Vector3<f64>)], rotatable: [bool; 3]) -> Self {
         let count = pairs.len() as f64;
         let (y_mean, x_mean) =
@@ -167,10 +171,12 @@ fn outwards(most: i32) -> impl Iterator<Item = i32> {
     std::iter::once(0).chain((1..=most).flat_map(|k| [k, -k]))
 }
 
-/// The measured derivative at a moment, and the expected one at each delay.
+/// The measured derivative under a bump, and the expected one at each delay.
 struct Moment {
+    /// Time of the bump's middle, s.
     centre: f64,
     measured: Vector3<f64>,
+    /// From the largest delay ahead to the largest one behind, a step apart.
     expected: Vec<Option<Vector3<f64>>>,
 }
 
@@ -184,6 +190,7 @@ impl Moment {
         Some(Self { centre: bump.centre, measured, expected: (-steps..=steps).map(at).collect() })
     }
 
+    /// The expected derivative at a delay of this many steps.
     fn at(&self, steps: i32) -> Option<Vector3<f64>> {
         let middle = self.expected.len() / 2;
         *self.expected.get(middle.checked_add_signed(steps as isize)?)?
@@ -200,7 +207,7 @@ struct RotationFit {
 }
 
 impl RotationFit {
-    /// About any axis.
+    /// About any axis, from `cross = sum y x^T` of the derivatives without their means.
     fn any(cross: &Matrix3<f64>) -> Option<Self> {
         let svd = cross.try_svd(true, true, f64::EPSILON, SWEEPS)?;
         let (u, v, s) = (svd.u?, svd.v_t?, svd.singular_values);
@@ -217,7 +224,7 @@ impl RotationFit {
         })
     }
 
-    /// About down only.
+    /// The same about down only.
     fn level(cross: &Matrix3<f64>) -> Option<Self> {
         let [along, across] = [cross[(0, 0)] + cross[(1, 1)], cross[(1, 0)] - cross[(0, 1)]];
         let [even, odd] = [cross[(0, 0)] - cross[(1, 1)], cross[(1, 0)] + cross[(0, 1)]];

@@ -24,7 +24,8 @@ const HALF_PERIODS: f64 = 8.0;
 /// lead to, s.
 const TURN_MAX: f64 = 1.0;
 const HALF_MIN: f64 = 0.05;
-/// Longer bumps, which show slow motion above the noise of a derivative, by this factor.
+/// Half width of the longer bumps, which show slow motion above the noise of a derivative, in half
+/// widths of the others.
 const LONGER: f64 = 3.0;
 /// A rotation beyond this many intervals is removed.
 const CERTAIN_INTERVALS: f64 = 2.0;
@@ -91,8 +92,8 @@ pub(super) fn share_explained_by_gyro(flight: &Flight) -> Option<f64> {
 /// Share of the position's motion that the velocity explains at best, in any axes, and the typical
 /// deviation of either from its mean, m/s.
 pub(super) fn share_explained_by_velocity(flight: &Flight) -> Option<(f64, [f64; 2])> {
-    let moving = PositionAndVelocity::of(flight);
-    Some((InitialFit::best(&moving)?.explained, changes(&moving)?))
+    let pair = PositionAndVelocity::of(flight);
+    Some((InitialFit::best(&pair)?.explained, changes(&pair)?))
 }
 
 /// Share of the velocity's motion that the accelerometer explains at best.
@@ -211,6 +212,7 @@ impl<'a> AttitudeAndGyro<'a> {
         Self { attitude, rate, bumps }
     }
 
+    /// The rotation vector of the attitude at `time` relative to `middle`, rad.
     fn turn(&self, middle: Attitude, time: f64) -> Option<Vector3<f64>> {
         let now = interpolated(&self.attitude, time)?;
         Some(rotation_vector(middle.inverse().compose(now)))
@@ -235,6 +237,7 @@ impl Pair for AttitudeAndGyro<'_> {
             let rate = correction.map * unbiased;
             // Outside the bump's support the rotation does not matter.
             let turn = self.turn(middle, time + delay).unwrap_or_default();
+            // The inverse of the right Jacobian, to second order.
             let turning = rate + turn.cross(&rate) / 2.0 + turn.cross(&turn.cross(&rate)) / 12.0;
             Some(stacked(turning, unbiased, Vector3::zeros()))
         })?;

@@ -10,11 +10,11 @@ const ROUNDING: f64 = 0.02;
 /// Valid pulses, us, when outputs are pulses.
 const PULSES: std::ops::RangeInclusive<f64> = 750.0..=2250.0;
 /// Median above which outputs look like pulses.
-const PULSE_LIKE: f64 = 500.0;
-/// A channel is stuck if its spread is below this share of the others'.
-const STUCK: f64 = 1e-3;
-/// Share of the time at a limit that is reported.
-const SATURATED: f64 = 0.05;
+const PULSE_MEDIAN_MIN: f64 = 500.0;
+/// A channel is stuck if its spread is below this share of the largest one.
+const SPREAD_SHARE_MIN: f64 = 1e-3;
+/// Share of the samples at a limit above which saturation is reported.
+const SATURATED_SHARE_MAX: f64 = 0.05;
 /// Share of changing samples during motion below which outputs drive no motors.
 const CHANGING_SHARE_MAX: f64 = 0.01;
 /// Limits of roll and pitch rate or speed above which the vehicle moves, rad/s and m/s.
@@ -109,7 +109,7 @@ fn valid_range(flight: &Flight) -> Option<(f64, f64, &'static str)> {
         MotorUnit::VehicleFile if flight.outputs.is_empty() => None,
         MotorUnit::VehicleFile => {
             let all = flight.outputs.values().iter().flatten().copied().collect();
-            (median(all) > PULSE_LIKE).then_some((*PULSES.start(), *PULSES.end(), "us"))
+            (median(all) > PULSE_MEDIAN_MIN).then_some((*PULSES.start(), *PULSES.end(), "us"))
         }
     }
 }
@@ -163,7 +163,7 @@ fn check_channels(flight: &Flight, audit: &mut Audit) {
     });
     let widest = spread.iter().copied().fold(0.0, f64::max);
     for (motor, spread) in spread.into_iter().enumerate() {
-        if spread < STUCK * widest {
+        if spread < SPREAD_SHARE_MIN * widest {
             audit.findings.push(Finding {
                 severity: Severity::Fault,
                 check: "stuck_output",
@@ -183,13 +183,13 @@ fn check_channels(flight: &Flight, audit: &mut Audit) {
     let limits =
         flying.iter().filter(|u| u.iter().any(|u| !(1e-3..1.0 - 1e-3).contains(u))).count();
     let share = limits as f64 / count;
-    if share > SATURATED {
+    if share > SATURATED_SHARE_MAX {
         audit.findings.push(Finding {
             severity: Severity::Note,
             check: "saturation",
             stream: Some("outputs"),
             found: share,
-            expected: SATURATED,
+            expected: SATURATED_SHARE_MAX,
             unit: "",
             what: format!("a motor is at its limit in {:.0} % of the samples", 100.0 * share),
             advice: "there the logged output is not the command; fly more gently to identify the \

@@ -6,6 +6,11 @@ use serde::Serialize;
 use super::{Audit, Finding, Severity, UnusableSpan};
 use crate::log::import::{Flight, Stream};
 
+/// Name of the check of what the importer left out.
+pub const LEFT_OUT: &str = "left_out";
+/// Reason for an unusable time between two samples.
+pub const NO_SAMPLES: &str = "no samples";
+
 /// Periods between samples above which there is a gap.
 const GAP_PERIODS: f64 = 3.0;
 /// Length of a gap that cannot be bridged, s.
@@ -17,6 +22,8 @@ const LOST_FLAW: f64 = 0.05;
 const JITTER_MAX: f64 = 0.35;
 /// Relative rate error of the ground's clock that is reported; ordinary quartz stays below 1e-4.
 const SKEW_MAX: f64 = 1e-3;
+/// Least period of a stream, s: inertial units sample at up to 32 kHz.
+const PERIOD_MIN_S: f64 = 25e-6;
 /// Share of samples left out as damaged above which the log supports no conclusion.
 const DAMAGED_MAX: f64 = 0.1;
 
@@ -102,14 +109,6 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     check_left_out(flight, audit);
 }
 
-/// Least period of a stream, s: inertial units sample at up to 32 kHz.
-const PERIOD_MIN_S: f64 = 25e-6;
-
-/// Name of the check of what the importer left out.
-pub const LEFT_OUT: &str = "left_out";
-/// Reason for an unusable time between two samples.
-pub const NO_SAMPLES: &str = "no samples";
-
 fn check_gaps(name: &'static str, times: &[f64], timing: &StreamTiming, audit: &mut Audit) {
     let (Some(period), Some(longest)) = (timing.period_s, timing.longest_gap_s) else { return };
     let limit = GAP_LONG.max(GAP_PERIODS * period);
@@ -125,9 +124,9 @@ fn check_gaps(name: &'static str, times: &[f64], timing: &StreamTiming, audit: &
     if gaps == 0 || lost < LOST_NOTE && longest <= limit {
         return;
     }
-    let much = lost > LOST_FLAW || longest > limit;
+    let is_flaw = lost > LOST_FLAW || longest > limit;
     audit.findings.push(Finding {
-        severity: if much { Severity::Measurement } else { Severity::Note },
+        severity: if is_flaw { Severity::Measurement } else { Severity::Note },
         check: "gap",
         stream: Some(name),
         found: longest,

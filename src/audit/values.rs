@@ -58,6 +58,8 @@ fn mean_size<T>(stream: &Stream<T>, from: f64, to: f64, size: impl Fn(&T) -> f64
     values.iter().map(size).sum::<f64>() / (values.len() as f64).max(1.0)
 }
 
+/// Reports samples with the bits of the one before, and marks the times in which a stream stands
+/// still while others show motion.
 fn repeated<T>(
     flight: &Flight,
     audit: &mut Audit,
@@ -166,6 +168,7 @@ fn steps_of<T>(
         .collect()
 }
 
+/// Reports steps that exceed `allowed`, in `unit`, and marks their times as unusable.
 fn report(
     audit: &mut Audit,
     name: &'static str,
@@ -200,6 +203,7 @@ fn report(
     });
 }
 
+/// Reports values of more than `most`, in `unit`, and marks their times as unusable.
 fn impossible<T>(
     audit: &mut Audit,
     name: &'static str,

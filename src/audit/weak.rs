@@ -8,10 +8,12 @@ use nalgebra::{DMatrix, DVector, SMatrix, SVector, SymmetricEigen};
 
 use crate::log::import::Stream;
 
-/// A bump `(1 - s^2)^3` with `s = (t - centre) / half`.
+/// A bump `phi(t) = (1 - s^2)^3` with `s = (t - centre) / half`, 0 outside `|s| < 1`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bump {
+    /// Time of its middle, s.
     pub centre: f64,
+    /// Half width, s.
     pub half: f64,
     /// Index of its half width.
     pub group: usize,
@@ -33,24 +35,27 @@ impl Bump {
         Self { centre: self.centre + by, ..self }
     }
 
-    /// The integral of the bump.
+    /// The integral of the bump over time, s.
     pub fn area(self) -> f64 {
         self.half * 32.0 / 35.0
     }
 }
 
-/// Integrals of a signal weighted by a bump and by its slope.
+/// Integrals over time of a signal x, weighted by a bump phi and by its slope.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BumpIntegrals<const N: usize> {
+    /// `int phi x`.
     pub value: SVector<f64, N>,
+    /// `int phi' x`.
     pub slope: SVector<f64, N>,
 }
 
 /// Longest gap within a bump, relative to its half width: beyond, interpolation is a guess.
 const GAP_MAX: f64 = 0.5;
 
-/// Weights a signal, which is linear between samples; `None` where the samples do not cover the
-/// bump.
+/// Integrates a signal of the stream's samples, linear between them, under a bump. `signal` takes the
+/// time (s) and the value of a sample. `None` if the samples do not cover the bump, if there is a gap
+/// in it, or if a sample has no signal.
 pub(super) fn integrate<V, const N: usize>(
     stream: &Stream<V>,
     bump: Bump,
@@ -164,17 +169,18 @@ const IDENTIFIABLE_MIN: f64 = 1e-3;
 const UNIDENTIFIABLE_MAX: f64 = 1e-3;
 /// Most sweeps of a decomposition; ten are usual.
 const SWEEPS: usize = 200;
-/// Standard deviations over this many blocks that contain a value in at least 95 of 100 cases, and
-/// three times as many in 9998 of 10 000, by Student's t.
-fn interval(blocks: usize) -> f64 {
-    const OF_4: [f64; 9] = [7.40, 4.34, 3.23, 2.67, 2.36, 2.31, 2.26, 2.23, 2.20];
-    OF_4.get(blocks.saturating_sub(4)).copied().unwrap_or(2.20)
-}
-
 /// Added to the Gram matrix without a block, against rounding.
 const GRAM_RIDGE: f64 = 1e-9;
 /// Number of half widths of bumps.
 const GROUPS: usize = 2;
+
+/// Half width of an interval in standard deviations over this many blocks: the interval contains the
+/// value in at least 95 of 100 cases, and one three times as wide in 9998 of 10 000, by Student's t.
+fn interval(blocks: usize) -> f64 {
+    /// For 4 blocks and more.
+    const DEVIATIONS: [f64; 9] = [7.40, 4.34, 3.23, 2.67, 2.36, 2.31, 2.26, 2.23, 2.20];
+    DEVIATIONS.get(blocks.saturating_sub(4)).copied().unwrap_or(2.20)
+}
 
 /// Finds the unknowns by Gauss-Newton from `start`, along the directions that the rows show.
 /// `sizes` are significant steps of the unknowns; 0 fixes one at its start. Outliers are weighted
@@ -223,11 +229,14 @@ pub(super) fn fit<const P: usize>(
     })
 }
 
-/// The normal equations, and the weight of each row.
+/// The normal equations `gram step = gradient` of rows with slopes J, misfit m and weight w, and the
+/// weight of each row.
 struct NormalEquations<const P: usize> {
+    /// `sum w J^T J`.
     gram: SMatrix<f64, P, P>,
+    /// `sum w J^T m`.
     gradient: SVector<f64, P>,
-    /// Weighted power of the stream's derivative.
+    /// Weighted power of the stream's derivative, `sum w |y|^2`.
     power: f64,
     weights: Vec<f64>,
 }
@@ -258,7 +267,8 @@ impl<const P: usize> NormalEquations<P> {
         Some(Self { gram, gradient, power, weights })
     }
 
-    /// `None` if nothing moves, or the numbers are not finite.
+    /// The directions that significant steps of these `sizes` show; `None` if nothing moves, or the
+    /// numbers are not finite.
     fn identifiable(&self, sizes: &[f64; P]) -> Option<IdentifiableDirections<P>> {
         let sensitivity =
             DMatrix::from_fn(P, P, |i, j| self.gram[(i, j)] * sizes[i] * sizes[j] / self.power);
