@@ -297,15 +297,15 @@ impl Catalogue {
         self.numbers.iter().map(|number| number.reference).collect()
     }
 
-    /// Limits of a number: its bounds if it is active, else [`TOLERANCES_MAX`] tolerances about its
-    /// expected value.
+    /// Limits of a number, the lower one first: its bounds if it is active, else [`TOLERANCES_MAX`]
+    /// tolerances about its expected value, within these bounds.
     pub fn limits(&self, number: usize, active: &[usize]) -> [f64; 2] {
         let Number { expected, tolerance, bounds: [low, high], .. } = self.numbers[number];
         if active.contains(&number) {
             return [low, high];
         }
         let width = TOLERANCES_MAX * tolerance;
-        [(expected - width).max(low), (expected + width).min(high)]
+        [expected - width, expected + width].map(|limit| limit.clamp(low, high))
     }
 
     /// Indices of the nuisances: the numbers with a tolerance.
@@ -318,7 +318,8 @@ impl Catalogue {
 const MAGNITUDES_MAX: f64 = 5.0;
 
 /// Bounds of a number. It must be physically possible (rotors flap away from the wind, and packs
-/// sag as they empty) and plausible: no vehicle has a multiple of its file's inertia.
+/// sag as they empty) and plausible: no vehicle has a multiple of its file's inertia. The file's own
+/// value is within them, even where the effect does not accept it.
 fn bounds(effect: EffectId, parameter: &Parameter, reference: f64, magnitude: f64) -> [f64; 2] {
     let low = match effect {
         EffectId::BladeFlapping | EffectId::BatterySag => 0.0,
@@ -330,7 +331,7 @@ fn bounds(effect: EffectId, parameter: &Parameter, reference: f64, magnitude: f6
         Neutral::Value(1.0) => [reference / (1.0 + most), reference * (1.0 + most)],
         _ => [reference - most, reference + most],
     };
-    [low.max(least), parameter.max.min(most)]
+    [low.max(least).min(reference), parameter.max.min(most).max(reference)]
 }
 
 /// The vehicle file's value of a slot, else the neutral one.
@@ -372,6 +373,22 @@ mod tests {
     fn vehicle() -> VehicleParams {
         let text = include_str!("../../../config/vehicles/quad1200.toml");
         VehicleParams::from_toml_str(text).unwrap()
+    }
+
+    #[test]
+    fn limits_stay_in_order_for_values_beyond_the_effects_ranges() {
+        let mut vehicle = vehicle();
+        vehicle.linear_drag_n_per_m_s = Some(1e3);
+        vehicle.mass = 1e6;
+        let latency = serde_json::json!({ "range_s": [20.0, 21.0] });
+        vehicle.provenance.insert("pose_latency_s".to_owned(), latency);
+        let catalogue = Catalogue::new(&vehicle, true);
+        for (index, number) in catalogue.numbers.iter().enumerate() {
+            let [low, high] = number.bounds;
+            assert!((low..=high).contains(&number.reference), "{}: {low}..{high}", number.target);
+            let [low, high] = catalogue.limits(index, &[]);
+            assert!(low <= high, "{}: {low}..{high}", number.target);
+        }
     }
 
     #[test]
