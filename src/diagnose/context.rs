@@ -67,10 +67,13 @@ pub(super) struct DiagnosisContext<'a> {
     pub onboard: Option<&'a OnboardLaw>,
     /// The setpoints' delay, measured from the outputs.
     pub measured_delay: Option<MeasuredDelay>,
-    /// Flights for fitting, for choosing, both together, and held out.
+    /// Flights for fitting.
     pub fitted: Observed<'a>,
+    /// Flights for choosing.
     pub choosing: Observed<'a>,
+    /// Both together.
     pub all: Observed<'a>,
+    /// Held-out flights, on which the answer reports the gap.
     pub reported: Observed<'a>,
     /// The metric of the predictions.
     pub metric: Metric,

@@ -49,6 +49,7 @@ impl<'a> Search<'a> {
         Self { fitted, choosing: fitted, catalogue, chance: Vec::new() }
     }
 
+    /// Indices of all numbers of the catalogue.
     pub(in crate::diagnose) fn numbers(&self) -> Vec<usize> {
         (0..self.catalogue.numbers.len()).collect()
     }
@@ -57,6 +58,7 @@ impl<'a> Search<'a> {
         &self.catalogue.hypotheses[index]
     }
 
+    /// The explanation of a fit, less the evidence that chance gives its hypotheses.
     fn explanation(&self, fit: Fit) -> Option<Explanation> {
         let chance = fit.hypotheses.iter().map(|h| self.chance.get(*h).copied().unwrap_or(0.0));
         let chance = chance.sum();
@@ -122,6 +124,7 @@ impl<'a> Search<'a> {
         set.iter().all(|h| class(*h) != class(hypothesis))
     }
 
+    /// As [`fitted_from`](Self::fitted_from), as an explanation.
     fn fit_of(
         &self,
         about: &Linearised,
@@ -153,6 +156,7 @@ impl<'a> Search<'a> {
         fit(self.fitted, about, set, &starts)
     }
 
+    /// The fitted numbers of an explanation's hypotheses, by their index.
     fn numbers_of(&self, explanation: &Explanation) -> Vec<(usize, f64)> {
         let active = explanation.fit.active(self.catalogue);
         active.into_iter().map(|number| (number, explanation.fit.values[number])).collect()
@@ -166,14 +170,15 @@ impl<'a> Search<'a> {
             *gain -= self.chance.get(*hypothesis).copied().unwrap_or(0.0);
         }
         screened.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-        let found = screened.into_par_iter().enumerate();
         // Alone, a hypothesis with several starts is always fitted: the linearisation may miss it.
-        let worth = |rank: usize, h: usize, gain: f64| {
-            let starts = set.fit.hypotheses.is_empty() && self.hypothesis(h).starts.len() > 1;
-            rank < count && gain > GAIN_MIN || starts
+        let is_worth_a_fit = |rank: usize, h: usize, gain: f64| {
+            let is_alone = set.fit.hypotheses.is_empty();
+            rank < count && gain > GAIN_MIN || is_alone && self.hypothesis(h).starts.len() > 1
         };
-        let mut found: Vec<Explanation> = found
-            .filter(|(rank, (h, gain))| worth(*rank, *h, *gain))
+        let mut found: Vec<Explanation> = screened
+            .into_par_iter()
+            .enumerate()
+            .filter(|(rank, (h, gain))| is_worth_a_fit(*rank, *h, *gain))
             .filter_map(|(_, (h, _))| {
                 let mut joint = set.fit.hypotheses.clone();
                 joint.push(h);

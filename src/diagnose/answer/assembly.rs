@@ -227,7 +227,8 @@ impl Assembly<'_> {
         let all = (0..1 << players).map(windows).collect::<Result<Vec<_>, _>>()?;
         let squares = |weights: &[f64]| -> Option<Vec<f64>> {
             let over = |errors: Errors| errors.over(&gap.errors[2], context.metric).powi(2);
-            all.iter().map(|windows| weighted_errors(windows, weights).map(over)).collect()
+            let weights = || weights.iter().copied();
+            all.iter().map(|windows| weighted_errors(windows, weights()).map(over)).collect()
         };
         let names: Vec<&str> =
             named.iter().map(|id| id.name()).chain(["file", "remainder", "noise"]).collect();

@@ -175,6 +175,7 @@ impl Catalogue {
         }
     }
 
+    /// Adds a damping moment about each axis, a nuisance.
     fn add_dampings(&mut self) {
         for axis in 0..3 {
             let kp = self.vehicle.attitude_pd.map_or(0.0, |pd| pd.kp[axis]);
@@ -186,6 +187,7 @@ impl Catalogue {
         }
     }
 
+    /// Adds differences between the rotors' thrusts, nuisances.
     fn add_imbalances(&mut self, known: &Tolerances) {
         for contrast in 0..CONTRASTS.len() {
             let widths = [known.rotor(), 0.2];
@@ -202,6 +204,7 @@ impl Catalogue {
         self
     }
 
+    /// Adds a number; returns its index.
     fn add(&mut self, number: Number) -> usize {
         self.numbers.push(number);
         self.numbers.len() - 1
@@ -361,6 +364,7 @@ pub fn reference_slots(vehicle: &VehicleParams, effect: EffectId) -> Slots {
     slots
 }
 
+/// The thrust scale of a rotor in the vehicle file.
 fn modelled_scale(vehicle: &VehicleParams, rotor: usize) -> f64 {
     let loss = vehicle.modelled_effects.get::<RotorLoss>();
     loss.filter(|loss| loss.rotor == rotor).map_or(1.0, |loss| loss.scale)

@@ -52,9 +52,7 @@ impl Target {
             Self::Damping(axis) => format!("damping of the rate[{axis}]"),
         }
     }
-}
 
-impl Target {
     /// Its value for a vehicle without the effect, where there is a single one.
     pub fn absent(self) -> Option<f64> {
         let Self::Effect(id, slot) = self else { return None };

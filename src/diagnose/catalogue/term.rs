@@ -62,6 +62,7 @@ impl Factor {
         }
     }
 
+    /// The unit of its value.
     fn unit(self) -> Unit {
         let both = |a: Quantity, b: Quantity| a.unit().times(b.unit()).unwrap_or_default();
         match self {
@@ -71,6 +72,7 @@ impl Factor {
         }
     }
 
+    /// The quantities that it reads.
     fn quantities(self) -> Vec<Quantity> {
         match self {
             Self::Quantity(quantity) | Self::Power(quantity, _) => vec![quantity],

@@ -26,6 +26,8 @@ const DROP_MAX_S: f64 = 0.7;
 /// diagnosis uses the setpoints and leaves out the rest of the time, so at most half of a flight is
 /// lost.
 const SETPOINT_SHARE_MIN: f64 = 0.5;
+/// Complete setpoints that a log must exceed for its setpoints to be used.
+const SETPOINTS_MIN: usize = 10;
 /// Time before a block over which rotors and delays act on it, s.
 const MARGIN_S: f64 = 0.35;
 
@@ -134,9 +136,6 @@ pub enum NotPrepared {
     #[error("only {0:.1} s of the log is airborne and free of gaps; at least {min:.1} s is needed", min = BLOCK_MIN as f64 * CELL_S)]
     TooShort(f64),
 }
-
-/// More setpoints than this are needed.
-const SETPOINTS_MIN: usize = 10;
 
 /// Whether setpoints came over the link rather than from the autopilot itself, and the on-board
 /// loop can follow most of them.
@@ -326,6 +325,7 @@ fn airborne(flight: &Flight, outputs: &Series<4>, vehicle: &VehicleParams) -> Ve
     spans
 }
 
+/// First and last time.
 fn ends(times: &[f64]) -> Option<[f64; 2]> {
     Some([*times.first()?, *times.last()?])
 }

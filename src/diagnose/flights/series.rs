@@ -118,6 +118,7 @@ impl<const N: usize> Series<N> {
         mean
     }
 
+    /// The value at `time` on the line from sample `index` to the next; beyond either, that sample's.
     fn between(&self, index: usize, time: f64) -> [f64; N] {
         let Some(before) = self.values.get(index) else { return [0.0; N] };
         let Some(after) = self.values.get(index + 1) else { return *before };

@@ -31,6 +31,8 @@ const LATE_MAX: f64 = 0.75;
 const GAP_TICKS: u64 = 1 << 32;
 /// A change is a jump if it is off the trend of its neighbours by this many deviations.
 const JUMP_DEVIATIONS: f64 = 10.0;
+/// Numbers of a setpoint: a small rotation (rad), the body rate (rad/s), the thrust (0..1).
+const NUMBERS: usize = 7;
 
 /// The setpoints of a stream that the log lacks.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -73,7 +75,8 @@ pub fn as_onboard(setpoint: &AttitudeSetpoint) -> Option<OnboardSetpoint> {
     })
 }
 
-/// `logged` completed with the `missing` setpoints (their number before each, at its time).
+/// `logged` completed with the setpoints that the log lacks. `missing` has their number before a
+/// logged setpoint, at its time.
 pub(in crate::diagnose) fn completed(
     logged: &Stream<AttitudeSetpoint>,
     missing: &Stream<u32>,
@@ -116,6 +119,7 @@ pub(in crate::diagnose) fn completed(
 
 /// Logged setpoints as ticks of the controller's period.
 struct Ticks {
+    /// Time between ticks, s.
     period: f64,
     /// Tick number of each; across a gap, numbers jump by [`GAP_TICKS`].
     numbers: Vec<u64>,
@@ -273,9 +277,6 @@ pub(in crate::diagnose) fn as_flown(
     flown
 }
 
-/// Numbers of a setpoint: a small rotation (rad), the body rate (rad/s), the thrust.
-const NUMBERS: usize = 7;
-
 /// The difference from one setpoint to another; 0 for numbers that either lacks.
 fn offset(from: &AttitudeSetpoint, to: &AttitudeSetpoint) -> [f64; NUMBERS] {
     let attitudes = from.attitude.zip(to.attitude);
@@ -298,7 +299,7 @@ fn displaced(
     AttitudeSetpoint {
         attitude: from.attitude.map(|attitude| attitude.compose(turn)),
         body_rate: from.body_rate.map(|rate| rate + Frd::new(p, q, r)),
-        thrust: from.thrust.map(|asked| (asked + thrust).clamp(0.0, 1.0)),
+        thrust: from.thrust.map(|commanded| (commanded + thrust).clamp(0.0, 1.0)),
     }
 }
 

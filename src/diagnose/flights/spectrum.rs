@@ -74,6 +74,7 @@ impl CosineTransform {
         block[0] *= std::f64::consts::FRAC_1_SQRT_2;
     }
 
+    /// Lee's recursion, without the scale. `scratch` has the length of `v`.
     fn recurse(&self, v: &mut [f64], scratch: &mut [f64]) {
         let n = v.len();
         let half = n / 2;

@@ -76,10 +76,12 @@ pub(super) fn scaled_cholesky(matrix: &DMatrix<f64>) -> Option<ScaledCholesky> {
 }
 
 impl ScaledCholesky {
+    /// x of `matrix x = right`.
     pub fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
         self.factor.solve(&right.component_mul(&self.scale)).component_mul(&self.scale)
     }
 
+    /// The inverse of the matrix.
     pub fn inverse(&self) -> DMatrix<f64> {
         let inverse = self.factor.inverse();
         DMatrix::from_fn(inverse.nrows(), inverse.ncols(), |i, j| {
@@ -87,6 +89,7 @@ impl ScaledCholesky {
         })
     }
 
+    /// The natural logarithm of the matrix' determinant.
     pub fn log_determinant(&self) -> f64 {
         let l = self.factor.l_dirty();
         (0..self.scale.len()).map(|i| 2.0 * (l[(i, i)].ln() - self.scale[i].ln())).sum()

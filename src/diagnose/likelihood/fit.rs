@@ -15,18 +15,19 @@ use crate::diagnose::likelihood::observed::{Observed, Residuals, noise_cost};
 
 /// Normal quantile for 90 % intervals.
 pub(in crate::diagnose) const Z90: f64 = 1.645;
-/// 90 % interval of a normal number.
-pub fn interval(value: f64, deviation: f64) -> [f64; 2] {
-    [value - Z90 * deviation, value + Z90 * deviation]
-}
-
 /// A fit ends when a step lowers the cost by less than this, nats.
 const COST_STEP_MIN: f64 = 0.02;
+/// Most steps of a descent.
 const STEPS_MAX: usize = 12;
 /// Starts that are followed to a minimum, those with the lowest cost first.
 const STARTS_MAX: usize = 2;
 /// Starts are equal if their active numbers are within this share of their magnitudes.
 const SAME_START_SHARE: f64 = 0.02;
+
+/// 90 % interval of a normal number.
+pub fn interval(value: f64, deviation: f64) -> [f64; 2] {
+    [value - Z90 * deviation, value + Z90 * deviation]
+}
 
 /// A hypothesis, or several, fitted to the flights without linearisation.
 #[derive(Clone, Debug)]
@@ -60,7 +61,7 @@ impl Fit {
     }
 }
 
-/// The cost at the given numbers, and the residuals.
+/// The cost at the given numbers, nats, and the residuals. `active` numbers have their wide priors.
 fn cost_at(observed: &Observed<'_>, values: &[f64], active: &[usize]) -> Option<(f64, Residuals)> {
     let residuals = observed.residuals(values)?;
     let noise = noise_cost(&observed.power(&residuals), &observed.counts);
@@ -79,7 +80,7 @@ fn cost_at(observed: &Observed<'_>, values: &[f64], active: &[usize]) -> Option<
 }
 
 /// Fits the given hypotheses together. `about` holds the nuisances' derivatives and the start
-/// values; each of `starts` replaces some of them.
+/// values; each of `starts` replaces some of them. Without a start, the fit starts there.
 pub fn fit(
     observed: &Observed<'_>,
     about: &Linearised,
@@ -102,9 +103,9 @@ pub(in crate::diagnose) fn fit_numbers(
     let catalogue = observed.catalogue;
     let nuisances: Vec<usize> =
         catalogue.nuisances().filter(|number| !active.contains(number)).collect();
-    let own: Vec<(usize, f64)> = Vec::new();
-    let unchanged = starts.is_empty().then_some(&own);
-    let mut start: Vec<DescentStart> = unchanged
+    let none: Vec<(usize, f64)> = Vec::new();
+    let unchanged = starts.is_empty().then_some(&none);
+    let mut possible: Vec<DescentStart> = unchanged
         .into_iter()
         .chain(starts)
         .filter_map(|start| {
@@ -129,9 +130,9 @@ pub(in crate::diagnose) fn fit_numbers(
                 }
         })
     };
-    start.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    possible.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let mut apart: Vec<DescentStart> = Vec::with_capacity(STARTS_MAX);
-    for start in start {
+    for start in possible {
         if apart.len() < STARTS_MAX && !apart.iter().any(|other| is_near(&start, other)) {
             apart.push(start);
         }

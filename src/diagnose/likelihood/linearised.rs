@@ -30,6 +30,7 @@ pub struct Linearised {
     square: Vec<f64>,
 }
 
+/// Index of entry (i, j) of a symmetric matrix of `n` rows in its upper triangle, row by row.
 fn triangle(i: usize, j: usize, n: usize) -> usize {
     let (i, j) = if i <= j { (i, j) } else { (j, i) };
     i * n - i * (i + 1) / 2 + j
@@ -358,13 +359,17 @@ impl Penalised {
 /// The sum of squares in each bin as a quadratic in a few numbers, packed for speed: a diagnosis
 /// solves a thousand of these.
 struct Quadratic {
+    /// Count of the numbers.
     numbers: usize,
+    /// Indices of the bins with coefficients.
     bins: Vec<usize>,
     /// Upper triangles, row by row, one bin after another.
     gram: Vec<f64>,
     /// Products with the residuals, one bin after another.
     cross: Vec<f64>,
+    /// Sum of squares of the residuals in each of `bins`.
     square: Vec<f64>,
+    /// Number of coefficients in every bin.
     counts: Vec<f64>,
     /// Bins that share one variance.
     pools: Vec<Vec<usize>>,

@@ -160,6 +160,7 @@ pub(in crate::diagnose) fn increments_of_white(deviation: f64, rate: f64, band: 
     deviation * deviation * increment_gain(middle(band)) / (rate * CELL_S).max(f64::MIN_POSITIVE)
 }
 
+/// Middle frequency of a band, Hz.
 fn middle(band: usize) -> f64 {
     let [lower, upper] = edges(band);
     0.5 * (lower + upper)

@@ -56,6 +56,7 @@ fn residual_floor(vehicle: &VehicleParams) -> [f64; CHANNELS] {
     most.map(|most| EXACTNESS * most)
 }
 
+/// Coefficients `start..end` of a block of a flight, all in one bin. All are indices.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     flight: usize,
@@ -271,6 +272,7 @@ impl<'a> Observed<'a> {
         Some(column)
     }
 
+    /// Sum of products in each bin.
     pub(in crate::diagnose) fn dot(&self, a: &Residuals, b: &Residuals) -> Vec<f64> {
         let mut sums = vec![0.0; Bin::COUNT];
         for run in &self.runs {

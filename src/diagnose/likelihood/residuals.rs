@@ -88,12 +88,13 @@ pub struct Evaluator {
 
 /// Motion over a block according to the candidate.
 struct Motion {
-    /// At the edges of the cells.
+    /// At the edges of the cells, like attitude and body rate.
     velocity: Vec<Ned>,
     attitude: Vec<Attitude>,
     body_rate: Vec<Frd>,
-    /// Means over the cells.
+    /// At the middles of the cells, with the mean velocity and body rate over them.
     states: Vec<State>,
+    /// At the middles of the cells.
     specific_force: Vec<Frd>,
 }
 
@@ -325,6 +326,7 @@ impl Evaluator {
     }
 }
 
+/// Writes `values` to cell `k` of the channels from `first`.
 fn put<const N: usize>(
     series: &mut [Vec<f64>; CHANNELS],
     first: usize,

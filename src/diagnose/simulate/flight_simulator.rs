@@ -250,6 +250,7 @@ impl<'a> FlightSimulator<'a> {
 /// An event at multiples of a period of the vehicle's clock.
 struct PeriodicEvent {
     rate_hz: f64,
+    /// The next event, in periods from the clock's zero.
     count: f64,
 }
 
@@ -319,6 +320,7 @@ impl Recorder {
         }
     }
 
+    /// Records a setpoint sent at `time`.
     fn sent(&mut self, time: f64, setpoint: &OnboardSetpoint) {
         let attitude: Option<Attitude> = setpoint.attitude.map(|attitude| attitude.attitude());
         let setpoint = AttitudeSetpoint {

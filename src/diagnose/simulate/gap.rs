@@ -231,11 +231,14 @@ fn windows(
 }
 
 /// Root mean square errors over windows with `weights`; `None` without a finite window.
-pub fn weighted_errors(windows: &[Window], weights: &[f64]) -> Option<Errors> {
-    let finite = |(e, _): &(&Window, &f64)| e.iter().flatten().all(|x| x.is_finite());
+pub fn weighted_errors<'a>(
+    windows: impl IntoIterator<Item = &'a Window>,
+    weights: impl IntoIterator<Item = f64>,
+) -> Option<Errors> {
+    let finite = |(e, _): &(&Window, f64)| e.iter().flatten().all(|x| x.is_finite());
     let mut sums = [[0.0; 4]; 3];
     let mut total = 0.0;
-    for (window, weight) in windows.iter().zip(weights).filter(finite) {
+    for (window, weight) in windows.into_iter().zip(weights).filter(finite) {
         total += weight;
         for (sum, error) in sums.iter_mut().flatten().zip(window.iter().flatten()) {
             *sum += weight * error * error;
@@ -244,17 +247,7 @@ pub fn weighted_errors(windows: &[Window], weights: &[f64]) -> Option<Errors> {
     (total > 0.0).then(|| Errors(sums.map(|row| row.map(|sum: f64| (sum / total).sqrt()))))
 }
 
-fn root_mean_square<'a>(errors: impl IntoIterator<Item = &'a Window>) -> Option<Errors> {
-    let finite = |e: &&Window| e.iter().flatten().all(|x| x.is_finite());
-    let mut sums = [[0.0; 4]; 3];
-    let mut count = 0.0;
-    for error in errors.into_iter().filter(finite) {
-        count += 1.0;
-        for (sums, error) in sums.iter_mut().zip(error) {
-            for (sum, error) in sums.iter_mut().zip(error) {
-                *sum += error * error;
-            }
-        }
-    }
-    (count > 0.0).then(|| Errors(sums.map(|row| row.map(|sum: f64| (sum / count).sqrt()))))
+/// Root mean square errors over windows; `None` without a finite one.
+fn root_mean_square<'a>(windows: impl IntoIterator<Item = &'a Window>) -> Option<Errors> {
+    weighted_errors(windows, std::iter::repeat(1.0))
 }

@@ -42,9 +42,14 @@ const MEMORY: f64 = 6.0;
 #[derive(Clone, Debug)]
 pub struct Simulator {
     plant: Plant,
+    /// The on-board loop and its rate, Hz; without it, logged outputs drive the plant.
     law: Option<(AttitudeLoop, f64)>,
+    /// Rotation from the true attitude to the reported one.
     trim: Attitude,
+    /// Latency of the reported pose, s.
     latency: f64,
+    /// Delay from sending a setpoint to its use or, without a loop, from a logged output to its
+    /// thrust, s.
     command_delay: f64,
     /// The metric of its predictions. Under any other than the mean, position and velocity are
     /// predicted with the body rotating as reported.
@@ -249,6 +254,7 @@ impl<'a> ReportedRotation<'a> {
         }
     }
 
+    /// Puts the plant into the reported rotation of `time`, and advances it by one step.
     fn step(&mut self, time: f64, outputs: [f64; ROTORS]) {
         self.plant.set_state(State {
             attitude: self.attitude.attitude_at(time + self.latency).compose(self.untrim),

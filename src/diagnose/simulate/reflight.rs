@@ -282,6 +282,7 @@ impl Reports {
     }
 }
 
+/// The reported state at `time`.
 fn state_at(flight: &PreparedFlight, time: f64) -> State {
     State {
         position: flight.position.at(time).into(),
@@ -347,6 +348,7 @@ impl Motion {
         [axis(0), axis(1), axis(2), thrust]
     }
 
+    /// Distances between the positions over time, m.
     fn distances(&self, other: &Self) -> Vec<f64> {
         let pairs = self.states.iter().zip(&other.states);
         pairs.map(|((p, _), (q, _))| (*p - *q).norm()).collect()
@@ -379,6 +381,7 @@ impl Motion {
     }
 }
 
+/// The attitude of the sample nearest to `time`.
 fn nearest(stream: &Stream<Attitude>, time: f64) -> Option<Attitude> {
     let index = stream.index_at(time).unwrap_or(0);
     let next = (index + 1).min(stream.len().checked_sub(1)?);
@@ -400,6 +403,7 @@ impl SquaredDifferences {
         self.count += other.count;
     }
 
+    /// Root mean square difference of the quantity with this index.
     fn root_mean(&self, quantity: usize) -> f64 {
         (self.squares[quantity] / self.count.max(1.0)).sqrt()
     }

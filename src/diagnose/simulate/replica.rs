@@ -48,11 +48,16 @@ pub struct Replica {
     config: SitlConfig,
     attitude_loop: AttitudeLoop,
     law: OnboardLaw,
+    /// Mass (kg) and gravity (m/s^2) in the vehicle file.
     mass: f64,
     gravity: f64,
+    /// Delay from sending a setpoint to its use, s.
     command_delay: f64,
+    /// Delay from a logged output to its thrust, s.
     output_delay: f64,
+    /// Latency of the reported pose, s.
     latency: f64,
+    /// Rotates the reported attitude to the true one.
     untrim: Attitude,
 }
 
@@ -102,6 +107,8 @@ impl Replica {
         replica
     }
 
+    /// Flies one airborne span, and writes its readings to `replica` and the setpoints as corrected
+    /// to `setpoints`.
     fn fly_span(
         &self,
         flight: &PreparedFlight,
@@ -246,10 +253,12 @@ struct SetpointQueue {
     next: usize,
     /// Arrival times and indices of the sent ones.
     under_way: Vec<(f64, usize)>,
+    /// Index of the newest that has arrived.
     in_force: Option<usize>,
 }
 
 impl SetpointQueue {
+    /// The queue of setpoints from the one in force at `from`, s.
     fn new(setpoints: &Stream<AttitudeSetpoint>, from: f64) -> Self {
         let next = setpoints.index_at(from).unwrap_or(0);
         Self { next, under_way: Vec::new(), in_force: None }
@@ -261,6 +270,7 @@ impl SetpointQueue {
         (sent <= time).then_some((self.next, sent))
     }
 
+    /// Sends a setpoint over a link of mean delay `delay`, s, with exponential jitter.
     fn send(&mut self, index: usize, sent: f64, delay: f64, rng: &mut Pcg64Mcg) {
         let jitter: f64 = Exp1.sample(rng);
         let constant = (delay - JITTER_MEAN_S).max(0.0);
@@ -283,7 +293,7 @@ impl SetpointQueue {
     }
 }
 
-/// Writes readings at the stamps of a log.
+/// Writes readings at the stamps of a log: the index of the next sample of each series.
 struct Recorder {
     position: usize,
     velocity: usize,
