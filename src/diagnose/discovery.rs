@@ -340,6 +340,7 @@ struct Shaping<'a> {
 }
 
 impl Shaping<'_> {
+    /// Log evidence of terms beside the explanation, in the linearised problem, nats.
     fn evidence(&self, terms: &[(Term, f64)]) -> Option<f64> {
         let Self { context, start, about } = self;
         let catalogue = context.catalogue.with_terms(terms.to_vec());

@@ -187,6 +187,7 @@ impl AssessedManoeuvre {
     }
 }
 
+/// Each manoeuvre of the library, rehearsed with each of `truths` (indices of hypotheses) true.
 fn assess(
     rehearsals: &Rehearsals<'_>,
     library: &[Manoeuvre],
@@ -201,6 +202,8 @@ fn assess(
         .collect()
 }
 
+/// The shortest manoeuvre with enough evidence, at least `plenty` (nats) and [`COMPARABLE_SHARE`] of
+/// the most; where none has enough, the one with the most. `None` without a manoeuvre.
 fn choose(
     mut assessed: Vec<AssessedManoeuvre>,
     hypotheses: &[LiveHypothesis],
@@ -232,6 +235,7 @@ fn choose(
     })
 }
 
+/// The probabilities that a rehearsed flight leads to if its hypothesis is true.
 fn outlook(rehearsal: &Rehearsal, hypotheses: &[LiveHypothesis]) -> Outlook {
     let truth = &hypotheses[rehearsal.truth];
     // Odds relative to the truth. The evidence is reduced because channels share noise.

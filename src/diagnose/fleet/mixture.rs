@@ -56,6 +56,7 @@ impl Quadratic {
         Some(Self { constant, linear, precision: inverse - DMatrix::identity(n, n) })
     }
 
+    /// The posterior under a normal prior of the same numbers.
     fn under(&self, prior: &Normal) -> Option<Posterior> {
         let weights = prior.deviation.iter().map(|d| d.powi(-2));
         let weights = DVector::from_iterator(prior.deviation.len(), weights);
@@ -141,6 +142,7 @@ const SPREAD_WEIGHT: f64 = 4.0;
 /// About one vehicle in this many lacks an effect of its type.
 const ALL_BUT_ONE_IN: f64 = 50.0;
 
+/// The logarithm of the sum of exponentials.
 fn log_sum(terms: impl Iterator<Item = f64> + Clone) -> f64 {
     let top = terms.clone().fold(f64::NEG_INFINITY, f64::max);
     if top == f64::NEG_INFINITY {
@@ -163,6 +165,8 @@ fn state_evidence(member: &Member, of_type: &Normal) -> StateEvidence {
     StateEvidence { states: [as_type, member.file, member.own], posterior }
 }
 
+/// Probability of each state at the share of vehicles that follow the type, and the log evidence of
+/// all states together.
 fn state_probabilities(states: &[f64; 3], share: f64) -> ([f64; 3], f64) {
     let [of_type, of_file, own] = *states;
     let terms = [of_type + share.ln(), of_file + (1.0 - share).ln(), own];
@@ -186,6 +190,7 @@ pub fn fit(members: &[Member], widths: &[Width], starts: &[Vec<f64>]) -> Option<
     fitted.max_by(|a, b| score(a).total_cmp(&score(b)))
 }
 
+/// Expectation maximisation from the type's values `start`, in magnitudes.
 fn maximise(members: &[Member], widths: &[Width], start: &[f64]) -> Option<Fitted> {
     let base = widths.iter().filter(|width| width.is_base).count();
     let n = widths.len();

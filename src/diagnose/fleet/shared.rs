@@ -230,8 +230,12 @@ impl Fleet {
                 Member { set: set.and_then(Quadratic::of), file, own }
             })
             .collect();
-        let starts: Vec<Vec<f64>> =
-            kept.iter().filter_map(survey_of).map(|s| s.mean.clone()).collect();
+        let starts: Vec<Vec<f64>> = kept
+            .iter()
+            .filter_map(survey_of)
+            .map(|set| set.mean.clone())
+            .filter(|mean| mean.len() == numbers.len())
+            .collect();
         let fitted = fit(&members, &widths, &starts)?;
         let found = numbers.iter().enumerate().skip(first).map(|(i, number)| {
             let value = number.reference + number.magnitude * fitted.of_type.mean[i];

@@ -66,7 +66,9 @@ pub(super) struct Rehearsals<'a> {
     hypotheses: &'a [LiveHypothesis],
     control: GroundControl,
     catalogue: Catalogue,
+    /// The hypotheses in terms of the catalogue.
     posed: Vec<PosedHypothesis>,
+    /// Indices of the catalogue's nuisances.
     nuisances: Vec<usize>,
 }
 
@@ -128,6 +130,8 @@ impl<'a> Rehearsals<'a> {
         starts
     }
 
+    /// The manoeuvre as a vehicle with `effects` flies it under the daemon's feedback; `None` if it
+    /// cannot be flown.
     fn fly(&self, manoeuvre: &Manoeuvre, effects: &EffectSet) -> Option<Flight> {
         let vehicle = self.proposal.vehicle;
         let sensors = self.proposal.noise.sensors();

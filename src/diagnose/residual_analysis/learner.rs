@@ -180,22 +180,22 @@ struct HeadAccuracy {
 impl HeadAccuracy {
     fn of(networks: &NetworkModel, head: Head, rows: &[&Row]) -> Self {
         Self::between(rows.iter().flat_map(|row| {
-            let said: [f64; ACCELERATIONS] = networks.accelerations(&row.point);
-            head.rows().map(move |i| (said[i], row.label[i]))
+            let predicted: [f64; ACCELERATIONS] = networks.accelerations(&row.point);
+            head.rows().map(move |i| (predicted[i], row.label[i]))
         }))
     }
 
     /// Fits pairs of an output and its label.
     fn between(pairs: impl Iterator<Item = (f64, f64)>) -> Self {
-        let (mut product, mut said, mut seen) = (0.0, 0.0, 0.0);
+        let (mut product, mut outputs, mut labels) = (0.0, 0.0, 0.0);
         for (x, y) in pairs {
             product += x * y;
-            said += x * x;
-            seen += y * y;
+            outputs += x * x;
+            labels += y * y;
         }
-        let share = if said > 0.0 { (product / said).clamp(0.0, 1.0) } else { 0.0 };
-        let after = seen - 2.0 * share * product + share * share * said;
-        Self { share, left: if seen > 0.0 { after / seen } else { 0.0 } }
+        let share = if outputs > 0.0 { (product / outputs).clamp(0.0, 1.0) } else { 0.0 };
+        let after = labels - 2.0 * share * product + share * share * outputs;
+        Self { share, left: if labels > 0.0 { after / labels } else { 0.0 } }
     }
 }
 

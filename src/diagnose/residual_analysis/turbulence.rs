@@ -14,7 +14,7 @@ use crate::diagnose::residual_analysis::unmodelled_force::UnmodelledForce;
 /// Largest ratio of power between north and east for turbulence: few gusts pass in a flight.
 const ISOTROPY_MAX: f64 = 4.0;
 /// Least ratio of a line's density to that of both neighbouring bands.
-const LINE: f64 = 2.5;
+const LINE_RATIO_MIN: f64 = 2.5;
 /// Strongest gusts that such a vehicle flies in, m/s.
 const STORM_M_S: f64 = 20.0;
 /// Largest share of the force that the vehicle's own motion may explain.
@@ -38,8 +38,8 @@ pub fn gusts(
     };
     let [north, east, down] = force.mean_square.map(|power| power.max(0.0));
     let (most, least) = (north.max(east), north.min(east));
-    let level = most < ISOTROPY_MAX * least && down < most;
-    if !level || has_line(&force.bands) || explained_by_motion(samples)? > EXPLAINED_MAX {
+    let is_level = most < ISOTROPY_MAX * least && down < most;
+    if !is_level || has_line(&force.bands) || explained_by_motion(samples)? > EXPLAINED_MAX {
         return None;
     }
     let mass = all.value(EffectId::Mass, "mass_kg", 0).unwrap_or(vehicle.mass);
@@ -78,7 +78,7 @@ impl Drag {
         }
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
-            *if pushed(middle) < force { &mut low } else { &mut high } = middle;
+            if pushed(middle) < force { low = middle } else { high = middle }
         }
         Some(high)
     }
@@ -89,10 +89,9 @@ fn has_line(bands: &[[f64; 3]]) -> bool {
     let density: Vec<f64> =
         bands.iter().map(|[from, to, power]| power.max(0.0) / (to - from)).collect();
     let total: f64 = bands.iter().map(|[.., power]| power.max(0.0)).sum();
-    density
-        .windows(3)
-        .zip(&bands[1..])
-        .any(|(d, [.., power])| d[1] > LINE * d[0] && d[1] > LINE * d[2] && *power > 0.2 * total)
+    density.windows(3).zip(&bands[1..]).any(|(d, [.., power])| {
+        d[1] > LINE_RATIO_MIN * d[0] && d[1] > LINE_RATIO_MIN * d[2] && *power > 0.2 * total
+    })
 }
 
 /// Share of the force in body axes that a regression on velocity, body rate and throttle explains,
@@ -106,20 +105,22 @@ fn explained_by_motion(samples: &[Sample]) -> Option<f64> {
     let x = DMatrix::from_fn(n, REGRESSORS, |i, j| rows[i][j]);
     let gram = x.transpose() * &x + DMatrix::identity(REGRESSORS, REGRESSORS) * 1e-9;
     let factor = gram.cholesky()?;
-    let (mut explained, mut total) = (0.0, 0.0);
+    let (mut unexplained, mut total) = (0.0, 0.0);
     for axis in 0..3 {
         let y = DVector::from_fn(n, |i, _| samples[i].body[axis]);
         let left = &y - &x * factor.solve(&(x.transpose() * &y));
         let mean = y.mean();
         total += y.iter().map(|y| (y - mean).powi(2)).sum::<f64>();
         let penalty = n as f64 / (n - REGRESSORS) as f64;
-        explained -= left.norm_squared() * penalty;
+        unexplained += left.norm_squared() * penalty;
     }
-    (total > 0.0).then(|| (total + explained) / total)
+    (total > 0.0).then(|| (total - unexplained) / total)
 }
 
+/// Number of [`regressors`].
 const REGRESSORS: usize = 11;
 
+/// 1, velocity, body rate, velocity times speed, and throttle of a sample.
 fn regressors(sample: &Sample) -> [f64; REGRESSORS] {
     let [vx, vy, vz] = sample.body_velocity;
     let [p, q, r] = sample.body_rate;

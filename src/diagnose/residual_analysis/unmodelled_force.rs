@@ -139,8 +139,8 @@ impl CrossPowers {
             transform.apply(f, &mut scratch);
             for (k, (a, b)) in v.iter().zip(&*f).enumerate() {
                 let frequency = frequency(k, v.len());
-                let is_looked_at = (FORCE_MIN_HZ..NOISE_MAX_HZ).contains(&frequency);
-                let Some(band) = band(frequency).filter(|_| is_looked_at) else { continue };
+                let is_used = (FORCE_MIN_HZ..NOISE_MAX_HZ).contains(&frequency);
+                let Some(band) = band(frequency).filter(|_| is_used) else { continue };
                 let one = CrossPower { product: a * b, squares: [a * a, b * b], count: 1.0 };
                 sums.0[band][axis].add(&one);
             }
