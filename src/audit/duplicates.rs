@@ -142,9 +142,12 @@ fn fine_correlation(attitudes: [&Stream<Attitude>; 2], [from, to]: [f64; 2]) -> 
         let (before, here, after) = (at(time - FINE_S)?, at(time)?, at(time + FINE_S)?);
         Some(here.rotation_to(after) + here.rotation_to(before))
     };
-    let instants = ((to - from) / FINE_S) as usize;
+    // A grid of instants, but none in the gaps of a clock that runs wild.
+    let within = attitudes[0].times().iter().filter(|time| (from..to).contains(*time));
+    let mut instants: Vec<u64> = within.map(|time| ((time - from) / FINE_S) as u64).collect();
+    instants.dedup();
     let [mut product, mut of_a, mut of_b] = [0.0; 3];
-    for k in 0..instants {
+    for k in instants {
         let time = from + k as f64 * FINE_S;
         if let (Some(p), Some(q)) = (fine(attitudes[0], time), fine(attitudes[1], time)) {
             product += p.dot(q);

@@ -282,8 +282,9 @@ impl DiagnosisContext<'_> {
                 }
             }
         }
-        terms.dedup_by(|a, b| a.0 == b.0);
-        deviations.truncate(terms.len());
+        let mut refined: Vec<_> = terms.into_iter().zip(deviations).collect();
+        refined.dedup_by(|(a, _), (b, _)| a.0 == b.0);
+        let (terms, deviations): (Vec<_>, Vec<_>) = refined.into_iter().unzip();
         let gains = (0..terms.len())
             .map(|index| {
                 let mut less = terms.clone();

@@ -17,6 +17,8 @@ use sitl::autopilot::offboard::AttitudeSetpoint as OnboardSetpoint;
 
 /// Setpoints this far apart do not determine those between, s.
 const SPACING_MAX_S: f64 = 0.1;
+/// No controller sends setpoints at a shorter period, s, whatever number a log calls missing.
+const PERIOD_MIN_S: f64 = 5e-4;
 /// The earliest of this many setpoints before a tick determines its time.
 const PHASE_WINDOW: usize = 25;
 /// Quantiles that represent the distribution of lateness.
@@ -149,7 +151,7 @@ fn ticks(times: &[f64], missing: &Stream<u32>) -> Option<Ticks> {
     if periods.is_empty() {
         return None;
     }
-    let period = median(periods);
+    let period = median(periods).max(PERIOD_MIN_S);
     let mut seconds = 0.0;
     let mut numbers: Vec<u64> = vec![0];
     for (k, (pair, lacking)) in pairs.enumerate() {
