@@ -120,7 +120,7 @@ struct Stage<'a> {
     seen_us: u64,
     /// When the process was stopped.
     stopped_us: u64,
-    /// Whether the process was asked to end.
+    /// Whether the process received a signal to end.
     is_end_requested: bool,
     /// Exit status of the process, once it ended.
     end: Option<ExitStatus>,

@@ -300,7 +300,7 @@ fn strengths(line: &Detection) -> String {
 }
 
 fn measures(summary: &Summary) -> String {
-    let mut table = Table::new(&[("", false), ("measured", false), ("asked", false)]);
+    let mut table = Table::new(&[("", false), ("measured", false), ("target", false)]);
     for measure in &summary.measures {
         let mood = match (measure.wanted, measure.rate.of) {
             (None, _) | (_, 0) => Mood::Plain,
@@ -463,7 +463,7 @@ fn conditions(summary: &Summary) -> String {
 fn cases(rows: &[Row]) -> String {
     let columns = [
         ("case", false),
-        ("asks", false),
+        ("kind", false),
         ("loop and file", false),
         ("truth", false),
         ("strength", true),

@@ -29,7 +29,7 @@ pub struct SupervisorSettings {
     pub take_off_timeout_s: f64,
     /// Time limit for landing, s.
     pub land_timeout_s: f64,
-    /// Longest time for which a moving vehicle is braked before it is asked to land, s. A vehicle
+    /// Longest time for which a moving vehicle is braked before landing is requested, s. A vehicle
     /// that lands while moving aims to stop further on. If the ground stops it earlier, ArduCopter
     /// leans towards that place and never considers itself landed. Where a fault makes feedback
     /// unreliable, landing is requested at once.
