@@ -15,7 +15,7 @@ pub(super) const CENTRE: usize = 4;
 pub(super) const YAW: usize = 6;
 /// Force fixed in the world, north and east, N.
 pub(super) const WIND: usize = 7;
-/// Force against the horizontal velocity in body axes, N per m/s.
+/// Force against the horizontal velocity in body axes, kg/s.
 pub(super) const DRAG: usize = 9;
 /// Bias of the accelerometer, m/s^2.
 pub(super) const ACCELEROMETER: usize = 10;
@@ -25,7 +25,7 @@ pub(super) const TILT: usize = 13;
 pub(super) const FLAPPING: usize = 15;
 /// Relative thrust per squared horizontal speed, (m/s)^-2.
 pub(super) const LIFT: usize = 16;
-/// Force against the velocity along down in body axes, N per m/s.
+/// Force against the velocity along down in body axes, kg/s.
 pub(super) const SINK: usize = 17;
 /// Change in ten seconds of thrust, both coordinates of the centre of mass, yaw moment and both
 /// forces.
@@ -142,7 +142,7 @@ pub fn quantity(direction: usize) -> (&'static str, &'static str) {
         6 => ("centre_right", "m"),
         7 => ("force_north", "N"),
         8 => ("force_east", "N"),
-        _ => ("drag", "N s/m"),
+        _ => ("drag", "kg/s"),
     }
 }
 
@@ -204,5 +204,18 @@ impl Sizes {
             Direction::Thrust => self.columns[ROTOR],
             Direction::Column(column) => self.columns[column],
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use vehicle::effects::EffectId;
+
+    use super::*;
+
+    #[test]
+    fn drag_has_the_unit_of_vehicle_files() {
+        let drag = EffectId::RotorDrag.spec().find("d_xy").expect("a parameter").parameter;
+        assert_eq!(quantity(DIRECTIONS.len() - 1), ("drag", drag.unit));
     }
 }

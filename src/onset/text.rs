@@ -75,10 +75,11 @@ pub fn what(change: &Change) -> String {
         ),
         Cause::Wind => format!("a force fixed in the world sets in, {}", vector(&change.values)),
         Cause::Drag => format!(
-            "drag {} from {:.3} to {:.3} N s/m beyond the file's",
+            "drag {} from {:.3} to {:.3} {} beyond the file's",
             if first.change.value < 0.0 { "falls" } else { "grows" },
             first.before.value,
-            first.after.value
+            first.after.value,
+            first.unit
         ),
     }
 }

@@ -196,7 +196,7 @@ pub enum Foreign {
     /// A payload on a rod below the rotors. The vehicle's drag acts above the new centre of mass
     /// and exerts the moment M = z x F with F = -c v.
     PayloadLever {
-        /// c, N s/m.
+        /// c, kg/s.
         drag_ns_m: f64,
         /// z: downward shift of the centre of mass, m.
         sunk_m: f64,

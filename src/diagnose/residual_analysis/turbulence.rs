@@ -51,7 +51,7 @@ pub fn gusts(
     Some(slots)
 }
 
-/// A vehicle's drag along the wind: `linear` [N s/m] and `quadratic` [N s^2/m^2].
+/// A vehicle's drag along the wind: `linear` [kg/s] and `quadratic` [kg/m].
 #[derive(Clone, Copy, Debug)]
 struct Drag {
     linear: f64,
