@@ -230,6 +230,9 @@ pub fn vehicle(args: &SitlArgs) -> Result<Vehicle, SitlError> {
     config.estimator.from_vision |= args.room.is_there();
     config.autopilot = args.autopilot.unwrap_or(config.autopilot);
     let schedule = Schedule::requested(args.effects.as_deref(), &args.effect)?;
+    for line in Schedule::defaults_taken(&args.effect) {
+        eprintln!("{line}");
+    }
     let effects = schedule.effects.clone();
     let mut vehicle = Vehicle::scheduled(params, schedule, config, args.seed)?;
     if let Some(remark) = vehicle.plant().physics().unfelt(&effects) {

@@ -18,7 +18,7 @@ use super::course::Course;
 use super::lap_course::simulated;
 use super::progress::flight_bar;
 use super::setup::{built_in_trajectory, run_info};
-use super::simulation::{Simulated, SimulatedFlight, Truth};
+use super::simulation::{Simulated, SimulatedFlight, Truth, requested_effects};
 use super::vehicle_file::VehicleFile;
 use super::{Exit, ExitContext, config, print_json, print_status, print_text, summary, write_file};
 use crate::cli::{SimulateArgs, ViewArgs};
@@ -114,9 +114,7 @@ pub struct Row {
 
 pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
     let began = Instant::now();
-    let Schedule { effects, onsets } =
-        Schedule::requested(args.simulation.effects.as_deref(), &args.simulation.effect)
-            .or_exit(Exit::Usage)?;
+    let Schedule { effects, onsets } = requested_effects(&args.simulation)?;
     let mut simulation = Simulation::load(&Inputs {
         vehicle: args.vehicle.clone(),
         trajectory: args.trajectory.clone(),
@@ -363,7 +361,14 @@ fn settings(given: &[String]) -> anyhow::Result<BTreeMap<String, Value>> {
         let read = read.and_then(|mut table| table.remove("value"));
         Ok((key.trim().to_owned(), read.unwrap_or_else(|| Value::String(value.to_owned()))))
     };
-    given.iter().map(setting).collect()
+    let mut settings = BTreeMap::new();
+    for text in given {
+        let (key, value) = setting(text)?;
+        if settings.insert(key.clone(), value).is_some() {
+            return Err(anyhow!("--set: {key} is given twice; give it once")).or_exit(Exit::Usage);
+        }
+    }
+    Ok(settings)
 }
 
 /// The text for stdout.

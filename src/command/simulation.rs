@@ -37,6 +37,17 @@ pub struct Truth {
     pub onsets: Vec<Onset>,
 }
 
+/// The effects of the flags; `--effect` overrides the file of `--effects`. Reports the numbers of an
+/// effect that is given without any.
+pub(super) fn requested_effects(args: &SimulationArgs) -> anyhow::Result<Schedule> {
+    let schedule =
+        Schedule::requested(args.effects.as_deref(), &args.effect).or_exit(Exit::Usage)?;
+    for line in Schedule::defaults_taken(&args.effect) {
+        tracing::warn!("{line}");
+    }
+    Ok(schedule)
+}
+
 impl Truth {
     /// From flags; `--effect` overrides the file of `--effects`.
     pub(super) fn load(args: &SimulationArgs, vehicle: &VehicleParams) -> anyhow::Result<Self> {
@@ -44,8 +55,7 @@ impl Truth {
             Some(path) => SitlConfig::load(path).or_exit(Exit::Usage)?,
             None => SitlConfig::default(),
         };
-        let Schedule { effects, onsets } =
-            Schedule::requested(args.effects.as_deref(), &args.effect).or_exit(Exit::Usage)?;
+        let Schedule { effects, onsets } = requested_effects(args)?;
         let truth = Self { config, effects, onsets };
         truth.warn(vehicle);
         Ok(truth)

@@ -131,6 +131,22 @@ def test_missing_files_are_named(program, hover, tmp_path):
         refused(program, arguments, 2, "cannot read", "none.mcap")
 
 
+def test_effects_and_settings_given_twice_are_refused(program, hover):
+    simulate = ["simulate", hover, "--no-log"]
+    lags = ["--effect", "motor_lag:tau_s=0.02", "--effect", "motor_lag:tau_s=0.03"]
+    refused(program, [*simulate, *lags], 2, "motor_lag is given twice")
+    refused(program, ["sitl", "--vehicle", CRAZYFLIE, "--link", "udpin:127.0.0.1:0", *lags], 2, "motor_lag is given twice")
+    shares = ["--set", "control.thrust=0.4", "--set", "control.thrust=0.5"]
+    refused(program, [*simulate, *shares], 2, "control.thrust is given twice")
+
+
+def test_an_effect_without_numbers_is_reported_with_those_that_it_takes(program, hover):
+    simulated = program("simulate", hover, "--no-log", "--effect", "rotor_drag")
+    code, _ = simulated.finish(60)
+    assert code == 0, simulated.err
+    assert "--effect rotor_drag" in simulated.err and "d_xy 0 kg/s, d_z 0 kg/s" in simulated.err
+
+
 def test_a_file_twice_in_one_group_is_no_second_flight(program, tmp_path):
     first, copy, other = (tmp_path / name for name in ("a.ulg", "copy.ulg", "b.ulg"))
     for path, content in ((first, b"one flight"), (copy, b"one flight"), (other, b"another flight")):

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::{EffectError, EffectSet};
 use crate::bounded;
+use crate::law::Law;
 
 /// Why the requested effects are refused.
 #[derive(Debug, thiserror::Error)]
@@ -43,18 +44,37 @@ impl EffectSet {
     /// `motor_lag:tau_s=0.03` or `@FILE` (another effects file).
     ///
     /// # Errors
-    /// A file cannot be read, is not TOML, or holds an invalid effect; or an argument is invalid.
+    /// A file cannot be read, is not TOML, or holds an invalid effect; an argument is invalid; two
+    /// arguments give one effect or law.
     pub fn requested(file: Option<&Path>, arguments: &[String]) -> Result<Self, EffectsRefused> {
         let mut effects = file.map_or(Ok(Self::new()), Self::load)?;
-        for argument in arguments {
-            if let Some(path) = argument.strip_prefix('@') {
-                effects = effects.overlay(&Self::load(Path::new(path))?);
-                continue;
+        let mut given = Self::new();
+        // One-line laws come last, because they take names that no file uses.
+        let (lines, named): (Vec<_>, Vec<_>) =
+            arguments.iter().partition(|text| !text.starts_with('@') && Law::is_line(text));
+        for argument in named {
+            let refused = |source| EffectsRefused::Argument { argument: argument.clone(), source };
+            let added = match argument.strip_prefix('@') {
+                Some(path) => Self::load(Path::new(path))?,
+                None => {
+                    let mut one = Self::new();
+                    one.insert_argument(argument).map_err(refused)?;
+                    one
+                }
+            };
+            if let Some(name) = given.shared(&added) {
+                return Err(refused(EffectError::Twice { name: name.to_owned() }));
             }
-            effects.insert_argument(argument).map_err(|source| EffectsRefused::Argument {
-                argument: argument.clone(),
-                source,
-            })?;
+            given = given.overlay(&added);
+            effects = effects.overlay(&added.without_laws());
+            for law in added.laws() {
+                effects.insert_law(law.clone()).map_err(refused)?;
+            }
+        }
+        for line in lines {
+            effects
+                .insert_argument(line)
+                .map_err(|source| EffectsRefused::Argument { argument: line.clone(), source })?;
         }
         Ok(effects)
     }
@@ -93,6 +113,20 @@ mod tests {
         assert_eq!(lag(&["motor_lag:tau_s=0.02"]), 0.02);
         let text = asked(&["motor_lag"]).unwrap_err().to_string();
         assert!(text.contains("--effect motor_lag"), "{text}");
+
+        let again = |more: &[&str]| asked(more).unwrap_err().to_string();
+        let at_file = format!("@{}", file.display());
+        for more in [
+            ["motor_lag:tau_s=0.02", "motor_lag:tau_s=0.03"],
+            ["mass:mass_kg=1.2", at_file.as_str()],
+            [at_file.as_str(), at_file.as_str()],
+        ] {
+            let text = again(&more);
+            assert!(text.contains("is given twice") && text.contains(more[1]), "{text}");
+        }
+        // Each one-line law is a law of its own.
+        let law = "force_x = -0.02[kg/s] * air_x";
+        assert_eq!(asked(&[law, law]).unwrap().laws().len(), 2);
 
         std::fs::write(&file, "[motor_lack]\n").unwrap();
         let text = asked(&[]).unwrap_err().to_string();

@@ -88,6 +88,12 @@ pub enum EffectError {
     /// An onset is refused.
     #[error(transparent)]
     Onset(#[from] super::OnsetError),
+    /// Two arguments give one effect or law.
+    #[error("{name} is given twice; give it once, with all its numbers")]
+    Twice {
+        /// The effect's id or the law's name.
+        name: String,
+    },
     /// There are more than [`LAWS_MAX`] laws.
     #[error("expected at most {LAWS_MAX} laws, found more; leave some out")]
     TooManyLaws,
@@ -245,6 +251,13 @@ impl EffectSet {
             let _ = both.insert_law(law.clone());
         }
         both
+    }
+
+    /// An effect or law that is in both sets.
+    pub(super) fn shared(&self, other: &EffectSet) -> Option<&str> {
+        let effect = self.iter().map(|(id, _)| id).find(|id| other.contains(*id));
+        let is_other = |name: &&str| other.laws.iter().any(|law| law.name() == *name);
+        effect.map(EffectId::name).or_else(|| self.laws.iter().map(Law::name).find(is_other))
     }
 
     /// Adds the effect of a command-line argument such as `motor_lag:tau_s=0.03` or
