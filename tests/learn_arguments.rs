@@ -68,7 +68,7 @@ fn invalid_arguments_are_refused_before_any_work() {
     let report = folder.join("report");
     fs::write(&report, "a file").expect("a file");
     let (vehicle, out) = (learn::vehicle(), folder.join("model"));
-    let log = Path::new("no.mcap");
+    let log = vehicle.as_path();
     for (flag, value, words) in [
         ("--regularization", "1e-5,1.5", "at least 0 and below 1, found 1.5"),
         ("--threads", "100000", "100000"),

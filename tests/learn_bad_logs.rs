@@ -61,7 +61,6 @@ fn defects_of_logs_are_reported_and_the_rest_is_used() {
         file(&folder, "garbage.tlog", &[0x55; 5000]),
         file(&folder, "twin.mcap", &fs::read(&SOUND[0]).expect("a log")),
         file(&folder, "table.csv", b"t,x\n0,1\n"),
-        folder.join("missing.mcap"),
         tlog(&folder, "short.tlog", |entries| {
             // Two seconds in the air.
             let (from, to) = (10_000_000, 12_000_000);
@@ -105,7 +104,6 @@ fn defects_of_logs_are_reported_and_the_rest_is_used() {
         ("garbage.tlog", "not a flight log"),
         ("twin.mcap", "the same file as"),
         ("table.csv", "--mapping"),
-        ("missing.mcap", "missing.mcap"),
         ("short.tlog", "is usable; at least"),
         ("turned.mcap", "attitude"),
     ] {

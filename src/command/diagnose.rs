@@ -14,7 +14,7 @@ use vehicle::VehicleParams;
 use vehicle::effects::EffectSet;
 
 use super::improved::{Additions, Form};
-use super::logs::{listed, open_for};
+use super::logs::{check_named, listed, open_for};
 use super::output::{create_report_folder, is_same_file, refuse_input};
 use super::patience::Patience;
 use super::setup::capability;
@@ -138,11 +138,8 @@ pub fn find(
         (None, None) => None,
         _ => Some(config::load(args.config.as_deref(), vec![])?.settings),
     };
-    for path in args.holdout.iter().chain(&args.new) {
-        std::fs::metadata(path)
-            .with_context(|| format!("cannot read {}", path.display()))
-            .or_exit(Exit::Usage)?;
-    }
+    let logs = args.logs.iter().chain(&args.holdout).chain(&args.new);
+    check_named(logs, args.mapping.as_deref())?;
     create_report_folder(args.report.as_deref())?;
     let paths = paths(args);
     let Sorted { mut fitted, mut held_out, mut new, logs } = sorted(args, &paths, &vehicle);

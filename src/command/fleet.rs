@@ -21,6 +21,7 @@ use self::row::{Done, Row};
 use self::vehicles::{Given, vehicles};
 use super::diagnose::{audited, parted};
 use super::improved::{Additions, Form};
+use super::logs::check_named;
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::count_bar;
 use super::rows::{Folder, Header, Rows, interrupted};
@@ -117,6 +118,7 @@ pub fn find(
     if let Some(out) = &args.out {
         refuse_input(out, given.iter().flat_map(|given| &given.logs).map(|log| log.as_path()))?;
     }
+    check_named(given.iter().flat_map(|given| &given.logs), args.mapping.as_deref())?;
     create_report_folder(args.report.as_deref())?;
     let total = given.len();
     let header = Header {

@@ -1,18 +1,20 @@
 //! Reads flight logs for learning: many files, each used or refused with a reason.
 
 use std::collections::BTreeMap;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 use rayon::prelude::*;
 use vehicle::VehicleParams;
 
-use super::{error_text, print_status};
+use super::{Exit, ExitContext, error_text, print_status};
 use crate::audit::Audit;
 use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
 use crate::learn::summary::RefusedLog;
+use crate::log::import::mapping::Mapping;
 use crate::log::import::{self, Flight, RotorFact};
 
 /// Flights to learn from, in the order of their names, and logs that were refused.
@@ -83,6 +85,29 @@ impl Logs {
             }
         });
     }
+}
+
+/// Refuses a log that cannot be opened, and a mapping file that is none: the user names them, so
+/// leaving them out would give the answer to another question. A log that opens but cannot be used
+/// is left out by the command, with the reason.
+pub(super) fn check_named<'a>(
+    logs: impl IntoIterator<Item = &'a PathBuf>,
+    mapping: Option<&Path>,
+) -> anyhow::Result<()> {
+    for log in logs {
+        let read = || format!("cannot read {}", log.display());
+        check_opens(log).with_context(read).or_exit(Exit::Usage)?;
+    }
+    mapping.map_or(Ok(()), |file| Mapping::load(file).map(drop)).or_exit(Exit::Usage)
+}
+
+fn check_opens(log: &Path) -> anyhow::Result<()> {
+    // Opening a pipe would wait for its writer.
+    if !fs::metadata(log)?.is_file() {
+        bail!("expected a file, found a folder or a device");
+    }
+    File::open(log)?;
+    Ok(())
 }
 
 /// Reads a flight, by the mapping if it is a table. Refuses a log whose embedded vehicle file is of

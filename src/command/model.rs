@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
 
-use super::logs::{Logs, listed};
+use super::logs::{Logs, check_named, listed};
 use super::output::{Output, refuse_input};
 use super::progress::StageBar;
 use super::{Exit, ExitContext, print_json, print_status, print_text, write_file};
@@ -139,6 +139,7 @@ pub fn evaluated(
     mapping: Option<&Path>,
 ) -> anyhow::Result<EvaluationSummary> {
     let file = load(path, vehicle)?;
+    check_named(logs, mapping)?;
     let onboard = Onboard::new(&file.vehicle).or_exit(Exit::Usage)?;
     let windows = windows_of(&file);
     let names = listed(logs);

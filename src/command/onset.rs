@@ -7,7 +7,7 @@ use serde::Serialize;
 use vehicle::VehicleParams;
 
 use super::diagnose::audited;
-use super::logs::listed;
+use super::logs::{check_named, listed};
 use super::output::create_report_folder;
 use super::patience::Patience;
 use super::vehicle_file::warn;
@@ -78,6 +78,7 @@ pub(super) fn run(args: &OnsetArgs) -> anyhow::Result<Exit> {
 pub fn changed(args: &OnsetArgs) -> anyhow::Result<Changes> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     warn(&args.vehicle, &vehicle);
+    check_named(&args.logs, args.mapping.as_deref())?;
     let settings = Settings { false_alarm_h: args.false_alarm_h, ..Settings::LOG };
     let mut flights: Vec<(String, PreparedFlight)> = Vec::new();
     for (path, log) in args.logs.iter().zip(audited(&args.logs, args.mapping.as_deref(), &vehicle))

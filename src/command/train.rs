@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Context, anyhow, bail};
 use vehicle::VehicleParams;
 
-use super::logs::{Logs, listed};
+use super::logs::{Logs, check_named, listed};
 use super::output::{create_report_folder, refuse_input, sha256};
 use super::progress::StageBar;
 use super::vehicle_file::warn;
@@ -126,6 +126,7 @@ pub fn learn(
     warn(&args.vehicle, &vehicle);
     let onboard = Onboard::new(&vehicle).or_exit(Exit::Usage)?;
     check(args).or_exit(Exit::Usage)?;
+    check_named(&args.logs, args.mapping.as_deref())?;
     create_report_folder(args.report.as_deref())?;
     if let Some(threads) = args.threads.map(usize::from) {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("threads")?;

@@ -20,6 +20,7 @@ use self::ensemble::{Ensemble, Purpose};
 use self::flown::{Flown, FlownGatherer};
 use self::shape::{JudgedModel, tracking_loop};
 use super::course::Course;
+use super::logs::check_named;
 use super::output::refuse_input;
 use super::plan::{model_for, plan_trajectory};
 use super::progress::count_bar;
@@ -93,6 +94,7 @@ fn fit(args: &TubeFitArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
     let given = [&args.model, &args.vehicle, &args.config].into_iter().flatten();
     let files = given.chain(&args.logs).chain(&args.along);
     refuse_input(&args.out, files.map(PathBuf::as_path))?;
+    check_named(&args.logs, None)?;
     let config = config::load(args.config.as_deref(), vec![])?;
     let vehicle = match &args.vehicle {
         Some(path) => VehicleFile::load(path)?,

@@ -126,9 +126,22 @@ def test_missing_files_are_named(program, hover, tmp_path):
     refused(program, fly(hover, tmp_path, vehicle=tmp_path / "none.toml"), 2, "none.toml")
     refused(program, ["daemon", "--config", tmp_path / "none.toml"], 2, "none.toml")
     refused(program, ["log", "info", tmp_path / "none.mcap"], 2, "none.mcap")
-    for flag in ("--holdout", "--new"):
-        arguments = ["diagnose", "--vehicle", CRAZYFLIE, hover, flag, tmp_path / "none.mcap"]
+    # Among several logs, too, a name that is wrong is no log to leave out.
+    none, vehicle = tmp_path / "none.mcap", ["--vehicle", CRAZYFLIE]
+    for arguments in (
+        ["diagnose", *vehicle, hover, none],
+        ["diagnose", *vehicle, hover, "--holdout", none],
+        ["diagnose", *vehicle, hover, "--new", none],
+        ["onset", *vehicle, hover, none],
+        ["train", *vehicle, hover, none, "--out", tmp_path / "model.safetensors"],
+        ["tube", "fit", *vehicle, hover, none, "--out", tmp_path / "tube.json"],
+        ["log", "audit", hover, none],
+        ["compare", hover, none, "--", hover],
+    ):
         refused(program, arguments, 2, "cannot read", "none.mcap")
+    refused(program, ["onset", *vehicle, hover, tmp_path], 2, "cannot read", str(tmp_path), "folder")
+    refused(program, ["onset", *vehicle, hover, "--mapping", tmp_path / "none.toml"], 2, "none.toml")
+    assert not (tmp_path / "model.safetensors").exists()
 
 
 def test_effects_and_settings_given_twice_are_refused(program, hover):
