@@ -8,7 +8,8 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
-use downwash::command::{Inputs, Simulation, entry};
+use downwash::cli::CompareArgs;
+use downwash::command::{Compared, Inputs, Simulation, compared, entry};
 use downwash::exam::interval::Rate;
 use downwash::report::side_by_side::{Alignment, Comparison, Entry, Outcome, Pairing};
 use vehicle::effects::EffectSet;
@@ -81,6 +82,32 @@ fn identical_flights_do_not_differ() {
         assert_eq!(compared.outcome, Outcome::NoDifference, "{}", compared.sentence);
         assert!(compared.facts.is_empty());
     }
+}
+
+#[test]
+fn logs_of_one_name_are_told_apart() {
+    let folder = folder("names");
+    let trajectory = folder.join("short.toml");
+    fs::write(&trajectory, TRAJECTORY).unwrap();
+    let [first, second] = ["first", "second"].map(|side| {
+        let own = folder.join(side);
+        let inputs = Inputs { trajectory: Some(trajectory.clone()), ..Inputs::default() };
+        let (row, _) = Simulation::load(&inputs).unwrap().fly_logged(&own, |_| {}).unwrap();
+        let log = own.join("flight.mcap");
+        fs::rename(row.log.unwrap(), &log).unwrap();
+        log
+    });
+    let args = CompareArgs::new(vec![first.clone()], vec![second.clone()]);
+    let Compared { comparison, html } = compared(&args).unwrap();
+    assert_eq!(
+        [comparison.a, comparison.b].concat(),
+        [first, second].map(|log| log.display().to_string())
+    );
+    assert!(html.contains("first/flight.mcap") && html.contains("second/flight.mcap"));
+    assert!(
+        !html.contains(&*folder.to_string_lossy()),
+        "a page shows no more of a path than it needs"
+    );
 }
 
 /// Forty-eight flights that differ only by their seeds, split at random again and again.

@@ -13,7 +13,7 @@ use super::plan::sha256_of;
 use super::{Exit, ExitContext, print_json, print_status, print_text, write_file};
 use crate::cli::{AlignChoice, CompareArgs, PairChoice};
 use crate::log::LogReader;
-use crate::log::import::{self, Flight, ImportError};
+use crate::log::import::{self, Flight, ImportError, tell_apart};
 use crate::report::side_by_side::{Alignment, Comparison, Entry, Outcome, Pairing};
 use crate::report::{FlightReport, Recording};
 
@@ -68,7 +68,9 @@ pub fn compared(args: &CompareArgs) -> anyhow::Result<Compared> {
     }
     refuse_copies(&args.a)?;
     refuse_copies(&args.b)?;
-    let (a, b) = (read(&args.a)?, read(&args.b)?);
+    let (mut a, mut b) = (read(&args.a)?, read(&args.b)?);
+    let entries = a.iter_mut().chain(&mut b);
+    tell_apart(entries.map(|entry| (&mut entry.name, Path::new(&entry.log))));
     let (a, b): (Vec<&Entry>, Vec<&Entry>) = (a.iter().collect(), b.iter().collect());
     let alignment = match args.align {
         AlignChoice::Time => Alignment::Time,
@@ -112,7 +114,6 @@ fn refuse_copies(logs: &[PathBuf]) -> anyhow::Result<()> {
 /// # Errors
 /// The file is no flight log.
 pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
-    let name = log.file_stem().unwrap_or_default().to_string_lossy();
     let own = LogReader::open(log).ok().and_then(|mut reader| {
         let report = FlightReport::read(&mut reader).ok()?;
         if !report.summary().log_finished {
@@ -131,7 +132,7 @@ pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
     let is_own = own.is_some();
     if let Some((report, facts)) = own {
         let recording = flight.as_ref().ok().map(|flight| Recording::new(flight.clone()));
-        if let Some(entry) = Entry::own(&name, &report, recording.as_ref(), facts) {
+        if let Some(entry) = Entry::own(log, &report, recording.as_ref(), facts) {
             return Ok(entry);
         }
     }
@@ -143,7 +144,7 @@ pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
         ));
     }
     let facts = recorded_facts(&flight);
-    Ok(Entry::recorded(&name, &Recording::new(flight), facts))
+    Ok(Entry::recorded(log, &Recording::new(flight), facts))
 }
 
 /// The facts that a log of this program states about its flight.

@@ -34,7 +34,7 @@ use crate::diagnose::onset::{OnsetReport, changes};
 use crate::diagnose::pipeline::{Diagnosis, diagnose};
 use crate::diagnose::verdict::Verdict;
 use crate::learn::commands::Onboard;
-use crate::log::import::Flight;
+use crate::log::import::{Flight, tell_apart};
 use crate::onset::detector as onset;
 use crate::plan::manoeuvres::Room;
 use crate::report::onset::SeenFlight;
@@ -350,6 +350,8 @@ pub(super) fn audited(
             Err(error) => refused.push((index, error)),
         }
     }
+    let origins = flights.iter_mut().map(|flight| &mut flight.origin);
+    tell_apart(origins.map(|origin| (&mut origin.run, origin.path.as_path())));
     let mut audits = Audit::of_all(&flights);
     audits.iter_mut().for_each(|audit| rotor_order::check(audit, vehicle));
     let mut logs: Vec<AuditedLog> = flights

@@ -66,6 +66,8 @@ impl Logs {
                 }
             }
         }
+        let origins = logs.flights.iter_mut().map(|flight| &mut flight.flight.origin);
+        import::tell_apart(origins.map(|origin| (&mut origin.run, origin.path.as_path())));
         logs
     }
 

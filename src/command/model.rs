@@ -121,6 +121,7 @@ pub struct EvaluationSummary {
     schema: &'static str,
     schema_version: u32,
     model: PathBuf,
+    /// The used logs, by their paths as given.
     logs: Vec<String>,
     refused: Vec<RefusedLog>,
     /// The errors.
@@ -156,7 +157,7 @@ pub fn evaluated(
         schema: "downwash.model_eval",
         schema_version: 1,
         model: path.to_owned(),
-        logs: logs.flights.iter().map(|f| f.flight.origin.run.clone()).collect(),
+        logs: logs.flights.iter().map(|f| f.flight.origin.path.display().to_string()).collect(),
         refused: logs.refused,
         evaluation: evaluation.or_exit(Exit::Usage)?,
     })

@@ -70,7 +70,7 @@ pub struct Finding {
 /// The audit's findings on a log.
 #[derive(Clone, Debug, JsonSchema, Serialize)]
 pub struct LogAnswer {
-    /// The log's name.
+    /// File name without extension; the end of the path if another log has that name.
     pub name: String,
     /// The most that the log's channels can show.
     pub tier: Option<Tier>,

@@ -96,7 +96,7 @@ pub struct DataSummary {
 /// A log that was used.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct LogSummary {
-    /// File name without extension.
+    /// File name without extension; the end of the path if another log has that name.
     pub run: String,
     /// The file.
     pub path: PathBuf,

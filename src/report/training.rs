@@ -6,7 +6,7 @@ use super::axis::significant;
 use super::chart::{Chart, Curve, Panel, Style};
 use super::page::{Mood, Page};
 use super::table::{Table, definitions};
-use super::text::{effects, file_name, smallness};
+use super::text::{effects, smallness};
 use crate::learn::evaluation::{ACCELERATION_NAMES, OneStep};
 use crate::learn::judgement::{Best, standing};
 use crate::learn::summary::{LearningCurve, Series, TrainingSummary};
@@ -302,7 +302,7 @@ fn data(summary: &TrainingSummary) -> String {
     if !summary.data.refused.is_empty() {
         let mut table = Table::new(&[("log excluded entirely", false), ("why", false)]);
         for log in &summary.data.refused {
-            let cells = [file_name(&log.path), log.reason.clone()];
+            let cells = [log.path.display().to_string(), log.reason.clone()];
             table.row(Mood::Warning, &cells);
         }
         html += &table.into_html();

@@ -265,6 +265,7 @@ def test_training_and_prediction_from_tables(flights, tmp_path):
 def test_eval_scores_every_predictor(trained, flights):
     found = json.loads(run("model", "eval", "--model", trained.world, *flights[:2], "--json").stdout)
     assert (found["schema"], len(found["logs"]), found["refused"]) == ("downwash.model_eval", 2, [])
+    assert sorted(found["logs"]) == sorted(str(log) for log in flights[:2])
     assert [one["model"] for one in found["one_step"]] == ["net", "physics", "hybrid"]
     assert found["one_step"][1]["truth"]["linear"] < 0.05
     assert [p["predictor"] for p in found["multi_step"]] == ["net", "physics", "hybrid", "hold", "constant velocity"]

@@ -266,7 +266,8 @@ pub enum Clock {
 pub struct Origin {
     /// Path of the file.
     pub path: PathBuf,
-    /// File name without extension, which names the flight in tables.
+    /// Names the flight in tables: the file name without extension, or after [`super::tell_apart`] the
+    /// end of the path if another log has that name.
     pub run: String,
     /// SHA-256 of the file, lower-case hexadecimal.
     pub sha256: String,

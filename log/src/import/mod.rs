@@ -40,6 +40,7 @@ pub use flight::{
 };
 pub use kind::{StatedKind, VehicleKind};
 pub use ranges::{OutputRange, output_ranges};
+pub use source::tell_apart;
 
 use super::reader::{LogReader, ReadError};
 use mapping::Mapping;

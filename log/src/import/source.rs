@@ -1,8 +1,9 @@
 //! Detects a file's format from its content.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{self, Read};
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 use wire::tlog::Reader;
@@ -110,6 +111,34 @@ pub(super) fn origin(path: &Path, format: Format) -> Result<Origin, ImportError>
     Ok(Origin { path: path.to_owned(), run, sha256, format: format.name() })
 }
 
+/// Gives logs of different paths different names. `a/1.ulg` and `b/1.ulg` share the file stem `1`,
+/// and get the shortest ends of their paths that differ, here the whole paths.
+pub fn tell_apart<'a>(logs: impl IntoIterator<Item = (&'a mut String, &'a Path)>) {
+    let logs: Vec<(&mut String, &Path)> = logs.into_iter().collect();
+    let mut paths: BTreeMap<String, BTreeSet<&Path>> = BTreeMap::new();
+    for (name, path) in &logs {
+        paths.entry((*name).clone()).or_default().insert(*path);
+    }
+    for (name, path) in logs {
+        let Some(namesakes) = paths.get(name.as_str()).filter(|paths| paths.len() > 1) else {
+            continue;
+        };
+        let differ = |parts: &usize| {
+            let ends: BTreeSet<PathBuf> = namesakes.iter().map(|path| end(path, *parts)).collect();
+            ends.len() == namesakes.len()
+        };
+        let most = path.components().count();
+        *name = end(path, (1..most).find(differ).unwrap_or(most)).display().to_string();
+    }
+}
+
+/// The last parts of a path.
+fn end(path: &Path, parts: usize) -> PathBuf {
+    let mut last: Vec<Component<'_>> = path.components().rev().take(parts).collect();
+    last.reverse();
+    last.into_iter().collect()
+}
+
 fn hash(path: &Path) -> io::Result<String> {
     let mut file = File::open(path)?;
     let mut hasher = Sha256::new();
@@ -121,5 +150,18 @@ fn hash(path: &Path) -> io::Result<String> {
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
             Err(error) => return Err(error),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_names_of_different_files_become_ends_of_their_paths() {
+        let files = ["x/a/1.ulg", "x/b/1.ulg", "b/2.ulg", "b/2.ulg", "3.ulg", "b/3.ulg"];
+        let mut names = ["1", "1", "2", "2", "3", "3"].map(str::to_owned);
+        tell_apart(names.iter_mut().zip(files.map(Path::new)));
+        assert_eq!(names, ["a/1.ulg", "b/1.ulg", "2", "2", "3.ulg", "b/3.ulg"]);
     }
 }

@@ -81,7 +81,7 @@ pub struct Channels {
 /// A flight that is ready for the diagnosis.
 #[derive(Clone, Debug)]
 pub struct PreparedFlight {
-    /// File name without extension.
+    /// File name without extension; the end of the path if another log has that name.
     pub name: String,
     /// The channels of its log.
     pub channels: Channels,

@@ -1,6 +1,7 @@
 //! One flight of a comparison: its errors along an axis that flights share, and its numbers.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -111,7 +112,10 @@ impl Point {
 /// One flight of a comparison.
 #[derive(Clone, Debug)]
 pub struct Entry {
-    /// File name without its extension.
+    /// The log's path, as given.
+    pub log: String,
+    /// Its name on the page: the file name without extension, or the end of the path if another
+    /// flight has that name.
     pub name: String,
     /// What is known of vehicle, settings and versions.
     pub facts: BTreeMap<String, String>,
@@ -127,7 +131,7 @@ pub struct Entry {
 impl Entry {
     /// A flight of this program along a trajectory; `None` if none was followed.
     pub fn own(
-        name: &str,
+        log: &Path,
         report: &FlightReport,
         recording: Option<&Recording>,
         facts: BTreeMap<String, String>,
@@ -151,20 +155,18 @@ impl Entry {
             points.iter().zip(&time).map(|(point, time)| (*time, which(point))).collect()
         };
         let mut entry = Self {
-            name: name.to_owned(),
-            facts,
             signals,
-            metrics: BTreeMap::new(),
             flown: place(|point| point.flown),
             desired: place(|point| point.desired),
             duration_s: time.last().copied().unwrap_or(0.0),
+            ..Self::of(log, facts)
         };
         entry.measure(recording);
         Some(entry)
     }
 
     /// A flight of any log, from when it is in the air, as far as the log says.
-    pub fn recorded(name: &str, recording: &Recording, facts: BTreeMap<String, String>) -> Self {
+    pub fn recorded(log: &Path, recording: &Recording, facts: BTreeMap<String, String>) -> Self {
         let flight = &recording.flight;
         let mut up = flight.in_air.iter().filter(|(_, is_up)| **is_up).map(|(time, _)| time);
         let (start, end) = match up.next() {
@@ -181,16 +183,28 @@ impl Entry {
         let position = flight.position.iter().filter(|(time, _)| inside(*time));
         let references = flight.reference.iter().filter(|(time, _)| inside(*time));
         let mut entry = Self {
-            name: name.to_owned(),
-            facts,
             signals: signals.collect(),
-            metrics: BTreeMap::new(),
             flown: position.map(|(time, p)| (time - start, *p)).collect(),
             desired: references.map(|(time, r)| (time - start, r.position)).collect(),
             duration_s: end - start,
+            ..Self::of(log, facts)
         };
         entry.measure(Some(recording));
         entry
+    }
+
+    /// A flight of which nothing but the facts is known.
+    fn of(log: &Path, facts: BTreeMap<String, String>) -> Self {
+        Self {
+            log: log.display().to_string(),
+            name: log.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            facts,
+            signals: Vec::new(),
+            metrics: BTreeMap::new(),
+            flown: Vec::new(),
+            desired: Vec::new(),
+            duration_s: 0.0,
+        }
     }
 
     fn measure(&mut self, recording: Option<&Recording>) {
@@ -326,13 +340,11 @@ impl Entry {
         ];
         let path = |north: f64| time.iter().map(|t| (*t, Ned::new(north, 2.0 * t, -1.0))).collect();
         let mut entry = Self {
-            name: name.to_owned(),
-            facts,
             signals,
-            metrics: BTreeMap::new(),
             flown: path(error_m),
             desired: path(0.0),
             duration_s: 10.0,
+            ..Self::of(Path::new(name), facts)
         };
         entry.measure(None);
         entry

@@ -55,9 +55,9 @@ pub struct Comparison {
     pub schema: &'static str,
     /// Version of this JSON.
     pub schema_version: u32,
-    /// Flights of A.
+    /// Logs of A, by their paths as given.
     pub a: Vec<String>,
-    /// Flights of B.
+    /// Logs of B, by their paths as given.
     pub b: Vec<String>,
     /// What the page's curves are laid along.
     pub alignment: Alignment,
@@ -138,7 +138,7 @@ impl Comparison {
         }
         let first = differences.first().filter(|d| d.more_is_worse == Some(true));
         let outcome = first.map_or(Outcome::Undecided, Difference::outcome);
-        let names = |entries: &[&Entry]| entries.iter().map(|entry| entry.name.clone()).collect();
+        let names = |entries: &[&Entry]| entries.iter().map(|entry| entry.log.clone()).collect();
         let sentence = sentence(outcome, first, [a.len(), b.len()], pairs.len());
         Self {
             schema: "downwash.compare",
