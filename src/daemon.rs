@@ -125,9 +125,8 @@ pub fn start(
     let seen = Arc::clone(&shared);
     let thread = thread::Builder::new().name("control".into()).spawn(move || {
         let Outlets { tee, sink, guests, changes } = outlets;
-        let (shared, open_failure) = (&*seen, String::new());
-        let mut control =
-            Control { clock, connection, tee, sink, guests, changes, shared, open_failure };
+        let shared = &*seen;
+        let mut control = Control { clock, connection, tee, sink, guests, changes, shared };
         let end = runtime.block_on(control.run(&mut station));
         let log = control.sink.finish();
         let tlog = control.tee.map(TeeThread::finish);
@@ -171,8 +170,6 @@ struct Control<'a> {
     guests: Option<Guests>,
     changes: Option<Changes>,
     shared: &'a Shared,
-    /// The last reported reason why the endpoint did not open.
-    open_failure: String,
 }
 
 impl Control<'_> {
@@ -297,18 +294,9 @@ impl Control<'_> {
                     tee.received(now, peer, bytes, self.connection.is_datagram());
                 }
             }
-            Input::Opened => {
-                self.open_failure.clear();
-                station.opened(now);
-            }
-            // Opening is retried until it succeeds; each failure is reported once.
-            Input::Failed { error, .. } => {
-                let failure = error.to_string();
-                if failure != self.open_failure {
-                    tracing::warn!("{failure}; trying again until it opens");
-                    self.open_failure = failure;
-                }
-            }
+            Input::Opened => station.opened(now),
+            // Opening is retried until it succeeds.
+            Input::Failed { error, .. } => station.not_opened(now, error.to_string()),
             Input::Lost(error) => {
                 station.closed(now, &error.to_string());
                 if let Some(tee) = &mut self.tee {

@@ -80,6 +80,8 @@ pub struct Station {
     /// Whether to run only the checks before a flight; no setpoint is sent.
     is_check: bool,
     waiting: Waiting,
+    /// Why the endpoint does not open, until it does.
+    open_failure: Option<String>,
     is_version_known: bool,
     is_signing_reported: bool,
     /// Whether the vehicle has answered a TIMESYNC since it was found.
@@ -117,6 +119,7 @@ impl Station {
             found: None,
             is_check: false,
             waiting: Waiting::new(now),
+            open_failure: None,
             is_version_known: false,
             is_signing_reported: false,
             is_answered: false,
@@ -291,8 +294,17 @@ impl Station {
 
     /// Notes that the endpoint is open, for the first time or again.
     pub fn opened(&mut self, now: HostTime) {
+        self.open_failure = None;
         self.meter.opened();
         self.report(now, Severity::Info, "link open".to_owned());
+    }
+
+    /// Notes why an attempt to open the endpoint failed. Reports each reason once.
+    pub fn not_opened(&mut self, now: HostTime, why: String) {
+        if self.open_failure.as_ref() != Some(&why) {
+            self.report(now, Severity::Warning, format!("{why}; trying again until it opens"));
+            self.open_failure = Some(why);
+        }
     }
 
     /// Notes that the endpoint closed, and why.

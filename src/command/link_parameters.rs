@@ -194,7 +194,7 @@ impl Reading {
             let error = anyhow!("no vehicle was found: {why}");
             return Err(error).or_exit(Exit::Link);
         }
-        if waited > WAIT_REPORTED_AFTER && !self.is_reported {
+        if waited > WAIT_REPORTED_AFTER && !self.is_reported && self.failure.is_none() {
             self.is_reported = true;
             print_status(format_args!(
                 "waiting for the HEARTBEAT of an autopilot on {endpoint}; {bytes} bytes received \

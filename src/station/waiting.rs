@@ -132,6 +132,10 @@ impl Station {
         if self.end.is_some() {
             return None;
         }
+        // Nothing can arrive: why it does not open is all that somebody can act on.
+        if self.open_failure.is_some() {
+            return None;
+        }
         if self.session.state() != LinkState::Connected {
             // In flight, other events report the loss of the link.
             let is_prepared = self.offboard.as_ref().is_some_and(|offboard| {
