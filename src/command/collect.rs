@@ -18,6 +18,7 @@ use self::kept::{Identity, LogOf, logs_of_flights};
 use self::on_link::fly_vehicle;
 use self::simulated::Simulator;
 use super::fly::system_flag;
+use super::output::create_folder;
 use super::progress::flight_bar;
 use super::setup::{capability, required};
 use super::simulation::Truth;
@@ -145,9 +146,8 @@ pub(super) fn gather(
     .or_exit(Exit::Usage)?;
     let started = Instant::now();
     let (rows, exit) = if let Some(folder) = &args.write_trajectories {
+        create_folder("--write-trajectories", folder)?;
         for flight in &flights {
-            fs::create_dir_all(folder)
-                .with_context(|| format!("cannot create the folder {}", folder.display()))?;
             write_file(&folder.join(format!("{}.toml", flight.name)), flight.text.as_bytes())?;
         }
         (flights.iter().map(FlightRow::planned).collect(), Exit::Ok)
@@ -194,8 +194,7 @@ fn fly(
     preparation: Option<Interruption>,
 ) -> anyhow::Result<(Vec<FlightRow>, Exit)> {
     let mut signals = StopSignals::after(preparation)?;
-    fs::create_dir_all(&args.out)
-        .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
+    create_folder("--out", &args.out)?;
     let truth = args.connect.is_none().then(|| Truth::load(&args.simulation, &vehicle.params));
     let truth = truth.transpose()?;
     let identity = Identity { config, vehicle, truth: truth.as_ref(), seed: args.seed };

@@ -8,6 +8,7 @@ use anyhow::Context;
 use super::audience::Audience;
 use super::course::Course;
 use super::fly::{print_tlog_loss, tee, watch};
+use super::output::create_folder;
 use super::setup::endpoint;
 use super::setup::{required, run_info, station_settings};
 use super::signing_state::SigningState;
@@ -38,6 +39,7 @@ pub(super) fn run(args: &DaemonArgs, preparation: Interruption) -> anyhow::Resul
     let mut signals = StopSignals::after(Some(preparation))?;
     let clock = HostClock::start();
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
+    create_folder("log_dir", &log_dir)?;
     let info = run_info(&config, &vehicle, &name, false, None);
     let mut audience = Audience::start_for_flight(&args.view, &config, &info, &course)?
         .monitored(&vehicle.params, &config)?

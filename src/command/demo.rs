@@ -17,6 +17,7 @@ use self::outcome::PlanRow;
 use super::collect::gather;
 use super::course::Course;
 use super::demo_diagnose;
+use super::output::create_folder;
 use super::plan::{PlanModel, plan_trajectory, planner, sha256_of};
 use super::setup::{built_in_trajectory, law_flag};
 use super::simulation::Truth;
@@ -75,8 +76,7 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
         None => Course::Desired(built_in_trajectory()?),
     };
     given.check(&vehicle, &config)?;
-    std::fs::create_dir_all(&args.out)
-        .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
+    create_folder("--out", &args.out)?;
     let simulation = simulation(args)?;
     let truth = Truth::load(&simulation, &vehicle.params)?;
     let demo = Demo {

@@ -22,6 +22,7 @@ use super::collect::gather;
 use super::course::Course;
 use super::improved::{Additions, Form};
 use super::logs::open_for;
+use super::output::create_folder;
 use super::plan::{PlanModel, plan_trajectory};
 use super::setup::built_in_trajectory;
 use super::simulation::{Simulated, SimulatedFlight, Truth};
@@ -142,8 +143,7 @@ pub(super) fn run(args: &DemoArgs, interruption: &Interruption) -> anyhow::Resul
         None => built_in_trajectory()?,
     };
     Course::Desired(desired.clone()).check(&shipped, &config)?;
-    std::fs::create_dir_all(&args.out)
-        .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
+    create_folder("--out", &args.out)?;
     let simulation = hide(args, &shipped.params)?;
     let closed = Loop {
         truth: Truth::load(&simulation, &shipped.params)?,

@@ -34,6 +34,7 @@ pub(super) use self::laws::LawsSummary;
 pub(super) use self::onsets::OnsetsSummary;
 pub(super) use self::practice::PracticeSummary;
 pub(super) use self::questions::{Questions, settings};
+use super::output::create_folder;
 use super::{
     Exit, ExitContext, Interruption, error_text, print_json, print_status, print_text, write_file,
 };
@@ -72,8 +73,7 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
         return decided::run(args);
     }
     let interrupted = interruption.flag();
-    fs::create_dir_all(&args.out)
-        .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
+    create_folder("--out", &args.out)?;
     // The processes that diagnose have other working directories.
     let out = args.out.canonicalize().with_context(|| args.out.display().to_string())?;
     let jobs = args.jobs.or(thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
@@ -96,8 +96,7 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
             .or_exit(Exit::Usage);
     }
     if let Some(folder) = &args.evidence {
-        fs::create_dir_all(folder)
-            .with_context(|| format!("cannot create the folder {}", folder.display()))?;
+        create_folder("--evidence", folder)?;
     }
     let began = Instant::now();
     let flown = hall.fly(&orders)?;

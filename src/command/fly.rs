@@ -15,6 +15,7 @@ use super::audience::Audience;
 use super::course::Course;
 use super::goal_file::GoalFile;
 use super::lap_course::{Clock, lap_course};
+use super::output::create_folder;
 use super::setup::{endpoint, law_flag, path_flag, required, run_info, station_settings};
 use super::signing_state::SigningState;
 use super::stop::StopSignals;
@@ -92,6 +93,7 @@ pub(super) fn run(args: &FlyArgs, preparation: Interruption) -> anyhow::Result<E
         return check(station_settings, endpoint, signals, args.json);
     }
     let log_dir = settings.log_dir.clone().unwrap_or_else(|| PathBuf::from("."));
+    create_folder("--log-dir", &log_dir)?;
     let info = run_info(&config, &vehicle, &name, false, None);
     let tee = args.tlog.as_deref().map(tee).transpose()?;
     let mut signals = StopSignals::after(Some(preparation))?;

@@ -37,11 +37,21 @@ pub(super) fn is_same_file(a: &Path, b: &Path) -> bool {
     }
 }
 
-/// Makes the folder for `--report`. Called before the work, so that an error costs no work.
+/// Makes the folder for `--report`.
 pub(super) fn create_report_folder(folder: Option<&Path>) -> anyhow::Result<()> {
-    let Some(folder) = folder else { return Ok(()) };
+    folder.map_or(Ok(()), |folder| create_folder("--report", folder))
+}
+
+/// Makes the folder for the outputs of `flag`, and checks that it takes files. Called before the
+/// work, so that an error costs no work.
+pub(super) fn create_folder(flag: &str, folder: &Path) -> anyhow::Result<()> {
     fs::create_dir_all(folder)
-        .with_context(|| format!("--report: cannot create the folder {}", folder.display()))
+        .with_context(|| format!("{flag}: cannot create the folder {}", folder.display()))
+        .or_exit(Exit::Usage)?;
+    let probe = folder.join(format!(".downwash-{}", std::process::id()));
+    fs::write(&probe, "")
+        .and_then(|()| fs::remove_file(&probe))
+        .with_context(|| format!("{flag}: cannot write into the folder {}", folder.display()))
         .or_exit(Exit::Usage)
 }
 

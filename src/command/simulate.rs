@@ -16,6 +16,7 @@ use vehicle::effects::{EffectSet, Onset, Schedule};
 use super::audience::Audience;
 use super::course::Course;
 use super::lap_course::simulated;
+use super::output::create_folder;
 use super::progress::flight_bar;
 use super::setup::{built_in_trajectory, run_info};
 use super::simulation::{Simulated, SimulatedFlight, Truth, requested_effects};
@@ -131,6 +132,7 @@ pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
         bar.set_position((status.progress.map_or(0.0, |(t, _)| t) * 10.0) as u64);
     };
     let folder = (!args.no_log).then_some(args.out.as_path());
+    folder.map_or(Ok(()), |folder| create_folder("--out", folder))?;
     let mut learner = None;
     if args.learning.learn.is_some() {
         let Simulation { course, vehicle, config, .. } = &simulation;

@@ -127,6 +127,19 @@ def test_log_info_on_incomplete_logs_and_other_files(program, tmp_path, content,
     assert "unfinished" in out if found == 0 else "a.mcap" in one.err
 
 
+def test_an_unusable_output_is_refused_before_the_work(program, hover, tmp_path):
+    file = tmp_path / "file"
+    file.write_text("no folder")
+    config = tmp_path / "config.toml"
+    config.write_text(f"vehicle = '{CRAZYFLIE}'\ntrajectory = '{hover}'\nconnect = '{GOOD_URL}'\nlog_dir = '{file}'\n")
+    refused(program, fly(hover, file), 2, "--log-dir", str(file))
+    refused(program, [*fly(hover, tmp_path), "--tlog", file / "a.tlog"], 2, "telemetry log", str(file))
+    refused(program, ["daemon", "--config", config], 2, "log_dir", str(file))
+    for command in (["simulate", hover], ["collect"], ["demo"], ["exam"]):
+        refused(program, [*command, "--out", file], 2, "--out", str(file))
+    assert file.read_text() == "no folder"
+
+
 def test_missing_files_are_named(program, hover, tmp_path):
     refused(program, fly(tmp_path / "none.toml", tmp_path), 2, "none.toml")
     refused(program, fly(hover, tmp_path, vehicle=tmp_path / "none.toml"), 2, "none.toml")
