@@ -7,7 +7,7 @@ use anyhow::anyhow;
 use rayon::prelude::*;
 use serde_json::Value;
 
-use super::output::refuse_input;
+use super::output::check_output;
 use super::patience::Patience;
 use super::plan::sha256_of;
 use super::{Exit, ExitContext, print_json, print_status, print_text, write_file};
@@ -23,7 +23,7 @@ const NO_FACTS: [&str; 4] = ["run", "frames", "units", "log_version"];
 pub(super) fn run(args: &CompareArgs) -> anyhow::Result<Exit> {
     let _patience = Patience::with("reading and comparing the flights".to_owned());
     let inputs = || args.a.iter().chain(&args.b).map(PathBuf::as_path);
-    refuse_input(&args.out, inputs().chain(args.mapping.as_deref()))?;
+    check_output(&args.out, inputs().chain(args.mapping.as_deref()))?;
     let Compared { comparison, html } = compared(args)?;
     write_file(&args.out, html.as_bytes())?;
     if args.json {

@@ -15,7 +15,7 @@ use vehicle::effects::EffectSet;
 
 use super::improved::{Additions, Form};
 use super::logs::{check_named, listed, open_for};
-use super::output::{create_report_folder, is_same_file, refuse_input};
+use super::output::{check_output, create_report_folder, is_same_file};
 use super::patience::Patience;
 use super::setup::capability;
 use super::vehicle_file::warn;
@@ -128,19 +128,20 @@ pub fn find(
     progress: &dyn Fn(&str),
 ) -> anyhow::Result<Finding> {
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
-    if let Some(out) = &args.out {
-        let logs = args.logs.iter().chain(&args.holdout).chain(&args.new);
-        refuse_input(out, logs.map(PathBuf::as_path))?;
+    // Errors that would come after the work are found before it. Other outputs may go into the
+    // report's folder.
+    let logs = || args.logs.iter().chain(&args.holdout).chain(&args.new);
+    check_named(logs(), args.mapping.as_deref())?;
+    create_report_folder(args.report.as_deref())?;
+    let outputs = [&args.out, &args.law, &args.next_flight, &args.evidence];
+    for out in outputs.into_iter().flatten() {
+        check_output(out, logs().map(PathBuf::as_path))?;
     }
     warn(&args.vehicle, &vehicle);
-    // Errors that would come after the work are found before it.
     let proposing = match (&args.next_flight, &args.config) {
         (None, None) => None,
         _ => Some(config::load(args.config.as_deref(), vec![])?.settings),
     };
-    let logs = args.logs.iter().chain(&args.holdout).chain(&args.new);
-    check_named(logs, args.mapping.as_deref())?;
-    create_report_folder(args.report.as_deref())?;
     let paths = paths(args);
     let Sorted { mut fitted, mut held_out, mut new, logs } = sorted(args, &paths, &vehicle);
     if held_out.is_empty() && !args.holdout.is_empty() {

@@ -22,7 +22,7 @@ use self::vehicles::{Given, vehicles};
 use super::diagnose::{audited, parted};
 use super::improved::{Additions, Form};
 use super::logs::check_named;
-use super::output::{create_report_folder, refuse_input, sha256};
+use super::output::{check_output, create_report_folder, sha256};
 use super::progress::count_bar;
 use super::rows::{Folder, Header, Rows, interrupted};
 use super::sweep::alone;
@@ -115,11 +115,12 @@ pub fn find(
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     warn(&args.vehicle, &vehicle);
     let given = vehicles(source).or_exit(Exit::Usage)?;
-    if let Some(out) = &args.out {
-        refuse_input(out, given.iter().flat_map(|given| &given.logs).map(|log| log.as_path()))?;
-    }
-    check_named(given.iter().flat_map(|given| &given.logs), args.mapping.as_deref())?;
+    let logs = || given.iter().flat_map(|given| &given.logs);
+    check_named(logs(), args.mapping.as_deref())?;
     create_report_folder(args.report.as_deref())?;
+    if let Some(out) = &args.out {
+        check_output(out, logs().map(|log| log.as_path()))?;
+    }
     let total = given.len();
     let header = Header {
         schema: "downwash.diagnose.fleet".to_owned(),

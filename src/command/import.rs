@@ -5,7 +5,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::output::refuse_input;
+use super::output::check_output;
 use super::{Exit, ExitContext, print_json, print_status, print_text};
 use crate::audit::{Channels, Tier};
 use crate::log::import::{
@@ -83,7 +83,7 @@ pub(super) fn run(import: Import<'_>) -> anyhow::Result<Exit> {
         print_text(&import::propose(file).or_exit(Exit::Usage)?)?;
         return Ok(Exit::Ok);
     };
-    refuse_input(out, std::iter::once(file).chain(choice.mapping))?;
+    check_output(out, std::iter::once(file).chain(choice.mapping))?;
     let flight = import::open_chosen(file, choice).or_exit(Exit::Usage)?;
     print_losses(&flight);
     let messages = import::write(&flight, out)?;

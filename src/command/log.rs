@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 
 use super::import::Import;
-use super::output::{Output, refuse_input};
+use super::output::{Output, check_output, refuse_input};
 use super::patience::Patience;
 use super::{Exit, ExitContext, audit, import, print_json, print_status, summary, write_file};
 use crate::cli::{ExportFormat, LogCommand};
@@ -70,7 +70,7 @@ fn report(
     json: bool,
 ) -> anyhow::Result<Exit> {
     let out = out.unwrap_or_else(|| file.with_extension("html"));
-    refuse_input(&out, [file])?;
+    check_output(&out, [file])?;
     let own = match LogReader::open(file) {
         Ok(mut reader) => {
             let report = FlightReport::read(&mut reader)?;
@@ -136,7 +136,7 @@ fn export(
     let exported = match (topic, out) {
         (Some(topic), out) => {
             if let Some(out) = &out {
-                refuse_input(out, [file])?;
+                check_output(out, [file])?;
             }
             let mut sink = Output::to(out.as_deref())?;
             let rows = export_topic(&mut reader, topic, format, &mut sink);

@@ -11,7 +11,7 @@ use serde::Serialize;
 use vehicle::VehicleParams;
 
 use super::logs::{Logs, check_named, listed};
-use super::output::{Output, refuse_input};
+use super::output::{Output, check_output};
 use super::progress::StageBar;
 use super::{Exit, ExitContext, print_json, print_status, print_text, write_file};
 use crate::cli::ModelCommand;
@@ -40,14 +40,14 @@ pub(super) fn run(command: ModelCommand) -> anyhow::Result<Exit> {
             if let Some(out) = &out {
                 let given = [vehicle.as_deref(), mapping.as_deref()];
                 let inputs = [log.as_path(), model.as_path()];
-                refuse_input(out, inputs.into_iter().chain(given.into_iter().flatten()))?;
+                check_output(out, inputs.into_iter().chain(given.into_iter().flatten()))?;
             }
             let file = load(&model, vehicle.as_deref())?;
             predict(&file, &log, mapping.as_deref(), horizon, kind, out.as_deref())
         }
         ModelCommand::Export { file, model, out, kind } => {
             let path = either(file, model)?;
-            refuse_input(&out, [path.as_path()])?;
+            check_output(&out, [path.as_path()])?;
             let model = load(&path, None)?;
             write_file(&out, &onnx::encode(&model, kind))?;
             print_text(&format!("{}\n", out.display()))?;

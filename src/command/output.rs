@@ -12,6 +12,22 @@ use super::{Exit, ExitContext};
 use crate::log::descriptor::hex;
 use crate::log::partial::{PartialFile, partial_path};
 
+/// Refuses an output file that could not be written, in a folder that does not exist, or that is also
+/// an input. Called before the work, so that an error costs no work.
+pub(super) fn check_output<'a>(
+    out: &Path,
+    inputs: impl IntoIterator<Item = &'a Path>,
+) -> anyhow::Result<()> {
+    refuse_input(out, inputs)?;
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let why = match folder.filter(|folder| !folder.is_dir()) {
+        Some(folder) => format!("there is no folder {}", folder.display()),
+        None if out.is_dir() => "expected a file, found a folder".to_owned(),
+        None => return Ok(()),
+    };
+    Err(anyhow!("cannot write {}: {why}", out.display())).or_exit(Exit::Usage)
+}
+
 /// Refuses an output that is also an input, which writing would destroy.
 pub(super) fn refuse_input<'a>(
     out: &Path,
@@ -125,5 +141,15 @@ mod tests {
         fs::remove_dir_all(&folder)?;
         assert_eq!(found, [true, true, true, false]);
         Ok(())
+    }
+
+    #[test]
+    fn output_without_a_folder_is_refused() {
+        let folder = std::env::temp_dir();
+        let refusal = |out: &Path| check_output(out, []).err().map(|error| error.to_string());
+        let missing = refusal(&folder.join("downwash-no-such-folder/a.html")).unwrap_or_default();
+        assert!(missing.contains("there is no folder") && missing.contains("a.html"), "{missing}");
+        assert!(refusal(&folder).is_some_and(|text| text.contains("found a folder")));
+        assert_eq!([folder.join("a.html"), "a.html".into()].map(|out| refusal(&out)), [None, None]);
     }
 }

@@ -20,7 +20,7 @@ pub use self::fastest::Fastest;
 pub(super) use self::summary::PlanSummary;
 use self::summary::Searched;
 use self::tubed::ChosenTube;
-use super::output::{create_report_folder, refuse_input, sha256};
+use super::output::{check_output, create_report_folder, sha256};
 use super::sent_thrust::behind_the_map;
 use super::vehicle_file::VehicleFile;
 use super::vehicle_file::refuse_grounded;
@@ -349,9 +349,10 @@ fn search_fastest(
 }
 
 pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
-    let given = [&args.model, &args.vehicle, &args.config, &args.tube].into_iter().flatten();
-    refuse_input(&args.out, given.chain([&args.trajectory]).map(PathBuf::as_path))?;
+    // Other outputs may go into the report's folder.
     create_report_folder(args.report.as_deref())?;
+    let given = [&args.model, &args.vehicle, &args.config, &args.tube].into_iter().flatten();
+    check_output(&args.out, given.chain([&args.trajectory]).map(PathBuf::as_path))?;
     let mut config = config::load(args.config.as_deref(), vec![])?;
     if let Some(solver) = args.solver {
         config.settings.plan.solver = solver;

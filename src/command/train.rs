@@ -9,7 +9,7 @@ use anyhow::{Context, anyhow, bail};
 use vehicle::VehicleParams;
 
 use super::logs::{Logs, check_named, listed};
-use super::output::{create_report_folder, refuse_input, sha256};
+use super::output::{check_output, create_report_folder, sha256};
 use super::progress::StageBar;
 use super::vehicle_file::warn;
 use super::{
@@ -97,13 +97,6 @@ fn check(args: &TrainArgs) -> anyhow::Result<()> {
     if let Some(window) = args.window.iter().find(|w| !(1.0..=200.0).contains(*w)) {
         bail!("--window: expected 1 to 200 ms, found {window}");
     }
-    if args.out.is_dir() {
-        bail!("--out: expected a file, found the folder {}", args.out.display());
-    }
-    let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
-    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-        bail!("--out: there is no folder {}", folder.display());
-    }
     Ok(())
 }
 
@@ -120,7 +113,7 @@ pub fn learn(
     let checkpoint_path = checkpoint_path(&args.out);
     let inputs = || args.logs.iter().chain([&args.vehicle]).chain(&args.mapping);
     for out in [&args.out, &checkpoint_path] {
-        refuse_input(out, inputs().map(PathBuf::as_path))?;
+        check_output(out, inputs().map(PathBuf::as_path))?;
     }
     let vehicle = VehicleParams::load(&args.vehicle).or_exit(Exit::Usage)?;
     warn(&args.vehicle, &vehicle);

@@ -21,7 +21,7 @@ use self::flown::{Flown, FlownGatherer};
 use self::shape::{JudgedModel, tracking_loop};
 use super::course::Course;
 use super::logs::check_named;
-use super::output::refuse_input;
+use super::output::check_output;
 use super::plan::{model_for, plan_trajectory};
 use super::progress::count_bar;
 use super::simulation::Truth;
@@ -93,7 +93,7 @@ struct Gathered {
 fn fit(args: &TubeFitArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
     let given = [&args.model, &args.vehicle, &args.config].into_iter().flatten();
     let files = given.chain(&args.logs).chain(&args.along);
-    refuse_input(&args.out, files.map(PathBuf::as_path))?;
+    check_output(&args.out, files.map(PathBuf::as_path))?;
     check_named(&args.logs, None)?;
     let config = config::load(args.config.as_deref(), vec![])?;
     let vehicle = match &args.vehicle {

@@ -226,7 +226,7 @@ pub fn make(args: &InitArgs) -> anyhow::Result<Made> {
 
 /// Refuses to overwrite an input, and to overwrite anything without `force`.
 fn refuse_old(out: &Path, read: Option<&Path>, force: bool) -> anyhow::Result<()> {
-    output::refuse_input(out, read)?;
+    output::check_output(out, read)?;
     if out.exists() && !force {
         let error = anyhow!("{} already exists: give another name, or --force", out.display());
         return Err(error).or_exit(Exit::Usage);

@@ -137,6 +137,10 @@ def test_an_unusable_output_is_refused_before_the_work(program, hover, tmp_path)
     refused(program, ["daemon", "--config", config], 2, "log_dir", str(file))
     for command in (["simulate", hover], ["collect"], ["demo"], ["exam"]):
         refused(program, [*command, "--out", file], 2, "--out", str(file))
+    refused(program, ["plan", hover, "-o", tmp_path / "none/plan.json"], 2, "there is no folder", "none")
+    one = ["diagnose", hover, "--vehicle", CRAZYFLIE, "--evidence"]
+    refused(program, [*one, hover], 2, "it would overwrite", str(hover))
+    refused(program, [*one, tmp_path / "none/evidence.json"], 2, "there is no folder", "none")
     assert file.read_text() == "no folder"
 
 
