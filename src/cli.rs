@@ -41,9 +41,7 @@ pub use self::simulate::SimulateArgs;
 pub use self::sweep::{Shard, SweepArgs};
 pub use self::tube::{TubeCheckArgs, TubeCommand, TubeFitArgs};
 pub use self::vehicle::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
-pub use self::view::{
-    FlightViewArgs, ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs,
-};
+pub use self::view::{FlightViewArgs, ForwardArgs, ServiceArgs, ViewArgs};
 use crate::control::{LAWS, Law};
 use crate::exam::order::Kind;
 

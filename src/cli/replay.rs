@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::view::VIEW_ADDRESS;
+use super::view::{VIEW_ADDRESS, view_address};
 
 /// Flags of `replay`.
 #[derive(Debug, Args)]
@@ -18,7 +18,8 @@ pub struct ReplayArgs {
         num_args = 0..=1,
         require_equals = true,
         default_value = VIEW_ADDRESS,
-        default_missing_value = VIEW_ADDRESS
+        default_missing_value = VIEW_ADDRESS,
+        value_parser = view_address
     )]
     pub view: String,
     /// Waits at the start until a viewer starts playback.

@@ -12,9 +12,7 @@ use super::screen::Screen;
 use super::status_line::StatusLine;
 use super::stop::Stop;
 use super::{Exit, ExitContext, print_status};
-use crate::cli::{
-    FlightViewArgs, ForwardArgs, METRICS_ADDRESS, ServiceArgs, VIEW_ADDRESS, ViewArgs,
-};
+use crate::cli::{FlightViewArgs, ForwardArgs, ServiceArgs, ViewArgs};
 use crate::clock::HostTime;
 use crate::config::Config;
 use crate::forward::{AllowList, Forward, Guests};
@@ -120,8 +118,7 @@ impl Audience {
     /// Also serves health, status and metrics to monitors.
     pub fn served(mut self, args: &ServiceArgs) -> anyhow::Result<Self> {
         if let Some(requested) = &args.metrics {
-            let service =
-                Service::start(&address(requested, METRICS_ADDRESS)).or_exit(Exit::Usage)?;
+            let service = Service::start(requested).or_exit(Exit::Usage)?;
             print_status(format_args!("metrics at http://{}/metrics", service.address()));
             self.service = Some(service);
         }
@@ -204,33 +201,18 @@ pub(super) fn print_address(address: std::net::SocketAddr) {
     }
 }
 
-/// `requested` may leave the host or the port out.
-pub(super) fn view_settings(requested: &str, run: &RunInfo, config: &Config) -> ViewSettings {
+/// The settings of a view at `address`.
+fn view_settings(address: &str, run: &RunInfo, config: &Config) -> ViewSettings {
     let settings = config.rows().map(|(name, value, _)| {
         let text = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
         (name, text)
     });
     ViewSettings {
-        address: address(requested, VIEW_ADDRESS),
+        address: address.to_owned(),
         name: format!("downwash: {}, {}", run.vehicle, run.run),
         parameters: settings.collect::<BTreeMap<_, _>>(),
         playback: None,
         is_writable: false,
-    }
-}
-
-/// `HOST:PORT`; `usual` gives what `requested` lacks.
-pub(super) fn address(requested: &str, usual: &str) -> String {
-    let (host, port) = usual.split_once(':').unwrap_or((usual, "0"));
-    let is_port = |text: &str| text.parse::<u16>().is_ok();
-    match requested.rsplit_once(':') {
-        Some(("", given)) if is_port(given) => format!("{host}:{given}"),
-        // An IPv6 address is in brackets, because it contains colons.
-        Some((given, end)) if is_port(end) && (!given.contains(':') || given.ends_with(']')) => {
-            requested.to_owned()
-        }
-        None if is_port(requested) => format!("{host}:{requested}"),
-        _ => format!("{requested}:{port}"),
     }
 }
 
@@ -247,23 +229,4 @@ fn path(course: &Course) -> CoursePath {
     let radii: Option<Vec<f64>> = times().map(|t| reference.tube_radius_m(t)).collect();
     let tube = radii.map_or(Vec::new(), |radii| outline(&points, &radii));
     CoursePath { period_s, points, tube }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn address_host_and_port_have_defaults() {
-        for (requested, expected) in [
-            ("9000", "127.0.0.1:9000"),
-            (":9000", "127.0.0.1:9000"),
-            ("0.0.0.0", "0.0.0.0:8765"),
-            ("[::1]", "[::1]:8765"),
-            ("[::1]:9000", "[::1]:9000"),
-            ("lab:0", "lab:0"),
-        ] {
-            assert_eq!(address(requested, VIEW_ADDRESS), expected, "{requested}");
-        }
-    }
 }

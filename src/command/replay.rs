@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 
-use super::audience::{address, print_address};
+use super::audience::print_address;
 use super::stop::{Stop, StopSignals};
 use super::{Exit, ExitContext, Interruption, print_status};
-use crate::cli::{ReplayArgs, VIEW_ADDRESS};
+use crate::cli::ReplayArgs;
 use crate::log::reader::ReadError;
 use crate::log::{LogReader, import};
 use crate::view::{Playback, Recording, ViewSettings};
@@ -29,7 +29,7 @@ pub(super) fn run(args: &ReplayArgs, preparation: Interruption) -> anyhow::Resul
     }
     let name = args.log.file_name().unwrap_or_default().to_string_lossy();
     let settings = ViewSettings {
-        address: address(&args.view, VIEW_ADDRESS),
+        address: args.view.clone(),
         name: format!("downwash: {name}"),
         ..ViewSettings::default()
     };

@@ -7,10 +7,10 @@ use sitl::cli::{SitlError, Stop};
 use vehicle::VehicleParams;
 use vehicle::frame::Frd;
 
-use super::audience::{address, print_address};
+use super::audience::print_address;
 use super::vehicle_file::VehicleFile;
 use super::{Exit, ExitContext};
-use crate::cli::{SimulatorArgs, VIEW_ADDRESS};
+use crate::cli::SimulatorArgs;
 use crate::clock::HostTime;
 use crate::daemon::HostClock;
 use crate::lockstep;
@@ -53,9 +53,9 @@ struct Watched {
 }
 
 impl Watched {
-    fn start(requested: &str, params: &VehicleParams) -> anyhow::Result<Self> {
+    fn start(address: &str, params: &VehicleParams) -> anyhow::Result<Self> {
         let settings = ViewSettings {
-            address: address(requested, VIEW_ADDRESS),
+            address: address.to_owned(),
             name: format!("downwash sitl: {}", params.name),
             ..ViewSettings::default()
         };

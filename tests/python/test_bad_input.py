@@ -102,6 +102,12 @@ def test_bad_urls_are_refused(program, hover, tmp_path, url, word):
     refused(program, fly(hover, tmp_path, connect=url), 2, word)
 
 
+@pytest.mark.parametrize("flag", ["--view", "--metrics"])
+@pytest.mark.parametrize("address", ["99999", "127.0.0.1:99999", "lab:http"])
+def test_impossible_ports_are_refused(program, hover, tmp_path, flag, address):
+    refused(program, [*fly(hover, tmp_path), f"{flag}={address}"], 2, flag, "port", address.rsplit(":")[-1])
+
+
 def test_a_busy_port_without_a_vehicle_is_reported(program, hover, tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))

@@ -39,12 +39,14 @@ impl FromStr for Room {
                 .rsplit_once(':')
                 .is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
         };
+        // A server of digits alone would be read as an IPv4 address.
+        let is_server = |address: &str| {
+            !address.contains(':') && !address.bytes().all(|byte| byte.is_ascii_digit())
+        };
         match scheme {
             "stream" if has_port(address) => Ok(Self::Stream(address.to_owned())),
             "natnet" if has_port(address) => Ok(Self::NatNet(address.to_owned())),
-            "natnet" if !address.is_empty() && !address.contains(':') => {
-                Ok(Self::NatNet(format!("{address}:{COMMAND_PORT}")))
-            }
+            "natnet" if is_server(address) => Ok(Self::NatNet(format!("{address}:{COMMAND_PORT}"))),
             "natnet-multicast" => {
                 let group: SocketAddrV4 = address.parse().map_err(|_| error())?;
                 if group.ip().is_multicast() {
@@ -122,8 +124,9 @@ mod tests {
             assert_eq!(text.parse::<Room>().expect(text), room);
         }
         assert!("natnet-multicast:239.255.42.99:1511".parse::<Room>().is_ok());
+        let multicast = "natnet-multicast:10.0.0.1:1";
         for wrong in
-            ["", "stream", "stream:5005", "vrpn:host", "natnet-multicast:10.0.0.1:1", "natnet:"]
+            ["", "stream", "stream:5005", "vrpn:host", multicast, "natnet:", "natnet:99999"]
         {
             assert!(wrong.parse::<Room>().is_err(), "{wrong}");
         }
