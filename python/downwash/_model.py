@@ -117,6 +117,14 @@ class Model:
     def __repr__(self) -> str:
         return f"<downwash.Model of {self.info()['vehicle']!r}>"
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Model):
+            return NotImplemented
+        return self._bytes == other._bytes
+
+    def __hash__(self) -> int:
+        return hash(self._bytes)
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self._bytes,)
 

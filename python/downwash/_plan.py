@@ -61,6 +61,14 @@ class Plan:
         """Reads a plan file."""
         return cls(_native.Plan.load(path))
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Plan):
+            return NotImplemented
+        return self._native.equals(other._native)
+
+    def __hash__(self) -> int:
+        return hash((self._native.trajectory, self.status, self.cost_m))
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self._native.to_json(), self.passed_s)
 

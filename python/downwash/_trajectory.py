@@ -63,6 +63,14 @@ class Trajectory:
         self._native.sample(times, flat(points))
         return points
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Trajectory):
+            return NotImplemented
+        return self._native.equals(other._native)
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.duration_s))
+
     def __repr__(self) -> str:
         return f"<downwash.Trajectory {self.name!r}, {self.duration_s:g} s>"
 

@@ -91,6 +91,11 @@ impl Trajectory {
         (&self.text, &self.origin)
     }
 
+    /// Whether both are the same desired motion, of one name.
+    fn equals(&self, other: &Self) -> bool {
+        self.trajectory == other.trajectory
+    }
+
     #[getter]
     fn name(&self) -> &str {
         self.trajectory.name()

@@ -46,6 +46,10 @@ impl Plan {
         self.plan.to_json().map_err(|error| wrong(error.to_string()))
     }
 
+    fn equals(&self, other: &Self) -> bool {
+        self.plan == other.plan && self.passed_s == other.passed_s
+    }
+
     #[getter]
     fn trajectory(&self) -> &str {
         &self.plan.trajectory

@@ -95,9 +95,15 @@ def test_a_trajectory_is_sent_with_its_content(tmp_path: Path, monkeypatch: pyte
     monkeypatch.chdir("/")
     for trajectory, text in zip(trajectories, sent):
         again = pickle.loads(text)
-        assert (again.name, again.duration_s) == (trajectory.name, trajectory.duration_s)
+        assert again == trajectory and hash(again) == hash(trajectory)
         times = [0.0, 0.5, again.duration_s]
         assert (again.sample(times) == trajectory.sample(times)).all()
+
+
+def test_trajectories_are_equal_by_their_motion() -> None:
+    trajectory = dw.Trajectory(SHORT)
+    assert trajectory == dw.Trajectory(dict(SHORT)) and trajectory != "hover"
+    assert trajectory != dw.Trajectory(SHORT | {"altitude_m": 0.9})
 
 
 def test_flights_work_in_a_forked_process() -> None:

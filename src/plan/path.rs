@@ -31,14 +31,14 @@ pub(super) struct Pace {
 /// Straight segments, each position(x) = a + (b - a)(10 x^3 - 15 x^4 + 6 x^5), x = t / duration,
 /// the minimum-jerk profile between two points at rest (Flash and Hogan, 1985, eq. 3). Yaw has the
 /// same profile and turns the shorter way.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct MinimumJerkPath {
     /// Never empty.
     segments: Vec<Segment>,
     duration: f64,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Segment {
     start_s: f64,
     duration_s: f64,

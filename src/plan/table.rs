@@ -7,13 +7,13 @@ use vehicle::frame::{Ned, wrap_angle};
 use super::desired_point::DesiredPoint;
 
 /// Rows at increasing times, joined by cubic Hermite splines (position) and straight lines (yaw).
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Table {
     /// At least two, times strictly increasing from 0.
     rows: Vec<Row>,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Row {
     t: f64,
     position: Ned,

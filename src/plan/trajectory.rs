@@ -6,13 +6,13 @@ use super::path::MinimumJerkPath;
 use super::table::Table;
 
 /// A desired trajectory from time 0 to [`Trajectory::duration`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     name: String,
     shape: Shape,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) enum Shape {
     /// Harmonics in each axis, run through an envelope: they start and end at rest.
     Harmonic { curve: HarmonicCurve, envelope: Envelope },
