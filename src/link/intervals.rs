@@ -76,6 +76,14 @@ impl fmt::Display for IntervalEvent {
     }
 }
 
+/// The start of a counted time.
+#[derive(Clone, Copy, Debug)]
+struct Count {
+    since: HostTime,
+    /// Arrivals before it.
+    before: u64,
+}
+
 #[derive(Clone, Debug)]
 struct Interval {
     id: u32,
@@ -85,8 +93,8 @@ struct Interval {
     tries: u32,
     given_up: bool,
     is_short: bool,
-    judged_at: HostTime,
-    total_then: u64,
+    /// Arrivals since the last request or judgement; `None` before the first request.
+    counted: Option<Count>,
 }
 
 impl Interval {
@@ -118,8 +126,7 @@ impl Intervals {
             tries: 0,
             given_up: false,
             is_short: false,
-            judged_at: now,
-            total_then: 0,
+            counted: None,
         }));
     }
 
@@ -135,8 +142,13 @@ impl Intervals {
     }
 
     /// The next message to request, if one is due. Requests go out one at a time, because an ACK
-    /// does not name the message.
-    pub fn next_request(&mut self, now: HostTime) -> Option<MessageRate> {
+    /// does not name the message. `total` returns the number of arrivals of a message so far: those
+    /// before the request, as from an earlier session of the vehicle, do not answer it.
+    pub fn next_request(
+        &mut self,
+        now: HostTime,
+        total: impl Fn(u32) -> u64,
+    ) -> Option<MessageRate> {
         if self.awaiting.is_some_and(|(_, until)| now < until) {
             return None;
         }
@@ -145,6 +157,7 @@ impl Intervals {
         let interval = &mut self.intervals[index];
         interval.due = None;
         interval.tries += 1;
+        interval.counted = Some(Count { since: now, before: total(interval.id) });
         self.awaiting = Some((index, now + ACK_WAIT));
         Some(MessageRate { id: interval.id, hz: interval.requested_hz })
     }
@@ -176,15 +189,14 @@ impl Intervals {
         mut on_event: impl FnMut(IntervalEvent),
     ) {
         for interval in self.intervals.iter_mut().filter(|interval| !interval.given_up) {
-            let span = now.since(interval.judged_at);
+            let Some(Count { since, before }) = interval.counted else { continue };
+            let span = now.since(since);
             if span < interval.span() {
                 continue;
             }
-            let seconds = span.as_secs_f64();
             let count = total(interval.id);
-            let found_hz = count.saturating_sub(interval.total_then) as f64 / seconds;
-            interval.judged_at = now;
-            interval.total_then = count;
+            let found_hz = count.saturating_sub(before) as f64 / span.as_secs_f64();
+            interval.counted = Some(Count { since: now, before: count });
             let (id, requested_hz) = (interval.id, interval.requested_hz);
             if found_hz >= SERVED * requested_hz {
                 interval.tries = 0;
@@ -207,7 +219,7 @@ impl Intervals {
         let request = self.intervals.iter().filter_map(|interval| interval.due).min();
         let request = request.map(|due| blocked_until.map_or(due, |until| due.max(until)));
         let open = self.intervals.iter().filter(|interval| !interval.given_up);
-        let judgement = open.map(|interval| interval.judged_at + interval.span()).min();
+        let judgement = open.filter_map(|open| Some(open.counted?.since + open.span())).min();
         [request, judgement].into_iter().flatten().min()
     }
 }
@@ -223,6 +235,10 @@ mod tests {
         START + Duration::from_secs_f64(seconds)
     }
 
+    fn request(intervals: &mut Intervals, now: HostTime, total: u64) -> Option<MessageRate> {
+        intervals.next_request(now, |_| total)
+    }
+
     fn verify(intervals: &mut Intervals, now: HostTime, total: u64) -> Vec<IntervalEvent> {
         let mut events = Vec::new();
         intervals.verify(now, |_| total, |event| events.push(event));
@@ -234,28 +250,41 @@ mod tests {
         let mut intervals = Intervals::default();
         let position = MessageRate { id: 32, hz: 50.0 };
         intervals.start(START, &[ATTITUDE, position]);
-        assert_eq!(intervals.next_request(START), Some(ATTITUDE));
-        assert_eq!(intervals.next_request(START), None);
+        assert_eq!(request(&mut intervals, START, 0), Some(ATTITUDE));
+        assert_eq!(request(&mut intervals, START, 0), None);
         intervals.acknowledged(START, true);
-        assert_eq!(intervals.next_request(START), Some(position));
+        assert_eq!(request(&mut intervals, START, 0), Some(position));
         // Without an ACK, the next request waits for its time.
-        assert_eq!(intervals.next_request(at(0.2)), None);
+        assert_eq!(request(&mut intervals, at(0.2), 0), None);
     }
 
     #[test]
     fn rate_lowered_by_another_station_is_requested_again() {
         let mut intervals = Intervals::default();
         intervals.start(START, &[ATTITUDE]);
-        intervals.next_request(START);
+        request(&mut intervals, START, 0);
         intervals.acknowledged(START, true);
         assert_eq!(verify(&mut intervals, at(2.0), 198), []);
-        assert_eq!(intervals.next_request(at(2.0)), None);
+        assert_eq!(request(&mut intervals, at(2.0), 198), None);
         let short = IntervalEvent::Short { id: 31, requested_hz: 100.0, found_hz: 4.0 };
         assert_eq!(verify(&mut intervals, at(4.0), 206), [short]);
-        assert_eq!(intervals.next_request(at(4.0)), Some(ATTITUDE));
+        assert_eq!(request(&mut intervals, at(4.0), 206), Some(ATTITUDE));
         intervals.acknowledged(at(4.0), true);
         let served = IntervalEvent::Served { id: 31, found_hz: 100.0 };
         assert_eq!(verify(&mut intervals, at(6.0), 406), [served]);
+    }
+
+    #[test]
+    fn arrivals_before_a_request_do_not_answer_it() {
+        let mut intervals = Intervals::default();
+        // The vehicle was lost and is back: its messages are counted on.
+        intervals.start(START, &[ATTITUDE]);
+        assert_eq!(verify(&mut intervals, at(2.0), 5000), []);
+        request(&mut intervals, at(2.0), 5000);
+        intervals.acknowledged(at(2.0), true);
+        assert_eq!(verify(&mut intervals, at(3.9), 5008), []);
+        let short = IntervalEvent::Short { id: 31, requested_hz: 100.0, found_hz: 4.0 };
+        assert_eq!(verify(&mut intervals, at(4.0), 5008), [short]);
     }
 
     #[test]
@@ -265,7 +294,7 @@ mod tests {
         let mut requests = 0;
         for k in 0..300 {
             let now = at(f64::from(k) * 0.1);
-            if intervals.next_request(now).is_some() {
+            if request(&mut intervals, now, 0).is_some() {
                 requests += 1;
                 intervals.acknowledged(now, true);
             }
@@ -278,13 +307,13 @@ mod tests {
     fn refused_rate_is_halved_and_then_abandoned() {
         let mut intervals = Intervals::default();
         intervals.start(START, &[MessageRate { id: 331, hz: 2.0 }]);
-        intervals.next_request(START);
+        request(&mut intervals, START, 0);
         let halved = intervals.acknowledged(START, false);
         assert!(matches!(halved, Some(IntervalEvent::Refused { next_hz: Some(1.0), .. })));
-        assert_eq!(intervals.next_request(START), Some(MessageRate { id: 331, hz: 1.0 }));
+        assert_eq!(request(&mut intervals, START, 0), Some(MessageRate { id: 331, hz: 1.0 }));
         let last = intervals.acknowledged(START, false);
         assert!(matches!(last, Some(IntervalEvent::Refused { next_hz: None, .. })));
-        assert_eq!(intervals.next_request(at(60.0)), None);
+        assert_eq!(request(&mut intervals, at(60.0), 0), None);
         assert_eq!(intervals.next_deadline(), None);
     }
 }

@@ -60,7 +60,8 @@ impl Core {
     }
 
     pub(super) fn request_intervals(&mut self, now: HostTime) {
-        if let Some(rate) = self.intervals.next_request(now) {
+        let counters = &self.counters;
+        if let Some(rate) = self.intervals.next_request(now, |id| counters.total(id)) {
             let interval_us = (1e6 / rate.hz).round() as f32;
             let params = [rate.id as f32, interval_us, 0.0, 0.0, 0.0, 0.0, 0.0];
             self.command(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, params, 0);
