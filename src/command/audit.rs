@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use super::logs::check_named;
 use super::{Exit, ExitContext, print_json, print_status, print_text};
 use crate::audit::{Agreement, Audit, Estimate, Severity};
 use crate::cli::FailOnFinding;
@@ -58,6 +59,7 @@ pub(super) fn run(
     fail_on: Option<FailOnFinding>,
     json: bool,
 ) -> anyhow::Result<Exit> {
+    check_named([], mapping)?;
     let (summary, mut refused) = audit(files, mapping);
     let logs = &summary.logs;
     // A file that is no log does not stop the audit of the others.

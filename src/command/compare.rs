@@ -7,6 +7,7 @@ use anyhow::anyhow;
 use rayon::prelude::*;
 use serde_json::Value;
 
+use super::logs::check_named;
 use super::output::check_output;
 use super::patience::Patience;
 use super::plan::sha256_of;
@@ -66,6 +67,7 @@ pub fn compared(args: &CompareArgs) -> anyhow::Result<Compared> {
         );
         return Err(error).or_exit(Exit::Usage);
     }
+    check_named(args.a.iter().chain(&args.b), mapping)?;
     refuse_copies(&args.a)?;
     refuse_copies(&args.b)?;
     let (mut a, mut b) = (read(&args.a)?, read(&args.b)?);

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 
 use super::import::Import;
+use super::logs::check_own;
 use super::output::{Output, check_output, refuse_input};
 use super::patience::Patience;
 use super::{Exit, ExitContext, audit, import, print_json, print_status, summary, write_file};
@@ -24,7 +25,8 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
             for file in &files {
                 let _patience = Patience::with(format!("reading {}", file.display()));
                 let mut reader = open(file)?;
-                let info = LogInfo::read(&mut reader)?;
+                let info = LogInfo::read(&mut reader);
+                let info = info.with_context(|| file.display().to_string())?;
                 if json { print_json(&info)? } else { print_info(file, &info) }
             }
             Ok(Exit::Ok)
@@ -48,7 +50,7 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
         }
         LogCommand::Report { file, mapping, boot, out, json } => {
             let _patience = Patience::with(format!("reading {}", file.display()));
-            report(&file, mapping.as_deref(), boot, out, json)
+            report(&file, Choice { mapping: mapping.as_deref(), boot }, out, json)
         }
     }
 }
@@ -64,8 +66,7 @@ fn counted(logs: &[PathBuf]) -> String {
 /// Writes the report on a flight: one of this program's, or any other that can be imported.
 fn report(
     file: &Path,
-    mapping: Option<&Path>,
-    boot: Option<usize>,
+    choice: Choice<'_>,
     out: Option<PathBuf>,
     json: bool,
 ) -> anyhow::Result<Exit> {
@@ -73,19 +74,21 @@ fn report(
     check_output(&out, [file])?;
     let own = match LogReader::open(file) {
         Ok(mut reader) => {
-            let report = FlightReport::read(&mut reader)?;
+            let report = FlightReport::read(&mut reader);
+            let report = report.with_context(|| file.display().to_string())?;
             (!report.is_empty()).then(|| summary::with_recording(report, file))
         }
         Err(error @ ReadError::Open { .. }) => return Err(error).or_exit(Exit::Usage),
         Err(_) => None,
     };
     if let Some(report) = own {
+        check_own(file, choice).or_exit(Exit::Usage)?;
         write_file(&out, report.to_html().as_bytes())?;
         if json {
             print_json(report.summary())?;
         }
     } else {
-        let flight = open_chosen(file, Choice { mapping, boot }).or_exit(Exit::Usage)?;
+        let flight = open_chosen(file, choice).or_exit(Exit::Usage)?;
         let report = Recording::new(flight);
         write_file(&out, report.to_html().as_bytes())?;
         if json {

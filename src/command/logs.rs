@@ -15,7 +15,7 @@ use crate::learn::commands::Onboard;
 use crate::learn::dataset::{ObservedFlight, WindowSettings};
 use crate::learn::summary::RefusedLog;
 use crate::log::import::mapping::Mapping;
-use crate::log::import::{self, Flight, RotorFact};
+use crate::log::import::{self, Choice, Flight, ImportError, RotorFact};
 
 /// Flights to learn from, in the order of their names, and logs that were refused.
 pub(super) struct Logs {
@@ -101,6 +101,20 @@ pub(super) fn check_named<'a>(
         check_opens(log).with_context(read).or_exit(Exit::Usage)?;
     }
     mapping.map_or(Ok(()), |file| Mapping::load(file).map(drop)).or_exit(Exit::Usage)
+}
+
+/// Refuses a choice that a log of this program leaves no room for: it states its columns, and holds
+/// one boot.
+pub(super) fn check_own(log: &Path, choice: Choice<'_>) -> Result<(), ImportError> {
+    match choice {
+        Choice { mapping: Some(_), .. } => {
+            Err(ImportError::NotATable { path: log.to_owned(), format: "mcap" })
+        }
+        Choice { boot: Some(boot), .. } if boot != 1 => {
+            Err(ImportError::NoBoot { path: log.to_owned(), boot, boots: 1 })
+        }
+        Choice { .. } => Ok(()),
+    }
 }
 
 fn check_opens(log: &Path) -> anyhow::Result<()> {

@@ -42,6 +42,7 @@ pub(super) fn run(command: ModelCommand) -> anyhow::Result<Exit> {
                 let inputs = [log.as_path(), model.as_path()];
                 check_output(out, inputs.into_iter().chain(given.into_iter().flatten()))?;
             }
+            check_named([&log], mapping.as_deref())?;
             let file = load(&model, vehicle.as_deref())?;
             predict(&file, &log, mapping.as_deref(), horizon, kind, out.as_deref())
         }

@@ -7,11 +7,13 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 
 use super::audience::print_address;
+use super::logs::check_own;
 use super::stop::{Stop, StopSignals};
 use super::{Exit, ExitContext, Interruption, print_status};
 use crate::cli::ReplayArgs;
+use crate::log::LogReader;
+use crate::log::import::{self, Choice};
 use crate::log::reader::ReadError;
-use crate::log::{LogReader, import};
 use crate::view::{Playback, Recording, ViewSettings};
 
 /// Period of checks for signals.
@@ -49,8 +51,11 @@ pub(super) fn run(args: &ReplayArgs, preparation: Interruption) -> anyhow::Resul
 fn read(path: &Path, mapping: Option<&Path>) -> anyhow::Result<Recording> {
     let named = || path.display().to_string();
     let foreign = match LogReader::open(path) {
-        Ok(reader) => return Recording::read(reader).with_context(named),
-        Err(ReadError::NotMcap { .. }) => import::open_among(path, mapping).or_exit(Exit::Usage)?,
+        Ok(reader) => {
+            check_own(path, Choice { mapping, boot: None }).or_exit(Exit::Usage)?;
+            return Recording::read(reader).with_context(named);
+        }
+        Err(ReadError::NotMcap { .. }) => import::open(path, mapping).or_exit(Exit::Usage)?,
         Err(error) => return Err(error).or_exit(Exit::Usage),
     };
     let bytes = import::to_bytes(&foreign).with_context(named)?;

@@ -30,7 +30,7 @@ use super::{
     Exit, ExitContext, Interruption, config, error_text, print_json, print_status, print_text,
     write_file,
 };
-use crate::cli::{TubeCommand, TubeFitArgs};
+use crate::cli::{SimulationArgs, TubeCommand, TubeFitArgs};
 use crate::config::Config;
 use crate::exam::draw::Draw;
 use crate::plan::planned::Plan;
@@ -95,6 +95,15 @@ fn fit(args: &TubeFitArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
     let files = given.chain(&args.logs).chain(&args.along);
     check_output(&args.out, files.map(PathBuf::as_path))?;
     check_named(&args.logs, None)?;
+    let SimulationArgs { sitl_config, effects, effect } = &args.simulation;
+    let simulates = sitl_config.is_some() || effects.is_some() || !effect.is_empty();
+    if simulates && args.along.is_empty() {
+        return Err(anyhow!(
+            "--effect, --effects, --sitl-config: expected --along, because they change simulated \
+             flights only"
+        ))
+        .or_exit(Exit::Usage);
+    }
     let config = config::load(args.config.as_deref(), vec![])?;
     let vehicle = match &args.vehicle {
         Some(path) => VehicleFile::load(path)?,

@@ -1,5 +1,6 @@
 """Bad files, flags and environments: a clear error with a stable exit code, never a panic."""
 
+import json
 import re
 import socket
 
@@ -171,6 +172,21 @@ def test_missing_files_are_named(program, hover, tmp_path):
     refused(program, ["onset", *vehicle, hover, tmp_path], 2, "cannot read", str(tmp_path), "folder")
     refused(program, ["onset", *vehicle, hover, "--mapping", tmp_path / "none.toml"], 2, "none.toml")
     assert not (tmp_path / "model.safetensors").exists()
+
+
+def test_options_without_effect_are_refused(program, hover, tmp_path):
+    code, out = program("simulate", hover, "--json", "--no-report", "--out", tmp_path).finish(60)
+    assert code == 0
+    log = json.loads(out)["log"]
+    for option in (["--mapping", "motive"], ["--boot", "2"]):
+        refused(program, ["log", "report", log, "-o", tmp_path / "r.html", *option], 2, log, option[0])
+    refused(program, ["replay", log, "--mapping", "motive"], 2, log, "--mapping")
+    refused(program, ["log", "audit", log, "--mapping", tmp_path / "none.toml"], 2, "none.toml")
+    refused(program, ["compare", log, "--mapping", tmp_path / "none.toml", "--", log], 2, "none.toml")
+    fit = ["tube", "fit", log, "-o", tmp_path / "tube.json"]
+    refused(program, [*fit, "--effect", "mass:mass_kg=0.04"], 2, "--along")
+    refused(program, ["diagnose", log, "--vehicle", CRAZYFLIE, "--rows", tmp_path], 2, "--fleet")
+    assert not list(tmp_path.glob("*.html"))
 
 
 def test_effects_and_settings_given_twice_are_refused(program, hover):
