@@ -352,7 +352,7 @@ pub fn configuration(
 
 /// Reads `KEY=VALUE`, the value as TOML if possible, or else as a string.
 fn settings(given: &[String]) -> anyhow::Result<BTreeMap<String, Value>> {
-    let setting = |text: &String| {
+    let setting = |text: &String| -> anyhow::Result<(String, Value)> {
         let (key, value) = text
             .split_once('=')
             .ok_or_else(|| anyhow!("--set: expected KEY=VALUE, found {text:?}"))

@@ -1,5 +1,5 @@
 //! What a recorded flight shows beside its path, whoever recorded it: motors, pack, vibration, jumps
-//! of the estimate, rates of the streams, and errors against the command.
+//! of the estimate, rates of the streams, and errors against the desired motion.
 
 mod jumps;
 pub(super) mod vibration;
@@ -37,7 +37,7 @@ pub struct RecordingSummary {
     pub duration_s: f64,
     /// The streams that the log holds.
     pub streams: Vec<StreamSummary>,
-    /// Errors against the command, where the log holds one.
+    /// Errors against the desired motion, where the log holds it.
     pub errors: Vec<AxisError>,
     /// Motor outputs, where their range is known.
     pub motors: Option<MotorSummary>,
@@ -64,14 +64,14 @@ pub struct StreamSummary {
     pub longest_gap_s: f64,
 }
 
-/// How far one axis was from its command.
+/// How far one axis was from its desired value.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]
 pub struct AxisError {
     /// `position north`, `attitude roll`, `body rate pitch` and so on.
     pub axis: &'static str,
     /// `m`, `rad` or `rad/s`.
     pub unit: &'static str,
-    /// Mean of the measured less the commanded value: the bias.
+    /// Mean of the measured less the desired value: the bias.
     pub mean: f64,
     /// Root mean square.
     pub rms: f64,
@@ -198,7 +198,7 @@ impl Recording {
         &self.summary
     }
 
-    /// The motion against its command, axis by axis.
+    /// The motion and the desired one, axis by axis.
     pub(super) fn tracked(&self) -> Vec<Tracked> {
         tracked(&self.flight)
     }

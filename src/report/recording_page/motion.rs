@@ -1,4 +1,4 @@
-//! How the vehicle moved, and how far it was off its command.
+//! How the vehicle moved, and how far it was off the desired motion.
 
 use super::{Timeline, axes, curve, panel};
 use crate::report::axis::significant;
@@ -73,14 +73,14 @@ pub(super) fn motion(
             html += &format!("<h3>{heading}</h3>{}", timeline.chart(times, 92.0, panels));
         }
     };
-    // The command stands beside the motion, where the log holds one.
+    // The desired motion stands beside it, where the log holds one.
     let with_desired = |first: &str, mut panels: Vec<Panel>| -> Vec<Panel> {
         let desired = tracked.iter().skip_while(|signal| !signal.axis.starts_with(first));
         for (panel, signal) in panels.iter_mut().zip(desired) {
             let (factor, _) = scale(signal.unit);
             let y: Vec<f64> = signal.desired.iter().map(|v| factor * v).collect();
             let y = if signal.unit == "rad" { unwrapped(y) } else { y };
-            panel.curves.push(Curve { name: "commanded".into(), style: Style::Reference, y });
+            panel.curves.push(Curve { name: "desired".into(), style: Style::Reference, y });
         }
         panels
     };
