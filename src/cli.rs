@@ -438,6 +438,17 @@ pub struct ConfigArgs {
     pub json: bool,
 }
 
+/// Longest time that a flag takes, s.
+const SECONDS_MAX: f64 = 1e6;
+
+/// Takes a time above 0 s.
+fn seconds(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("expected a number, found {text:?}"))?;
+    let is_sensible = value > 0.0 && value <= SECONDS_MAX;
+    let refusal = || format!("expected above 0 and at most {SECONDS_MAX} s, found {value}");
+    is_sensible.then_some(value).ok_or_else(refusal)
+}
+
 /// Takes the id of a control law; its help is the table of laws.
 fn law() -> impl TypedValueParser<Value = Law> {
     let values = LAWS.map(|spec| PossibleValue::new(spec.id).help(spec.summary));

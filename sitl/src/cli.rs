@@ -62,6 +62,7 @@ pub struct SitlArgs {
 /// on the floor. In it the vehicle gets its position from VISION_POSITION_ESTIMATE or ODOMETRY
 /// only.
 #[derive(Clone, Debug, Default, clap::Args)]
+#[command(group = clap::ArgGroup::new("room").args(["mocap", "mocap_natnet"]).multiple(true))]
 pub struct RoomArgs {
     /// Address to which the room sends poses as lines of JSON (docs/mocap.md)
     #[arg(long, value_name = "HOST:PORT")]
@@ -70,17 +71,23 @@ pub struct RoomArgs {
     #[arg(long, value_name = "HOST:PORT")]
     pub mocap_natnet: Option<String>,
     /// Frames per second
-    #[arg(long, value_name = "HZ", default_value_t = 100.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 100.0, requires = "room")]
     pub mocap_rate: f64,
     /// Axis of the room that points up
-    #[arg(long, value_name = "AXIS", default_value = "z")]
+    #[arg(long, value_name = "AXIS", default_value = "z", requires = "room")]
     pub mocap_up: RoomUp,
     /// Heading of the room's x axis, clockwise from north, degrees
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "DEGREES",
+        default_value_t = 0.0,
+        allow_hyphen_values = true,
+        requires = "room"
+    )]
     pub mocap_x_heading: f64,
     /// Fault of the room, in seconds after arming: swap, freeze or drop-out, such as freeze@8, or
     /// swap@8+2 for two seconds; may be given several times
-    #[arg(long, value_name = "FAULT@S[+S]")]
+    #[arg(long, value_name = "FAULT@S[+S]", requires = "room")]
     pub mocap_fault: Vec<RoomFault>,
 }
 
@@ -95,9 +102,6 @@ impl RoomArgs {
         }
         if !self.mocap_x_heading.is_finite() {
             return Err(SitlError::RoomHeading(self.mocap_x_heading));
-        }
-        if !self.mocap_fault.is_empty() && !self.is_there() {
-            return Err(SitlError::NoRoom);
         }
         Ok(())
     }
@@ -167,9 +171,6 @@ pub enum SitlError {
     /// The heading of the room's x axis is not finite.
     #[error("--mocap-x-heading: expected a finite number of degrees, found {0}")]
     RoomHeading(f64),
-    /// A fault is given without a room.
-    #[error("--mocap-fault: there is no room; add --mocap HOST:PORT or --mocap-natnet HOST:PORT")]
-    NoRoom,
     /// A socket of the room does not open.
     #[error("--mocap, --mocap-natnet: {0}; expected HOST:PORT")]
     RoomSocket(std::io::Error),
@@ -189,7 +190,6 @@ impl SitlError {
             | Self::Key(_)
             | Self::RoomRate(_)
             | Self::RoomHeading(_)
-            | Self::NoRoom
             | Self::RoomSocket(_) => 2,
             Self::Link(_) => 3,
             Self::Runtime(_) => 1,

@@ -199,7 +199,7 @@ pub struct ListenArgs {
     #[arg(long, value_name = "ID")]
     pub system: Option<u8>,
     /// How long to listen, s [default: 8; `inspect` on a terminal: until Ctrl-C].
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
     pub seconds: Option<f64>,
     /// Configuration file.
     #[arg(long)]

@@ -222,7 +222,8 @@ def test_a_busy_port_is_an_error(sitl, vehicle_file):
         (["--vehicle", "/nonexistent.toml"], "/nonexistent.toml"),
         (["--effect", "no_such_effect:a=1"], "no_such_effect"),
         (["--effect", "mass:mass_kg=-1"], "mass_kg"),
-        (["--mocap-fault", "swap@8"], "add --mocap HOST:PORT"),
+        (["--mocap-fault", "swap@8"], "--mocap <HOST:PORT>"),
+        (["--mocap-rate", "50"], "--mocap <HOST:PORT>"),
         (["--mocap", "127.0.0.1:1", "--mocap-x-heading", "nan"], "--mocap-x-heading"),
     ],
 )
