@@ -26,7 +26,7 @@ use self::decoders::Decoders;
 pub use self::event::{Delivery, Event};
 pub use self::settings::Settings;
 pub use self::vehicle_id::VehicleId;
-use super::attitude_target::{EncodeError, ThrustMap};
+use super::attitude_target::EncodeError;
 use super::budget::LineBudget;
 use super::counters::{LinkState, LinkStats, RefusalCount, Sender};
 use super::external_pose::{ExternalPose, PoseForm};
@@ -302,11 +302,6 @@ impl Session {
     /// The vehicle's clock relative to the host's.
     pub fn clock(&self) -> Option<ClockEstimate> {
         self.core.clock.estimate()
-    }
-
-    /// Maps newtons to the thrust field.
-    pub fn thrust_map(&self) -> ThrustMap {
-        self.core.settings.thrust
     }
 
     /// A snapshot of the counters.
