@@ -14,7 +14,7 @@ use crate::setpoint::Setpoint;
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum AttitudeLoop {
     /// On board, honouring attitude, rates and thrust together:
-    /// `M = kp (zeta_des - zeta) + kd (omega_des - omega)` (Bansal et al., eq. 15).
+    /// `M = kp (zeta_des - zeta) + kd (omega_des - omega)` (Bansal et al., eq. 14).
     Pd {
         /// N m/rad.
         kp: [f64; 3],

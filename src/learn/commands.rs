@@ -37,7 +37,7 @@ pub(super) const EVERYTHING: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
 )]
 #[serde(rename_all = "kebab-case")]
 pub enum CommandSource {
-    /// Setpoints through the on-board law of the vehicle file (Bansal et al. 2016, eq. 9).
+    /// Setpoints through the on-board law of the vehicle file (Bansal et al. 2016, eq. 14).
     OnboardLaw,
     /// Logged motor outputs.
     MotorOutputs,

@@ -35,7 +35,7 @@ impl Part {
         }
     }
 
-    /// Its fraction of the rows (Bansal et al. 2016, section V-A).
+    /// Its fraction of the rows (Bansal et al. 2016, section V-B).
     fn share(self) -> f64 {
         match self {
             Part::Training => 0.60,

@@ -57,7 +57,7 @@ impl Head {
 #[serde(rename_all = "kebab-case")]
 pub enum Features {
     /// (v, omega, sin zeta, cos zeta) and u1 or (u2, u3, u4), all in the frames of the point
-    /// (Bansal et al. 2016, section V-A).
+    /// (Bansal et al. 2016, section V-B).
     #[default]
     World,
     /// The same relative to the vehicle's heading: v turned by -yaw, no yaw, and the linear

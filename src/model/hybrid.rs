@@ -4,7 +4,7 @@ use super::learned::NetworkModel;
 use super::physics::PhysicsModel;
 use super::{ACCELERATIONS, Jacobian, Model, Point};
 
-/// The sum of two models (Bansal et al. 2016, remark 1).
+/// The sum of two models (Bansal et al. 2016, remark 5).
 #[derive(Clone, Debug)]
 pub struct Hybrid {
     physics: PhysicsModel,

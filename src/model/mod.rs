@@ -24,7 +24,7 @@ pub const VARIABLES: usize = 13;
 pub const ACCELERATIONS: usize = 6;
 
 /// The point at which a model is evaluated. Position has no effect (Bansal et al. 2016, section
-/// V-A).
+/// V-B).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Point {
     /// Velocity in world axes, m/s.

@@ -35,7 +35,7 @@ pub struct WrenchDynamics<'a> {
 
 /// Euler steps of the vehicle with its attitude loop: the input is the commanded one,
 /// `u_hat = (u1, zeta_des, omega_des)`, and the moments are
-/// `(u2, u3, u4) = Kp (zeta_des - zeta) + Kd (omega_des - omega)` (Bansal et al. 2016, eq. 15). Yaw
+/// `(u2, u3, u4) = Kp (zeta_des - zeta) + Kd (omega_des - omega)` (Bansal et al. 2016, eq. 14). Yaw
 /// is continuous here, so its difference is not wrapped.
 #[derive(Clone, Copy)]
 pub struct CommandedDynamics<'a> {

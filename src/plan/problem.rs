@@ -10,7 +10,7 @@ pub use super::state_vector::{STATES, StateRow, StateVector};
 ///
 /// minimise `sum_{n=1..N} |W (s_n - s_d,n)|_2 + weight/2 sum_n |(u_n - preferred_n) / scale|^2`
 /// over the states and inputs with `s_0` given and `s_{n+1} = f(s_n, u_n)` (Bansal et al. 2016,
-/// eq. 12), within the bounds. With a knee `k`, the distance `d` counts as `sqrt(d^2 + k^2) - k`,
+/// eq. 7), within the bounds. With a knee `k`, the distance `d` counts as `sqrt(d^2 + k^2) - k`,
 /// which is about `d^2 / 2k` below the knee.
 #[derive(Clone, Debug)]
 pub struct Problem<const INPUTS: usize> {

@@ -174,7 +174,7 @@ impl Lqr {
 
     /// The correction `K T_R (s - s*)` to the reference's input, and whether its position error was
     /// cut. `T_R` turns the horizontal errors of position and velocity by the present yaw (Bansal
-    /// et al., eq. 12-14); the yaw error is wrapped.
+    /// et al., eq. 11-13); the yaw error is wrapped.
     pub fn feedback(&self, state: &State, reference: &Reference) -> (Setpoint, bool) {
         let attitude = state.attitude.euler();
         let (error, is_cut) = self.reach.bounded(state.position - reference.position);
