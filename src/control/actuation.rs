@@ -111,7 +111,7 @@ mod tests {
     const PD: AttitudeLoop =
         AttitudeLoop::Pd { kp: [4.8e-3, 4.8e-3, 1.9e-3], kd: [5.1e-4, 5.1e-4, 4.2e-4] };
 
-    /// Body rate 0.5 s after a setpoint with a roll of 0.1 rad, and the largest on the way.
+    /// Roll 0.5 s after a setpoint of 0.1 rad, and the largest on the way, rad.
     fn roll_step(attitude_loop: &AttitudeLoop, actuation: &Actuation) -> (f64, f64) {
         let hover = HoverModel::continuous(&NANO, attitude_loop);
         let model = DelayedModel::new(&hover, attitude_loop, actuation, 0.01);

@@ -98,6 +98,7 @@ const REPORT_DELAY_S: f64 = 0.8;
 const REPORTED_SHARE_MIN: f64 = 0.05;
 const REPORTED_PUSH_MIN_M_S2: f64 = 0.4;
 const REPORTED_ATTITUDE_MIN_RAD: f64 = 0.03;
+
 /// Estimated deviations of the vehicle from its file.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Parameters {

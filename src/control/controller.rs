@@ -72,12 +72,12 @@ impl Controller {
         Self { observer, ..self }
     }
 
-    /// Takes the law's feedback times `factor` from now on.
+    /// Multiplies the law's feedback by `factor` from now on.
     pub fn scale_feedback(&mut self, factor: f64) {
         self.feedback_scale = factor;
     }
 
-    /// What the law's feedback is taken times.
+    /// The factor on the law's feedback.
     pub fn feedback_scale(&self) -> f64 {
         self.feedback_scale
     }

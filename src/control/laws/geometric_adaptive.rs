@@ -33,7 +33,8 @@ pub(super) static SPEC: LawSpec = LawSpec {
 
 /// The largest learned force over mass along each axis, m/s^2: the paper's `B_theta`.
 const FORCE_MAX_M_S2: f64 = 6.0;
-/// `gamma c1` over `kx kv`, the value at which the loop would oscillate.
+/// `gamma c1` over `kx kv`. By Routh, the linear loop is stable for `gamma c1 < kv (kx + gamma)`, and
+/// so for every share up to 1.
 const INTEGRAL_SHARE: f64 = 0.15;
 
 /// The position part of Goodarzi, Lee and Lee ("Geometric adaptive tracking control of a quadrotor
@@ -48,7 +49,7 @@ const INTEGRAL_SHARE: f64 = 0.15;
 /// About an equilibrium this is a PID controller whose integral acts on the mixed error. The
 /// paper's attitude part adapts moments, which belong to the on-board loop here. Gains that are not
 /// set follow from the geometric law's: `c1` is its natural frequency, and `gamma c1` a fraction of
-/// `kx kv`, at which the linear loop would oscillate.
+/// `kx kv`, below which the linear loop is stable.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GeometricAdaptive {
     law: Geometric,
