@@ -69,9 +69,7 @@ impl DisturbanceObserver {
     pub fn reset(&mut self) {
         (self.motion, self.disturbance) = (None, Disturbance::default());
         if let Some(adapting) = &mut self.adapting {
-            adapting.adaptation.reset();
-            (adapting.is_faded, adapting.faded) = (false, None);
-            adapting.smoothed = Ned::zero();
+            adapting.reset();
         }
     }
 
@@ -112,20 +110,16 @@ impl DisturbanceObserver {
         sent: &Setpoint,
         expected: &Expected,
     ) {
-        let before = self.motion.filter(|motion| {
-            let dt = at.seconds_since(motion.at);
-            dt > 0.0 && dt < GAP_MAX_S
-        });
-        let since_s = before.map_or(0.0, |before| at.seconds_since(before.at));
-        if !self.is_sound(at, state, since_s) {
+        let last = self.motion.map(|motion| (motion, at.seconds_since(motion.at)));
+        let last = last.filter(|(_, dt)| *dt > 0.0 && *dt < GAP_MAX_S);
+        if !self.is_sound(at, state, last.map_or(0.0, |(_, dt)| dt)) {
             return;
         }
-        let Some(before) = before else {
+        let Some((before, dt)) = last else {
             self.motion =
                 Some(Motion::starting(at, state, sent, state.velocity + self.disturbance.velocity));
             return;
         };
-        let dt = at.seconds_since(before.at);
         let mut motion = self.chain.moved(before, sent, dt);
         self.learn_velocity(&mut motion, &before, state, dt);
         if self.parameters().is_some() {

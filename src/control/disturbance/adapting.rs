@@ -20,13 +20,26 @@ pub(super) struct Adapting {
     pub adaptation: Adaptation,
     /// Whether the observer learns constant disturbances once adaptation is distrusted; otherwise
     /// it learns nothing.
-    pub observes: bool,
+    observes: bool,
     /// Filtered less measured velocity, m/s.
-    pub smoothed: Ned,
+    smoothed: Ned,
     /// Whether the learned values have faded completely.
-    pub is_faded: bool,
+    is_faded: bool,
     /// Time of the last fading step.
-    pub faded: Option<VehicleTime>,
+    faded: Option<VehicleTime>,
+}
+
+impl Adapting {
+    fn new(adaptation: Adaptation, observes: bool) -> Self {
+        Self { adaptation, observes, smoothed: Ned::zero(), is_faded: false, faded: None }
+    }
+
+    /// Discards everything learned and restores trust.
+    pub fn reset(&mut self) {
+        self.adaptation.reset();
+        (self.is_faded, self.faded) = (false, None);
+        self.smoothed = Ned::zero();
+    }
 }
 
 /// Below this size the learned values count as faded.
@@ -39,16 +52,7 @@ impl DisturbanceObserver {
     /// Learns the parameters of the physics instead. If adaptation loses trust, the observer
     /// continues with constant disturbances if `observes`, and with nothing otherwise.
     pub fn adapting(self, adaptation: Adaptation, observes: bool) -> Self {
-        Self {
-            adapting: Some(Adapting {
-                adaptation,
-                observes,
-                smoothed: Ned::zero(),
-                is_faded: false,
-                faded: None,
-            }),
-            ..self
-        }
+        Self { adapting: Some(Adapting::new(adaptation, observes)), ..self }
     }
 
     /// Whether the observer shifts nothing, and will not until it is reset.
@@ -140,11 +144,15 @@ impl DisturbanceObserver {
             }
             return *observes && state.is_finite();
         }
-        adaptation.sees(state, dt) || self.distrusted()
+        if adaptation.sees(state, dt) {
+            return true;
+        }
+        self.fall_back();
+        false
     }
 
-    /// Switches to constant disturbances.
-    pub(super) fn distrusted(&mut self) -> bool {
+    /// Switches to constant disturbances: the learned thrust becomes one of them.
+    fn fall_back(&mut self) {
         let d = &mut self.disturbance;
         if let Some(adapting) = &self.adapting {
             let share = adapting.adaptation.parameters().thrust_share;
@@ -154,7 +162,6 @@ impl DisturbanceObserver {
             *d = Disturbance::default();
         }
         self.motion = None;
-        false
     }
 
     /// Learns the physics' parameters, and derives the disturbances from them.
@@ -191,7 +198,7 @@ impl DisturbanceObserver {
         if adapting.adaptation.is_on() {
             self.take_parameters();
         } else {
-            self.distrusted();
+            self.fall_back();
         }
     }
 
