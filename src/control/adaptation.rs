@@ -35,7 +35,10 @@ use serde::{Deserialize, Serialize};
 use vehicle::frame::{Attitude, Frd, Ned, wrap_angle};
 
 pub use self::event::{AdaptationEvent, ParameterChange};
-use self::recursion::{Learned, PARAMETERS, Recursion, Regressor};
+use self::recursion::{
+    DRAG, EAST, FRONT, Learned, NORTH, PARAMETERS, RIGHT, Recursion, Regressor, THRUST_BEND,
+    THRUST_SHARE,
+};
 pub use self::watch::Distrust;
 use self::watch::Watch;
 use crate::clock::VehicleTime;
@@ -270,9 +273,9 @@ impl Adaptation {
     /// Corrects the estimates for a new leading model, which expects this much more acceleration
     /// (m/s^2) and attitude (rad).
     pub(super) fn expect_anew(&mut self, acceleration: Ned, attitude: [f64; 3], gravity: f64) {
-        self.recursion.shift(0, acceleration.down() / gravity);
-        self.recursion.shift(3, -acceleration.north());
-        self.recursion.shift(4, -acceleration.east());
+        self.recursion.shift(THRUST_SHARE, acceleration.down() / gravity);
+        self.recursion.shift(NORTH, -acceleration.north());
+        self.recursion.shift(EAST, -acceleration.east());
         for (trim, expected) in self.trims.iter_mut().zip(attitude) {
             trim.value -= expected;
         }
@@ -339,7 +342,7 @@ impl Adaptation {
         let reported = &mut self.reported;
         let mut change = ParameterChange { began_s_ago, ..ParameterChange::default() };
         if (thrust_share - reported.thrust_share).abs() > REPORTED_SHARE_MIN
-            && self.recursion.deviation(0) < 0.5 * REPORTED_SHARE_MIN
+            && self.recursion.deviation(THRUST_SHARE) < 0.5 * REPORTED_SHARE_MIN
         {
             reported.thrust_share = thrust_share;
             change.thrust_over_mass = Some(1.0 + thrust_share);
@@ -367,13 +370,14 @@ fn regressor(moved: &Moved) -> Regressor {
     let axis = SVector::from(moved.attitude.to_world(Frd::new(0.0, 0.0, 1.0)).to_array());
     let (sin, cos) = moved.attitude.yaw().sin_cos();
     let mut slopes = Regressor::zeros();
-    slopes.set_column(0, &(axis * -moved.thrust_m_s2));
-    slopes.set_column(1, &(axis * (-moved.thrust_m_s2 * (moved.thrust_over_hover - 1.0))));
-    slopes.set_column(2, &-SVector::from(moved.flow.to_array()));
-    slopes.set_column(3, &SVector::from([1.0, 0.0, 0.0]));
-    slopes.set_column(4, &SVector::from([0.0, 1.0, 0.0]));
-    slopes.set_column(5, &SVector::from([cos, sin, 0.0]));
-    slopes.set_column(6, &SVector::from([-sin, cos, 0.0]));
+    slopes.set_column(THRUST_SHARE, &(axis * -moved.thrust_m_s2));
+    slopes
+        .set_column(THRUST_BEND, &(axis * (-moved.thrust_m_s2 * (moved.thrust_over_hover - 1.0))));
+    slopes.set_column(DRAG, &-SVector::from(moved.flow.to_array()));
+    slopes.set_column(NORTH, &SVector::from([1.0, 0.0, 0.0]));
+    slopes.set_column(EAST, &SVector::from([0.0, 1.0, 0.0]));
+    slopes.set_column(FRONT, &SVector::from([cos, sin, 0.0]));
+    slopes.set_column(RIGHT, &SVector::from([-sin, cos, 0.0]));
     slopes
 }
 

@@ -3,12 +3,22 @@
 use nalgebra::{SMatrix, SVector};
 use vehicle::frame::Ned;
 
-/// Parameters of the specific force, in this order: relative excess of thrust over mass, bend of
-/// the thrust map, drag over mass, wind's push north and east, push in axes that turn with yaw,
-/// front and right.
+/// Number of parameters of the specific force.
 pub(in crate::control) const PARAMETERS: usize = 7;
+/// Index of the relative excess of thrust over mass.
+pub(in crate::control) const THRUST_SHARE: usize = 0;
+/// Index of the bend of the thrust map.
+pub(in crate::control) const THRUST_BEND: usize = 1;
+/// Index of the drag over mass.
+pub(in crate::control) const DRAG: usize = 2;
+/// Indices of the push fixed in the world: wind.
+pub(in crate::control) const NORTH: usize = 3;
+pub(in crate::control) const EAST: usize = 4;
+/// Indices of the push in axes that turn with yaw.
+pub(in crate::control) const FRONT: usize = 5;
+pub(in crate::control) const RIGHT: usize = 6;
 /// The parameters that act along the thrust.
-const THRUST: std::ops::Range<usize> = 0..2;
+const THRUST: std::ops::Range<usize> = THRUST_SHARE..DRAG;
 /// Memory of the thrust parameters, relative to the others': packs sag in flight.
 const THRUST_MEMORY: f64 = 0.25;
 /// Axes of the velocity.
