@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::AttitudePd;
-use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
+use vehicle::frame::{Euler, Frd, Heading, Ned, wrap_angle};
 use vehicle::scalar::Scalar;
 
 use crate::setpoint::Setpoint;
@@ -192,9 +192,7 @@ impl AttitudeLoop {
 /// Roll and pitch at which the down axis of a body with heading `yaw` points along `down`, a vector
 /// of any length except 0.
 pub(super) fn tilt_towards(down: Ned, yaw: f64) -> [f64; 2] {
-    let (sin, cos) = yaw.sin_cos();
-    let [north, east, down] = (down * (1.0 / down.norm())).to_array();
-    tilted([cos * north + sin * east, cos * east - sin * north, down])
+    tilted(Heading::new(yaw).to_level(down * (1.0 / down.norm())))
 }
 
 /// The same for a unit vector in axes turned by yaw, where the body's down axis is (sin pitch cos

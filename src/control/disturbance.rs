@@ -6,7 +6,7 @@ mod equilibrium;
 mod motion;
 mod settings;
 
-use vehicle::frame::{Frd, Ned};
+use vehicle::frame::{Frd, Heading, Ned};
 
 use self::adapting::{ADAPTING_VELOCITY_S, Adapting};
 use self::equilibrium::Disturbance;
@@ -181,22 +181,21 @@ impl DisturbanceObserver {
         let mean = before.seen.between(state.attitude, 0.5);
         let thrust_n = 0.5 * (before.thrust_n + motion.thrust_n);
         let along = self.disturbance.along_thrust - thrust_n / self.chain.vehicle.mass_kg;
-        let (sin, cos) = mean.yaw().sin_cos();
+        let heading = Heading::new(mean.yaw());
         let Disturbance { world: [north, east], body: [front, right], drag_per_s, .. } =
             self.disturbance;
         let velocity = state.velocity + self.disturbance.velocity;
         let flow = Ned::new(velocity.north(), velocity.east(), 0.0);
         let acceleration = mean.to_world(Frd::new(0.0, 0.0, along))
             + Ned::new(north, east, self.chain.vehicle.gravity)
-            + Ned::new(cos * front - sin * right, sin * front + cos * right, 0.0)
+            + heading.to_world([front, right, 0.0])
             - flow * drag_per_s
             + expected.acceleration;
         let foreseen = before.velocity + acceleration * dt;
         let error = velocity - foreseen;
         motion.velocity = foreseen + error * (1.0 - decay * decay);
         let step = error * ((1.0 - decay).powi(2) / dt);
-        let [ahead, aside] =
-            [cos * step.north() + sin * step.east(), cos * step.east() - sin * step.north()];
+        let [ahead, aside, _] = heading.to_level(step);
         let down = mean.to_body(step).down();
         let largest = self.settings.acceleration_max_m_s2;
         let trim = self.chain.vehicle.gravity * self.settings.attitude_max_rad;

@@ -1,7 +1,7 @@
 //! The path back to the reference after a change: it recovers the offset that built up until the
 //! change was known.
 
-use vehicle::frame::{Euler, Frd, Ned};
+use vehicle::frame::{Euler, Frd, Heading, Ned};
 
 use super::hover_model::HoverVehicle;
 use crate::setpoint::{Reference, Setpoint, State};
@@ -62,10 +62,9 @@ impl WayBack {
     ) -> Reference {
         let [position, velocity, acceleration, jerk] = self.at(time_s);
         let [_, _, ahead, ahead_jerk] = self.at(time_s + lead_s);
-        let (sin, cos) = yaw.sin_cos();
+        let heading = Heading::new(yaw);
         let tilt = |a: Ned| {
-            let front = cos * a.north() + sin * a.east();
-            let right = cos * a.east() - sin * a.north();
+            let [front, right, _] = heading.to_level(a);
             // Nose down accelerates ahead, right side down to the right.
             [right / vehicle.gravity, -front / vehicle.gravity]
         };

@@ -6,7 +6,7 @@ use sitl::autopilot::Mode;
 use sitl::autopilot::offboard::AttitudeSetpoint;
 use vehicle::VehicleParams;
 use vehicle::effects::{EffectSet, PdGain};
-use vehicle::frame::{Attitude, Euler, Frd, Ned};
+use vehicle::frame::{Attitude, Euler, Frd, Heading, Ned};
 use vehicle::physics::Physics;
 use wire::dialect::*;
 use wire::{Encoder, Frame};
@@ -252,10 +252,9 @@ impl Ground {
     }
 
     fn thrust_and_attitude(&self, point: &DesiredPoint) -> (f64, Euler) {
-        let [n, e, d] = (Ned::new(0.0, 0.0, self.hover.gravity) - point.acceleration).to_array();
-        let down = d.max(0.3 * self.hover.gravity);
-        let (sin, cos) = point.yaw.sin_cos();
-        let (ahead, right) = (cos * n + sin * e, cos * e - sin * n);
+        let carried = Ned::new(0.0, 0.0, self.hover.gravity) - point.acceleration;
+        let [ahead, right, down] = Heading::new(point.yaw).to_level(carried);
+        let down = down.max(0.3 * self.hover.gravity);
         let length = (ahead * ahead + right * right + down * down).sqrt();
         let roll = (-right / length).clamp(-1.0, 1.0).asin();
         (self.hover.mass_kg * length, Euler::new(roll, ahead.atan2(down), point.yaw))

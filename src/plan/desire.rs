@@ -1,6 +1,6 @@
 //! The desired states of a trajectory: those of a vehicle without drag that follows it.
 
-use vehicle::frame::{Euler, Ned};
+use vehicle::frame::{Euler, Heading, Ned};
 
 use super::planned::CommandedInput;
 use super::problem::{ANGLE, RATE, StateVector, YAW};
@@ -87,9 +87,7 @@ impl Weight {
     /// Thrust (N) and attitude that produce a point's acceleration.
     pub(super) fn carry(&self, point: &DesiredPoint) -> (f64, Euler<f64>) {
         let carried = Ned::new(0.0, 0.0, self.gravity) - point.acceleration;
-        let (sin, cos) = point.yaw.sin_cos();
-        let [n, e, down] = carried.to_array();
-        let (ahead, right) = (cos * n + sin * e, cos * e - sin * n);
+        let [ahead, right, down] = Heading::new(point.yaw).to_level(carried);
         // Beyond the largest tilt, the direction is kept and the tilt cut.
         let across = ahead.hypot(right);
         let most = self.tilt_max_rad.tan() * down.max(0.1 * self.gravity);

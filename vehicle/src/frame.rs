@@ -3,9 +3,12 @@
 //!
 //! The types do not distinguish bodies or instants of time.
 
+mod heading;
+
 use std::marker::PhantomData;
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
+pub use self::heading::Heading;
 use crate::scalar::Scalar;
 
 /// Marks the world frame: north, east, down.

@@ -1,6 +1,6 @@
 //! Constant disturbances, and the equilibrium under them.
 
-use vehicle::frame::{Euler, Frd, Ned};
+use vehicle::frame::{Euler, Frd, Heading, Ned};
 
 use crate::control::hover_model::HoverVehicle;
 use crate::setpoint::{Reference, Setpoint};
@@ -51,10 +51,10 @@ impl Disturbance {
             along_thrust,
             attitude,
         } = *self;
-        let (sin, cos) = yaw.sin_cos();
-        let turned = |north: f64, east: f64| [cos * north + sin * east, cos * east - sin * north];
+        let heading = Heading::new(yaw);
         let [vn, ve, _] = reference.velocity.to_array();
-        let [ahead, aside] = turned(north - drag_per_s * vn, east - drag_per_s * ve);
+        let push = Ned::new(north - drag_per_s * vn, east - drag_per_s * ve, 0.0);
+        let [ahead, aside, _] = heading.to_level(push);
         let (ahead, aside) = (ahead + front, aside + right);
         // Nose up pushes back, right side down pushes right.
         let gravity = vehicle.gravity;
@@ -65,9 +65,8 @@ impl Disturbance {
         // Drag turns with the velocity; what is fixed in the world is not fed forward as a body
         // rate.
         let thrust = reference.feedforward.thrust_n / vehicle.mass_kg;
-        let push = reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -thrust));
-        let [more_ahead, more_aside] =
-            turned(-drag_per_s * push.north(), -drag_per_s * push.east());
+        let lift = reference.attitude.attitude().to_world(Frd::new(0.0, 0.0, -thrust));
+        let [more_ahead, more_aside, _] = heading.to_level(lift * -drag_per_s);
         Shift {
             velocity: -velocity,
             attitude: Euler::new(roll, pitch, 0.0),

@@ -1,7 +1,7 @@
 //! The yaw-rotated linear quadratic regulator.
 
 use nalgebra::{SMatrix, SVector};
-use vehicle::frame::{Euler, Frd, Ned};
+use vehicle::frame::{Euler, Frd, Heading};
 use vehicle::rigid_body::State;
 
 use super::super::actuation::{Actuation, DELAYED_STATES, DelayedModel};
@@ -178,8 +178,9 @@ impl Lqr {
     pub fn feedback(&self, state: &State, reference: &Reference) -> (Setpoint, bool) {
         let attitude = state.attitude.euler();
         let (error, is_cut) = self.reach.bounded(state.position - reference.position);
-        let [pn, pe, pd] = turned_by_yaw(error, attitude.yaw);
-        let [vn, ve, vd] = turned_by_yaw(state.velocity - reference.velocity, attitude.yaw);
+        let heading = Heading::new(attitude.yaw);
+        let [pn, pe, pd] = heading.to_level(error);
+        let [vn, ve, vd] = heading.to_level(state.velocity - reference.velocity);
         let [roll, pitch, yaw] = angle_error(attitude, reference.attitude);
         let [p, q, r] = (state.body_rate - reference.body_rate).to_array();
         let error = SVector::from([pn, pe, pd, vn, ve, vd, roll, pitch, yaw, p, q, r]);
@@ -252,12 +253,6 @@ impl ControlSettings {
     }
 }
 
-/// `T_R`: north and east of the world in axes turned by `yaw` about down.
-fn turned_by_yaw(v: Ned, yaw: f64) -> [f64; 3] {
-    let (sin, cos) = yaw.sin_cos();
-    [cos * v.north() + sin * v.east(), cos * v.east() - sin * v.north(), v.down()]
-}
-
 fn check(
     vehicle: &HoverVehicle,
     attitude_loop: &AttitudeLoop,
@@ -310,6 +305,7 @@ mod tests {
     use super::super::quad::{PD, QUAD};
     use super::*;
     use std::f64::consts::{FRAC_PI_2, PI};
+    use vehicle::frame::Ned;
 
     fn lqr() -> Lqr {
         Lqr::design(&QUAD, &PD, &ControlSettings::default()).expect("a stabilising gain")
