@@ -3,9 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::AttitudePd;
-use vehicle::frame::{Euler, Frd, Heading, Ned, wrap_angle};
+use vehicle::frame::{Euler, Frd, wrap_angle};
 use vehicle::scalar::Scalar;
 
+use super::tilt::tilt_of;
 use crate::setpoint::Setpoint;
 
 /// The loop that tracks the attitude, and the parts of the setpoint that it uses. The LQR's model
@@ -92,7 +93,7 @@ impl AttitudeError {
                 let cut = (ANGLE_MAX_RAD / most).min(1.0);
                 let (roll, pitch) = (cut * roll, cut * pitch);
                 let down = Euler::new(roll, pitch, wrap_angle(yaw - heading)).attitude();
-                let [roll, pitch] = tilted(down.to_world(Frd::new(0.0, 0.0, 1.0)).to_array());
+                let [roll, pitch] = tilt_of(down.to_world(Frd::new(0.0, 0.0, 1.0)).to_array());
                 Euler::new(roll, pitch, heading)
             }
         };
@@ -187,18 +188,6 @@ impl AttitudeLoop {
             }
         })
     }
-}
-
-/// Roll and pitch at which the down axis of a body with heading `yaw` points along `down`, a vector
-/// of any length except 0.
-pub(super) fn tilt_towards(down: Ned, yaw: f64) -> [f64; 2] {
-    tilted(Heading::new(yaw).to_level(down * (1.0 / down.norm())))
-}
-
-/// The same for a unit vector in axes turned by yaw, where the body's down axis is (sin pitch cos
-/// roll, -sin roll, cos pitch cos roll).
-fn tilted([x, y, z]: [f64; 3]) -> [f64; 2] {
-    [(-y).clamp(-1.0, 1.0).asin(), x.atan2(z)]
 }
 
 /// `desired - actual` of roll, pitch and yaw, each wrapped to [-pi, pi).

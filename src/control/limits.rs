@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::frame::{Euler, Frd, wrap_angle};
 
+use super::tilt::{down_at, tilt_of};
 use crate::setpoint::Setpoint;
 
 /// The bounds of a setpoint and of its rate of change.
@@ -133,29 +134,25 @@ impl Limits {
         let yaw_max = self.yaw_error_max_rad;
         let yaw_error = wrap_angle(setpoint.attitude.yaw - yaw);
         let yaw = wrap_angle(yaw + clamp(yaw_error, -yaw_max, yaw_max, &mut met.yaw_error));
-        let (roll, pitch) = self.within_tilt(setpoint.attitude, &mut met.tilt);
+        let [roll, pitch] = self.within_tilt(setpoint.attitude, &mut met.tilt);
         let attitude = Euler::new(roll, pitch, yaw);
         Some((Setpoint { thrust_n, attitude, body_rate }, met))
     }
 
     /// Roll and pitch with the body's down axis at most the tilt limit from the world's.
-    ///
-    /// Down in axes turned by yaw is (sin pitch cos roll, -sin roll, cos pitch cos roll).
-    fn within_tilt(&self, Euler { roll, pitch, .. }: Euler, met: &mut bool) -> (f64, f64) {
-        let (sin_roll, cos_roll) = roll.sin_cos();
-        let (sin_pitch, cos_pitch) = pitch.sin_cos();
-        let (x, y, z) = (sin_pitch * cos_roll, -sin_roll, cos_pitch * cos_roll);
+    fn within_tilt(&self, Euler { roll, pitch, .. }: Euler, met: &mut bool) -> [f64; 2] {
+        let [x, y, z] = down_at(roll, pitch);
         let horizontal = (x * x + y * y).sqrt();
         if horizontal.atan2(z) <= self.tilt_max_rad {
-            return (roll, pitch);
+            return [roll, pitch];
         }
         *met = true;
         if horizontal < 1e-9 {
-            return (0.0, 0.0); // upside down: no direction to keep
+            return [0.0, 0.0]; // upside down: no direction to keep
         }
         let (sin_max, cos_max) = self.tilt_max_rad.sin_cos();
         let scale = sin_max / horizontal;
-        ((-y * scale).asin(), (x * scale).atan2(cos_max))
+        tilt_of([x * scale, y * scale, cos_max])
     }
 }
 

@@ -11,6 +11,7 @@ mod laws;
 mod limits;
 mod output_feedback;
 mod riccati;
+mod tilt;
 mod way_back;
 
 pub use actuation::Actuation;

@@ -3,7 +3,7 @@
 use vehicle::frame::{Euler, Frd, Ned};
 use vehicle::rigid_body::State;
 
-use super::super::attitude_loop::tilt_towards;
+use super::super::tilt::tilt_towards;
 use super::{Command, ControlLaw, ControlProblem, DesignError, Gain, LawSpec, Lqr, Reach};
 use crate::setpoint::{Reference, Setpoint};
 
