@@ -129,7 +129,7 @@ impl AttitudeLoop {
 
     /// The lead of the attitude that replaces a desired body rate which the loop does not take:
     /// `Kp^-1 Kd`, s. `None` for a loop that takes rates.
-    pub fn rate_lead_s(&self) -> Option<[f64; 3]> {
+    fn rate_lead_s(&self) -> Option<[f64; 3]> {
         match self {
             Self::AttitudePd { kp, kd } => Some(std::array::from_fn(|i| kd[i] / kp[i])),
             Self::Attitude { natural_frequency, damping } => {

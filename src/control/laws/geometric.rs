@@ -66,6 +66,21 @@ pub struct Geometric {
     velocity_per_s: [f64; 2],
 }
 
+/// The state less the reference, world axes.
+pub(super) struct TrackingError {
+    /// Position, bounded, m.
+    pub position: Ned,
+    /// Velocity, m/s.
+    pub velocity: Ned,
+    /// Whether the position is at a bound.
+    pub is_cut: bool,
+}
+
+/// Values for north, east and down from a horizontal and a vertical one.
+pub(super) fn per_axis([horizontal, vertical]: [f64; 2]) -> [f64; 3] {
+    [horizontal, horizontal, vertical]
+}
+
 impl Geometric {
     /// Designs the law for a vehicle.
     ///
@@ -105,13 +120,11 @@ impl Geometric {
         let scale = if most > 0.0 { (most / north.hypot(east)).min(1.0) } else { 1.0 };
         Ned::new(north * scale, east * scale, down)
     }
-}
 
-impl Geometric {
-    /// Errors of position (bounded) and velocity, world axes, m and m/s.
-    pub(super) fn errors(&self, state: &State, reference: &Reference) -> (Ned, Ned) {
-        let (error, _) = self.reach.bounded(state.position - reference.position);
-        (error, state.velocity - reference.velocity)
+    /// The errors that the law sees.
+    pub(super) fn error(&self, state: &State, reference: &Reference) -> TrackingError {
+        let (position, is_cut) = self.reach.bounded(state.position - reference.position);
+        TrackingError { position, velocity: state.velocity - reference.velocity, is_cut }
     }
 
     /// The reference's own force over mass, world axes, m/s^2.
@@ -121,12 +134,16 @@ impl Geometric {
     }
 
     /// The law's command with `more` force over mass (world axes, m/s^2) added to its own.
-    pub(super) fn pushing(&self, state: &State, reference: &Reference, more: Ned) -> Command {
+    pub(super) fn command_with_force(
+        &self,
+        state: &State,
+        reference: &Reference,
+        more: Ned,
+    ) -> Command {
         let Reference { attitude: desired, feedforward, .. } = *reference;
-        let (error, is_cut) = self.reach.bounded(state.position - reference.position);
-        let axes = |[horizontal, vertical]: [f64; 2]| [horizontal, horizontal, vertical];
-        let feedback = error.scale_by(axes(self.position_per_s2))
-            + (state.velocity - reference.velocity).scale_by(axes(self.velocity_per_s));
+        let TrackingError { position, velocity, is_cut } = self.error(state, reference);
+        let feedback = position.scale_by(per_axis(self.position_per_s2))
+            + velocity.scale_by(per_axis(self.velocity_per_s));
         let desired_attitude = desired.attitude();
         let force = self.flyable(self.reference_force(reference) - feedback + more);
         let axis = state.attitude.to_world(Frd::new(0.0, 0.0, 1.0));
@@ -149,7 +166,7 @@ impl Geometric {
 
 impl ControlLaw for Geometric {
     fn command(&mut self, state: &State, reference: &Reference, _dt_s: f64) -> Command {
-        self.pushing(state, reference, Ned::zero())
+        self.command_with_force(state, reference, Ned::zero())
     }
 }
 

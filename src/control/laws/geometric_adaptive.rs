@@ -4,7 +4,7 @@
 use vehicle::frame::Ned;
 use vehicle::rigid_body::State;
 
-use super::geometric::{Geometric, POSITION, VELOCITY};
+use super::geometric::{Geometric, POSITION, TrackingError, VELOCITY, per_axis};
 use super::{Command, ControlLaw, ControlProblem, DesignError, Gain, LawSpec};
 use crate::setpoint::Reference;
 
@@ -82,14 +82,13 @@ impl GeometricAdaptive {
 
 impl ControlLaw for GeometricAdaptive {
     fn command(&mut self, state: &State, reference: &Reference, dt_s: f64) -> Command {
-        let axes = |[horizontal, vertical]: [f64; 2]| [horizontal, horizontal, vertical];
-        let (position, velocity) = self.law.errors(state, reference);
-        let mixed = velocity + position.scale_by(axes(self.mixing_per_s));
-        let learned = self.theta + mixed.scale_by(axes(self.adaptation_per_s2)) * dt_s;
+        let TrackingError { position, velocity, .. } = self.law.error(state, reference);
+        let mixed = velocity + position.scale_by(per_axis(self.mixing_per_s));
+        let learned = self.theta + mixed.scale_by(per_axis(self.adaptation_per_s2)) * dt_s;
         if learned.is_finite() {
             self.theta = learned.map(|force| force.clamp(-FORCE_MAX_M_S2, FORCE_MAX_M_S2));
         }
-        self.law.pushing(state, reference, -self.theta)
+        self.law.command_with_force(state, reference, -self.theta)
     }
 
     fn reset(&mut self) {

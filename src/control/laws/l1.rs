@@ -3,7 +3,7 @@
 use vehicle::frame::{Frd, Ned};
 use vehicle::rigid_body::State;
 
-use super::geometric::{Geometric, POSITION, VELOCITY};
+use super::geometric::{Geometric, POSITION, TrackingError, VELOCITY, per_axis};
 use super::{Command, ControlLaw, ControlProblem, DesignError, Gain, LawSpec};
 use crate::setpoint::Reference;
 
@@ -108,15 +108,15 @@ impl L1 {
         let predicted = memory.predicted * decay + drive * ((decay - 1.0) / pole);
         let sigma = (predicted - velocity) * (-pole * decay / (decay - 1.0));
         let sigma = sigma.map(|it| it.clamp(-UNCERTAINTY_MAX_M_S2, UNCERTAINTY_MAX_M_S2));
-        let [horizontal, vertical] = self.filter_per_s.map(|cut_off| 1.0 - (-cut_off * dt).exp());
-        let step = (sigma - memory.filtered).scale_by([horizontal, horizontal, vertical]);
+        let share = self.filter_per_s.map(|cut_off| 1.0 - (-cut_off * dt).exp());
+        let step = (sigma - memory.filtered).scale_by(per_axis(share));
         Memory { predicted, velocity, sigma, filtered: memory.filtered + step, ..*memory }
     }
 }
 
 impl ControlLaw for L1 {
     fn command(&mut self, state: &State, reference: &Reference, dt_s: f64) -> Command {
-        let (_, velocity) = self.law.errors(state, reference);
+        let TrackingError { velocity, .. } = self.law.error(state, reference);
         let fresh = Memory {
             predicted: velocity,
             velocity,
@@ -132,7 +132,7 @@ impl ControlLaw for L1 {
         if !memory.filtered.is_finite() || !memory.predicted.is_finite() {
             memory = fresh;
         }
-        let command = self.law.pushing(state, reference, -memory.filtered);
+        let command = self.law.command_with_force(state, reference, -memory.filtered);
         let thrust = command.setpoint.thrust_n / self.mass_kg;
         memory.acceleration = state.attitude.to_world(Frd::new(0.0, 0.0, -thrust))
             - self.law.reference_force(reference);
