@@ -162,6 +162,7 @@ mod tests {
     use vehicle::frame::Ned;
 
     use super::*;
+    use crate::plan::flight_box::FlightBox;
 
     /// Two metres north in 40 steps.
     fn path() -> Vec<StateVector> {
@@ -224,7 +225,10 @@ mod tests {
     fn limits_and_other_regions_determine_the_side() {
         let wall = block([0.9, -0.4, -2.0], [1.1, 0.2, 0.5]);
         let limits = StateLimits {
-            position: Some((Ned::new(-1.0, -1.0, -1.5), Ned::new(3.0, 0.1, 0.0))),
+            position: Some(FlightBox {
+                lower: Ned::new(-1.0, -1.0, -1.5),
+                upper: Ned::new(3.0, 0.1, 0.0),
+            }),
             ..StateLimits::default()
         };
         assert!(bent(&[wall], &limits)[20][1] < -0.4);

@@ -10,6 +10,7 @@ pub mod discretisation;
 mod feasibility;
 mod file;
 mod flat;
+mod flight_box;
 pub mod flyable;
 pub mod interior_point;
 pub mod iterate;
@@ -39,6 +40,7 @@ pub mod tube;
 
 pub use feasibility::{Feasibility, FlightEnvelope, InfeasibleTrajectory};
 pub use file::{TrajectoryError, TrajectoryFile};
+pub use flight_box::FlightBox;
 pub use model_free::ModelFreeReference;
 pub use outline::outline;
 pub use planned_tube::{PlannedTube, PositionSource};

@@ -1,7 +1,6 @@
 //! The planning problem: the desired states, the bounds, and the regions to avoid.
 
-use vehicle::frame::Ned;
-
+use super::flight_box::FlightBox;
 use super::keep_out::KeepOut;
 pub(super) use super::state_vector::{ANGLE, RATE, VELOCITY, YAW};
 pub use super::state_vector::{STATES, StateRow, StateVector};
@@ -89,8 +88,8 @@ pub struct StateLimits {
     pub tilt_max_rad: Option<f64>,
     /// Body rate about each axis, rad/s.
     pub body_rate_max_rad_s: Option<[f64; 3]>,
-    /// Least and greatest position, m.
-    pub position: Option<(Ned, Ned)>,
+    /// Position.
+    pub position: Option<FlightBox>,
 }
 
 /// Violation of a state's bounds.
@@ -110,9 +109,9 @@ const FAR: f64 = 2.0;
 impl StateLimits {
     /// Whether a state's position is within its bounds.
     pub(super) fn allow_position(&self, state: &StateVector) -> bool {
-        self.position.is_none_or(|(lower, upper)| {
-            let bounds = lower.to_array().into_iter().zip(upper.to_array());
-            state.iter().zip(bounds).all(|(value, (lower, upper))| (lower..=upper).contains(value))
+        self.position.is_none_or(|bounds| {
+            let mut each = state.iter().zip(bounds.ranges());
+            each.all(|(value, [lower, upper])| (lower..=upper).contains(value))
         })
     }
 
@@ -141,10 +140,8 @@ impl StateLimits {
                 between(RATE + axis, -rate, rate);
             }
         }
-        if let Some((lower, upper)) = self.position {
-            for (axis, (lower, upper)) in
-                lower.to_array().into_iter().zip(upper.to_array()).enumerate()
-            {
+        if let Some(bounds) = self.position {
+            for (axis, [lower, upper]) in bounds.ranges().into_iter().enumerate() {
                 between(axis, lower + margin_m, upper - margin_m);
             }
         }
@@ -251,6 +248,7 @@ impl StateRow {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use vehicle::frame::Ned;
 
     use super::*;
 
@@ -294,7 +292,10 @@ mod tests {
         let limits = StateLimits {
             tilt_max_rad: Some(0.5),
             body_rate_max_rad_s: Some([1.0, 2.0, 3.0]),
-            position: Some((Ned::new(-1.0, -1.0, -2.0), Ned::new(1.0, 1.0, 0.0))),
+            position: Some(FlightBox {
+                lower: Ned::new(-1.0, -1.0, -2.0),
+                upper: Ned::new(1.0, 1.0, 0.0),
+            }),
         };
         let problem = problem(limits, vec![]);
         assert_eq!(problem.excess(0, &[0.0; STATES]), Excess::default());
@@ -317,7 +318,10 @@ mod tests {
             let limits = StateLimits {
                 tilt_max_rad: Some(0.6),
                 body_rate_max_rad_s: Some([2.0; 3]),
-                position: Some((Ned::new(-0.5, -0.5, -0.5), Ned::new(0.5, 0.5, 0.5))),
+                position: Some(FlightBox {
+                    lower: Ned::new(-0.5, -0.5, -0.5),
+                    upper: Ned::new(0.5, 0.5, 0.5),
+                }),
             };
             let problem = problem(limits, vec![]);
             for (index, row) in rows(&problem, &state).into_iter().enumerate() {

@@ -2,10 +2,10 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use vehicle::frame::Ned;
 
 use super::PlannerError;
 use crate::control::Use;
+use crate::plan::flight_box::FlightBox;
 use crate::plan::keep_out::KeepOut;
 use crate::plan::scp::ScpSettings;
 
@@ -153,9 +153,9 @@ impl Default for PlanSettings {
 }
 
 impl PlanSettings {
-    /// The corners of the box that bounds the plan, m.
-    pub(in crate::plan) fn room(&self) -> Option<(Ned, Ned)> {
-        self.box_m.map(|[lower, upper]| (ned(lower), ned(upper)))
+    /// The box that bounds the plan.
+    pub(in crate::plan) fn room(&self) -> Option<FlightBox> {
+        self.box_m.map(|[lower, upper]| FlightBox { lower: lower.into(), upper: upper.into() })
     }
 
     /// The settings of the search.
@@ -169,18 +169,14 @@ impl PlanSettings {
     }
 }
 
-fn ned([n, e, d]: [f64; 3]) -> Ned {
-    Ned::new(n, e, d)
-}
-
 impl From<KeepOutSetting> for KeepOut {
     fn from(setting: KeepOutSetting) -> Self {
         match setting {
             KeepOutSetting::Sphere { centre_m, radius_m } => {
-                Self::Sphere { centre: ned(centre_m), radius: radius_m }
+                Self::Sphere { centre: centre_m.into(), radius: radius_m }
             }
             KeepOutSetting::Box { lower_m, upper_m } => {
-                Self::Box { lower: ned(lower_m), upper: ned(upper_m) }
+                Self::Box { lower: lower_m.into(), upper: upper_m.into() }
             }
         }
     }

@@ -103,9 +103,9 @@ impl Bounds<'_> {
                 visit(bound);
             }
         }
-        if let Some((lower, upper)) = self.course.room {
-            for (i, at) in state.position.to_array().into_iter().enumerate() {
-                let [low, high] = [lower.to_array()[i], upper.to_array()[i]];
+        if let Some(room) = self.course.room {
+            let each = state.position.to_array().into_iter().zip(room.ranges());
+            for (i, (at, [low, high])) in each.enumerate() {
                 visit(row(at + bulge - high, 1.0, 0, axis(i)));
                 visit(row(low + bulge - at, 1.0, 0, axis(i).map(|s| -s)));
             }

@@ -2,6 +2,7 @@
 
 use vehicle::frame::Ned;
 
+use crate::plan::flight_box::FlightBox;
 use crate::plan::keep_out::KeepOut;
 
 /// A place to pass at one instant.
@@ -96,8 +97,8 @@ pub struct Course {
     pub finish: Finish,
     /// Regions to avoid.
     pub keep_out: Vec<KeepOut>,
-    /// Least and greatest corner of the box that bounds the flight, m.
-    pub room: Option<(Ned, Ned)>,
+    /// The box that bounds the flight.
+    pub room: Option<FlightBox>,
 }
 
 /// Limits on the use of the vehicle.

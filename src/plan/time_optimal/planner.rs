@@ -1,6 +1,5 @@
 //! The fastest motion through a course.
 
-use vehicle::frame::Ned;
 use vehicle::physics::Physics;
 use vehicle::rigid_body::State;
 
@@ -238,10 +237,8 @@ impl Between {
         for region in &course.keep_out {
             self.trespass_m = self.trespass_m.max(region.depth_between(from, to));
         }
-        if let Some((lower, upper)) = course.room {
-            let beyond = |below: Ned| below.to_array().into_iter().fold(f64::MIN, f64::max);
-            let out = beyond(lower - state.position).max(beyond(state.position - upper));
-            self.trespass_m = self.trespass_m.max(out);
+        if let Some(room) = course.room {
+            self.trespass_m = self.trespass_m.max(room.outside_m(state.position));
         }
     }
 

@@ -3,6 +3,7 @@
 use vehicle::frame::Ned;
 
 use super::course::{Course, Finish, Margin, Passage, Start};
+use crate::plan::flight_box::FlightBox;
 use crate::plan::keep_out::KeepOut;
 
 /// Limits that a task narrows further.
@@ -61,23 +62,15 @@ impl Task {
     ///
     /// # Errors
     /// A place cannot be reached.
-    pub fn course(
-        &self,
-        keep_out: Vec<KeepOut>,
-        room: Option<(Ned, Ned)>,
-    ) -> Result<Course, NoWay> {
+    pub fn course(&self, keep_out: Vec<KeepOut>, room: Option<FlightBox>) -> Result<Course, NoWay> {
         for (name, place, tolerance) in self.places() {
             for (number, region) in keep_out.iter().enumerate() {
                 if region.depth(place.to_array()).0 > tolerance {
                     return Err(NoWay::KeptOut { place: name, region: number });
                 }
             }
-            if let Some((lower, upper)) = room {
-                let beyond =
-                    (lower - place).to_array().into_iter().chain((place - upper).to_array());
-                if beyond.fold(f64::MIN, f64::max) > tolerance {
-                    return Err(NoWay::OutOfBox { place: name });
-                }
+            if room.is_some_and(|room| room.outside_m(place) > tolerance) {
+                return Err(NoWay::OutOfBox { place: name });
             }
         }
         Ok(Course {
