@@ -101,6 +101,16 @@ pub struct Course {
     pub room: Option<FlightBox>,
 }
 
+impl Course {
+    /// The start, the centres of the passages, and the finish, m.
+    pub(super) fn places(&self) -> Vec<Ned> {
+        let mut places = vec![self.start.position];
+        places.extend(self.passages.iter().map(Passage::centre));
+        places.push(self.finish.position);
+        places
+    }
+}
+
 /// Limits on the use of the vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {

@@ -103,9 +103,7 @@ pub(super) fn guess(course: &Course, agility: &Agility, periods: usize) -> Knots
 
 /// The spline at a pace that is feasible in thrust and speed at most of its moments.
 fn paced(course: &Course, agility: &Agility) -> Spline {
-    let mut places = vec![course.start.position];
-    places.extend(course.passages.iter().map(|passage| passage.centre()));
-    places.push(course.finish.position);
+    let places = course.places();
     let mut ways: Vec<f64> = places
         .windows(2)
         .map(|pair| {

@@ -152,9 +152,7 @@ pub fn plan(
 /// Cost of a metre: [`PENALTY`] times its value on a segment of the course's mean length, flown in
 /// the time of full acceleration, `2 sqrt(d / a)`.
 fn penalty_s_m(course: &Course, agility: &Agility) -> f64 {
-    let mut places = vec![course.start.position];
-    places.extend(course.passages.iter().map(|passage| passage.centre()));
-    places.push(course.finish.position);
+    let places = course.places();
     let sum: f64 = places.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
     let mean = (sum / (places.len() - 1) as f64).max(WAY_MIN_M);
     PENALTY / (mean * agility.thrust_m_s2).sqrt()
