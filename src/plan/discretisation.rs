@@ -56,15 +56,19 @@ impl<'a> CommandedDynamics<'a> {
     pub fn new(model: &'a dyn Model, attitude_pd: AttitudePd, period_s: f64) -> Self {
         Self { model, attitude_pd, period_s }
     }
+}
 
-    /// The wrench that results from a commanded input at a state.
-    pub fn wrench(&self, state: &StateVector, [thrust, command @ ..]: &[f64; 7]) -> [f64; 4] {
-        let AttitudePd { kp, kd, .. } = &self.attitude_pd;
-        let moment = |i: usize| {
-            kp[i] * (command[i] - state[ANGLE + i]) + kd[i] * (command[3 + i] - state[RATE + i])
-        };
-        [*thrust, moment(0), moment(1), moment(2)]
-    }
+/// The wrench that an attitude loop makes of a commanded input at a state, N and N m. The
+/// differences of angles are not wrapped.
+pub(super) fn commanded_wrench(
+    AttitudePd { kp, kd, .. }: &AttitudePd,
+    state: &StateVector,
+    [thrust, command @ ..]: &[f64; 7],
+) -> [f64; 4] {
+    let moment = |i: usize| {
+        kp[i] * (command[i] - state[ANGLE + i]) + kd[i] * (command[3 + i] - state[RATE + i])
+    };
+    [*thrust, moment(0), moment(1), moment(2)]
 }
 
 impl Dynamics<4> for WrenchDynamics<'_> {
@@ -79,12 +83,12 @@ impl Dynamics<4> for WrenchDynamics<'_> {
 
 impl Dynamics<7> for CommandedDynamics<'_> {
     fn step(&self, state: &StateVector, input: &[f64; 7]) -> StateVector {
-        let wrench = self.wrench(state, input);
+        let wrench = commanded_wrench(&self.attitude_pd, state, input);
         euler_step(state, &self.model.accelerations(&point(state, &wrench)), self.period_s)
     }
 
     fn linearize(&self, state: &StateVector, input: &[f64; 7]) -> LinearStep<7> {
-        let wrench = self.wrench(state, input);
+        let wrench = commanded_wrench(&self.attitude_pd, state, input);
         let LinearStep { next, state: mut a, input: b } =
             linear_euler_step(self.model, self.period_s, state, &wrench);
         let AttitudePd { kp, kd, .. } = &self.attitude_pd;

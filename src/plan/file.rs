@@ -79,6 +79,7 @@ impl TrajectoryFile {
     /// Reads a trajectory file, or the shipped trajectory of that name: TOML that matches the
     /// schema, or CSV with a header.
     ///
+    /// # Errors
     /// [`TrajectoryError`] names the file, the field, the expected and the found value.
     pub fn load(path: &Path) -> Result<Self, TrajectoryError> {
         load(path)

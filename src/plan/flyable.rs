@@ -61,6 +61,7 @@ pub enum NotFlyable {
 /// Whether the outcome of a search may be flown. A failed search, or one that ended with states
 /// that no input connects, gives no such plan.
 ///
+/// # Errors
 /// What the plan violates.
 pub(super) fn check_violation(status: Status, violation: &Violation) -> Result<(), NotFlyable> {
     let Violation { defect, overrun, trespass_m } = *violation;

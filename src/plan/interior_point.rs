@@ -107,7 +107,8 @@ impl<const INPUTS: usize> SubproblemSolver<INPUTS> for InteriorPoint<INPUTS> {
         } else {
             tried + iterate(&mut self.work, problem)?
         };
-        self.is_bound = !self.work.iter().zip(&problem.stages).all(Work::is_clear);
+        let mut stages = self.work.iter().zip(&problem.stages);
+        self.is_bound = !stages.all(|(work, stage)| work.is_clear(stage));
         solution.states.clear();
         solution.inputs.clear();
         solution.gains.clear();
@@ -161,8 +162,8 @@ fn without_bounds_with<const FUSED: bool, const INPUTS: usize>(
     solve::<FUSED, INPUTS>(work, stages);
     work.iter_mut().zip(stages).all(|(work, stage)| {
         (work.state, work.input) = (work.next_state, work.next_input);
-        let inputs = work.input.iter().zip(stage.lower.iter().zip(&stage.upper));
-        inputs.into_iter().all(|(w, (lower, upper))| (*lower..=*upper).contains(w))
+        let mut inputs = work.input.iter().zip(stage.lower.iter().zip(&stage.upper));
+        inputs.all(|(w, (lower, upper))| (*lower..=*upper).contains(w))
             && stage.rows.iter().all(|row| row.excess + dot(&row.gradient, &work.state) <= 0.0)
     })
 }
@@ -249,11 +250,10 @@ impl<const INPUTS: usize> Work<INPUTS> {
     }
 
     /// Whether the point is clear of the bounds: within [`CLEAR`] of the way to each.
-    fn is_clear((work, stage): (&Self, &Stage<INPUTS>)) -> bool {
-        let inputs = work.input.iter().zip(stage.lower.iter().zip(&stage.upper));
-        let mut inputs = inputs.into_iter();
+    fn is_clear(&self, stage: &Stage<INPUTS>) -> bool {
+        let mut inputs = self.input.iter().zip(stage.lower.iter().zip(&stage.upper));
         inputs.all(|(w, (lower, upper))| ((CLEAR * lower)..=(CLEAR * upper)).contains(w))
-            && stage.rows.iter().all(|row| row.excess + dot(&row.gradient, &work.state) < 0.0)
+            && stage.rows.iter().all(|row| row.excess + dot(&row.gradient, &self.state) < 0.0)
     }
 
     /// Puts the point inside the bounds.

@@ -85,10 +85,9 @@ impl KeepOut {
     }
 
     /// The bound of a state that continues with its velocity for `ahead_s` seconds: the vehicle
-    /// must stay outside between states too. The gradient is that of the deepest point, at its
-    /// fraction of the segment: between two faces, the depth itself may have no gradient that leads
-    /// out.
-    /// The vehicle must be `margin_m` or more away.
+    /// must stay `margin_m` or more away, between states too. The gradient is that of the deepest
+    /// point, at its fraction of the segment: between two faces, the depth itself may have no
+    /// gradient that leads out.
     pub(super) fn row(&self, state: &StateVector, ahead_s: f64, margin_m: f64) -> StateRow {
         let way = [3, 4, 5].map(|i| state[i] * ahead_s);
         let Deepest { share, depth, gradient: slopes } = self.deepest(position(state), way);

@@ -8,6 +8,7 @@ use vehicle::AttitudePd;
 use vehicle::bounded;
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 
+use super::discretisation::commanded_wrench;
 use super::flyable::{NotFlyable, check_led, check_violation};
 use super::iterate::Violation;
 use super::planned_tube::PlannedTube;
@@ -373,17 +374,10 @@ impl PlannedReference {
         body: &PlannedBody,
     ) -> Self {
         let Answer { delay_s, lag_s, voltage_exponent, attitude_pd } = *answer;
-        let AttitudePd { kp, kd, .. } = attitude_pd;
         let wrenches: Vec<[f64; 4]> = inputs
             .iter()
             .zip(states)
-            .map(|(input, state)| {
-                let moment = |i: usize| {
-                    kp[i] * (input[1 + i] - state[ANGLE + i])
-                        + kd[i] * (input[4 + i] - state[RATE + i])
-                };
-                [input[0], moment(0), moment(1), moment(2)]
-            })
+            .map(|(input, state)| commanded_wrench(&attitude_pd, state, input))
             .collect();
         let led: Vec<CommandedInput> = inputs
             .iter()
@@ -393,7 +387,7 @@ impl PlannedReference {
                 let mut sent = *input;
                 sent[0] += lag_s * slope[0];
                 for i in 0..3 {
-                    sent[1 + i] += lag_s * slope[1 + i] / kp[i];
+                    sent[1 + i] += lag_s * slope[1 + i] / attitude_pd.kp[i];
                 }
                 sent
             })

@@ -18,7 +18,7 @@ use super::iterate::Iterate;
 use super::keep_out::KeepOut;
 use super::planned::PlannedBody;
 use super::problem::{
-    ANGLE, InputBounds, InputPreference, Problem, STATES, StateLimits, StateVector, YAW,
+    InputBounds, InputPreference, Problem, STATES, StateLimits, StateVector, YAW,
 };
 use super::scp::{Outcome, Record, ScpSettings, search};
 use super::subproblem::SubproblemSolver;
@@ -311,7 +311,7 @@ impl Planner {
             thrust_min, thrust_max, tilt_max_rad: tilt, body_rate_max_rad_s: rate, ..
         } = self.vehicle.limits;
         let full = self.vehicle.body.thrust_full_n;
-        let yaws = desire.states.iter().map(|state| state[ANGLE + 2]);
+        let yaws = desire.states.iter().map(|state| state[YAW]);
         let (least, most) = yaws.fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), yaw| {
             (least.min(yaw), most.max(yaw))
         });

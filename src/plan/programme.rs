@@ -78,6 +78,7 @@ pub enum ProgrammeError {
 /// kinds that combine both motions. The same arguments give the same flights, and the first part
 /// does not depend on the second.
 ///
+/// # Errors
 /// [`ProgrammeError`]; every returned flight is within the envelope.
 pub fn programme(
     settings: &ProgrammeSettings,

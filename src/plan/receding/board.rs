@@ -133,27 +133,26 @@ impl Board {
         }
     }
 
+    /// The stretches that reach `t`, the newest first.
+    fn reaching(&self, t: f64) -> impl Iterator<Item = Arc<Stretch>> + '_ {
+        let newest = self.newest.load(Ordering::Acquire);
+        (0..SLOTS).filter_map(move |back| {
+            let slot = &self.slots[(newest + SLOTS - back) % SLOTS];
+            slot.try_lock().ok()?.clone().filter(|stretch| stretch.reaches(t))
+        })
+    }
+
     /// The newest stretch that reaches `t`.
     pub fn at(&self, t: f64) -> Option<Arc<Stretch>> {
-        let newest = self.newest.load(Ordering::Acquire);
-        (0..SLOTS).find_map(|back| {
-            let slot = &self.slots[(newest + SLOTS - back) % SLOTS];
-            let stretch = slot.try_lock().ok()?.clone()?;
-            stretch.reaches(t).then_some(stretch)
-        })
+        self.reaching(t).next()
     }
 
     /// The newest stretch that reaches `t` and has a state there, or the newest that reaches it:
     /// plans that are renewed more often than they have states interleave, and each continues a
     /// plan on its own time grid.
     pub fn going_on(&self, t: f64, period: f64) -> Option<Arc<Stretch>> {
-        let newest = self.newest.load(Ordering::Acquire);
-        let reaching = |back: usize| {
-            let slot = &self.slots[(newest + SLOTS - back) % SLOTS];
-            slot.try_lock().ok()?.clone().filter(|stretch| stretch.reaches(t))
-        };
         let is_on_a_state = |stretch: &Arc<Stretch>| stretch.place(t, period).1 < 2.0 * ON_THE_GRID;
-        (0..SLOTS).filter_map(reaching).find(is_on_a_state).or_else(|| self.at(t))
+        self.reaching(t).find(is_on_a_state).or_else(|| self.at(t))
     }
 
     /// The reference at `t`, with the setpoint that acts the delay later. Only the control tick

@@ -68,15 +68,13 @@ impl<'a> AxisStep<'a> {
                 -reject,
             )
         };
-        let step = |sigma: f64| (slope(sigma) * Self::PERIOD_S).exp();
+        let step = |sigma: f64| (slope(sigma) * PERIOD_S).exp();
         let still = step(0.0);
         let mut noise = Matrix4::zeros();
-        noise[(2, 2)] = 1.0 - (-2.0 * decay * Self::PERIOD_S).exp();
+        noise[(2, 2)] = 1.0 - (-2.0 * decay * PERIOD_S).exp();
         // z acts on the others alone, so the step is linear in sigma.
         Self { still, driven: step(1.0) - still, noise, error }
     }
-
-    const PERIOD_S: f64 = PERIOD_S;
 
     fn at(&self, speed_m_s: f64) -> Matrix4<f64> {
         self.still + self.driven * self.error.deviation(speed_m_s)
