@@ -144,6 +144,7 @@ impl Onboard {
     /// Converts a flight's outputs to thrust fractions. If their unit is unknown and another stream
     /// holds the commands, the outputs are dropped and counted.
     ///
+    /// # Errors
     /// [`UnitUnknown`] if there is no other stream.
     pub(super) fn normalise_outputs(
         &self,

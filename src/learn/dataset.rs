@@ -223,6 +223,7 @@ impl ObservedFlight {
     /// Checks that commands and motion are plausible for the vehicle: the mean commanded thrust is
     /// within a factor of two of its weight.
     ///
+    /// # Errors
     /// [`Implausible`] with the value found.
     pub fn check_vehicle(
         &self,

@@ -185,38 +185,15 @@ impl From<KeepOutSetting> for KeepOut {
 impl PlanSettings {
     /// Checks that every setting is within its range.
     pub(super) fn check(&self) -> Result<(), PlannerError> {
-        let within = |field, value: f64, least: f64, most: f64, expected| {
-            if (least..=most).contains(&value) {
-                Ok(())
-            } else {
-                Err(PlannerError::Setting { field, expected, found: value })
-            }
-        };
-        within("rate_hz", self.rate_hz, 1.0, 1000.0, "1 to 1000 Hz")?;
-        within("input_weight", self.input_weight, 1e-9, 1e9, "a weight above 0")?;
-        within("trust", self.trust, 1e-6, 1e3, "a size above 0")?;
-        within("progress", self.progress, 0.0, 1.0, "a share")?;
-        let RecedingSettings {
-            period_s,
-            horizon_s,
-            lead_s,
-            cautious: _,
-            knee,
-            change_weight,
-            subproblems_max,
-            damping,
-        } = self.receding;
-        within("receding.period_s", period_s, 1e-3, 10.0, "1 ms to 10 s")?;
-        within("receding.horizon_s", horizon_s, 0.05, 60.0, "0.05 to 60 s")?;
-        within("receding.lead_s", lead_s, 0.0, 0.5 * horizon_s, "at most half the horizon")?;
-        within("receding.knee", knee, 0.0, 1e3, "a distance of at least 0")?;
-        within("receding.change_weight", change_weight, 0.0, 1e9, "a weight of at least 0")?;
-        within("receding.damping", damping, 0.0, 1e9, "a weight of at least 0")?;
-        within("receding.subproblems_max", subproblems_max as f64, 1.0, 1e4, "1 or more")?;
-        within("subproblems_max", self.subproblems_max as f64, 1.0, 1e6, "1 or more")?;
-        within("time_limit_s", self.time_limit_s, 0.0, 1e9, "a time of at least 0")?;
+        within("rate_hz", self.rate_hz, [1.0, 1000.0], "1 to 1000 Hz")?;
+        within("input_weight", self.input_weight, [1e-9, 1e9], "a weight above 0")?;
+        within("trust", self.trust, [1e-6, 1e3], "a size above 0")?;
+        within("progress", self.progress, [0.0, 1.0], "a share")?;
+        self.receding.check()?;
+        within("subproblems_max", self.subproblems_max as f64, [1.0, 1e6], "1 or more")?;
+        within("time_limit_s", self.time_limit_s, [0.0, 1e9], "a time of at least 0")?;
         for weight in self.weight {
-            within("weight", weight, 0.0, 1e6, "weights of at least 0")?;
+            within("weight", weight, [0.0, 1e6], "weights of at least 0")?;
         }
         if self.weight.iter().all(|weight| *weight == 0.0) {
             return Err(PlannerError::Setting {
@@ -227,25 +204,65 @@ impl PlanSettings {
         }
         if let Some([lower, upper]) = self.box_m {
             for (lower, upper) in lower.into_iter().zip(upper) {
-                within("box_m", upper - lower, 0.0, f64::MAX, "upper not below lower")?;
+                within("box_m", upper - lower, [0.0, f64::MAX], "upper not below lower")?;
             }
         }
-        for region in &self.keep_out {
-            match region {
-                KeepOutSetting::Sphere { centre_m, radius_m } => {
-                    within("keep_out.sphere", *radius_m, 0.0, 1e6, "a radius of at least 0")?;
-                    for c in centre_m {
-                        within("keep_out.sphere", *c, -1e6, 1e6, "a position")?;
-                    }
+        self.keep_out.iter().try_for_each(KeepOutSetting::check)
+    }
+}
+
+impl RecedingSettings {
+    fn check(&self) -> Result<(), PlannerError> {
+        let Self {
+            period_s,
+            horizon_s,
+            lead_s,
+            cautious: _,
+            knee,
+            change_weight,
+            subproblems_max,
+            damping,
+        } = *self;
+        within("receding.period_s", period_s, [1e-3, 10.0], "1 ms to 10 s")?;
+        within("receding.horizon_s", horizon_s, [0.05, 60.0], "0.05 to 60 s")?;
+        within("receding.lead_s", lead_s, [0.0, 0.5 * horizon_s], "at most half the horizon")?;
+        within("receding.knee", knee, [0.0, 1e3], "a distance of at least 0")?;
+        within("receding.change_weight", change_weight, [0.0, 1e9], "a weight of at least 0")?;
+        within("receding.damping", damping, [0.0, 1e9], "a weight of at least 0")?;
+        within("receding.subproblems_max", subproblems_max as f64, [1.0, 1e4], "1 or more")
+    }
+}
+
+impl KeepOutSetting {
+    fn check(&self) -> Result<(), PlannerError> {
+        match self {
+            Self::Sphere { centre_m, radius_m } => {
+                within("keep_out.sphere", *radius_m, [0.0, 1e6], "a radius of at least 0")?;
+                for c in centre_m {
+                    within("keep_out.sphere", *c, [-1e6, 1e6], "a position")?;
                 }
-                KeepOutSetting::Box { lower_m, upper_m } => {
-                    for (lower, upper) in lower_m.iter().zip(upper_m) {
-                        within("keep_out.box", upper - lower, 0.0, 1e6, "upper not below lower")?;
-                        within("keep_out.box", *lower, -1e6, 1e6, "a position")?;
-                    }
+            }
+            Self::Box { lower_m, upper_m } => {
+                for (lower, upper) in lower_m.iter().zip(upper_m) {
+                    within("keep_out.box", upper - lower, [0.0, 1e6], "upper not below lower")?;
+                    within("keep_out.box", *lower, [-1e6, 1e6], "a position")?;
                 }
             }
         }
         Ok(())
+    }
+}
+
+/// Checks that a setting is in a range, ends included.
+fn within(
+    field: &'static str,
+    value: f64,
+    [least, most]: [f64; 2],
+    expected: &'static str,
+) -> Result<(), PlannerError> {
+    if (least..=most).contains(&value) {
+        Ok(())
+    } else {
+        Err(PlannerError::Setting { field, expected, found: value })
     }
 }
