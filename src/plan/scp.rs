@@ -200,19 +200,11 @@ pub fn search<const INPUTS: usize, D: Dynamics<INPUTS>>(
         let step = size(&solution);
         let tried = search.attempt(&subproblem, &solution);
         records.push(search.record(trust, tried, solution.iterations));
-        let Attempt { promised, found, share } = tried;
-        moved = share > 0.0;
-        let good = found > GOOD * promised;
-        memory = if good || records.len() < PATIENCE { 0.0 } else { MEMORY };
-        if !moved {
-            trust = SHRINK * step.min(trust);
-        } else if share < 1.0 {
-            trust = trust.min(share * step);
-        } else if good && step > 0.9 * trust {
-            trust = (2.0 * trust).min(TRUST_MAX);
-        }
+        moved = tried.share > 0.0;
+        memory = if tried.is_good() || records.len() < PATIENCE { 0.0 } else { MEMORY };
+        trust = tried.next_trust(trust, step);
         let unit = 1.0 + search.cost;
-        let done = promised.abs() < settings.tolerance * unit
+        let done = tried.promised.abs() < settings.tolerance * unit
             || slow(&records[earlier..], settings.progress * unit);
         if done || trust < TRUST_MIN {
             if search.is_violated(settings) && search.raise() {
@@ -249,6 +241,26 @@ struct Attempt {
     found: f64,
     /// Fraction of the step that was taken; 0 if it was rejected.
     share: f64,
+}
+
+impl Attempt {
+    /// Whether the step improved the merit about as much as promised.
+    fn is_good(&self) -> bool {
+        self.found > GOOD * self.promised
+    }
+
+    /// The trust region after a step of this size within `trust`.
+    fn next_trust(&self, trust: f64, step: f64) -> f64 {
+        if self.share <= 0.0 {
+            SHRINK * step.min(trust)
+        } else if self.share < 1.0 {
+            trust.min(self.share * step)
+        } else if self.is_good() && step > 0.9 * trust {
+            (2.0 * trust).min(TRUST_MAX)
+        } else {
+            trust
+        }
+    }
 }
 
 impl<'a, const INPUTS: usize, D: Dynamics<INPUTS>> Search<'a, INPUTS, D> {

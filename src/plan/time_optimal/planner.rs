@@ -133,7 +133,7 @@ pub fn plan(
     for _ in 0..=TIGHTENINGS {
         let mut search = Search::new(knots, &fine, &bounds, effort);
         search.records = records;
-        search.close([DEFECT_MAX, OVERRUN_MAX], CLOSING, stop.closing);
+        search.close(DEFECT_MAX, OVERRUN_MAX, CLOSING, stop.closing);
         let merit = search.merit;
         (knots, records) = (search.knots, search.records);
         let between = Between::of(&knots, &fine, course, limits);

@@ -13,6 +13,7 @@ use super::bounds::Bounds;
 use super::knots::{Knots, difference, moved};
 use super::rotor_dynamics::{INPUTS, LENGTH, RotorDynamics};
 use crate::plan::interior_point::InteriorPoint;
+use crate::plan::iterate::Violation;
 use crate::plan::scp::{Record, Status};
 use crate::plan::state_vector::{STATES, StateVector};
 use crate::plan::subproblem::{DynamicsForm, Solution, Stage, Subproblem, SubproblemSolver};
@@ -200,15 +201,20 @@ impl<'a> Search<'a> {
                 }
                 return if has_ended { Status::Converged } else { Status::Stalled };
             }
-            if taken == 1.0 && found > GOOD * promised {
-                self.damping = (0.25 * self.damping).max(DAMPING_MIN);
-            } else if taken < 0.5 {
-                self.damping *= 6.0;
-            } else if taken < 1.0 || found < 0.2 * promised {
-                self.damping *= 2.0;
-            }
+            self.adapt_damping(promised, found, taken);
         }
         Status::SubproblemLimit
+    }
+
+    /// Adapts the damping to a step's promised and found improvement, s, and to the fraction taken.
+    fn adapt_damping(&mut self, promised: f64, found: f64, taken: f64) {
+        if taken == 1.0 && found > GOOD * promised {
+            self.damping = (0.25 * self.damping).max(DAMPING_MIN);
+        } else if taken < 0.5 {
+            self.damping *= 6.0;
+        } else if taken < 1.0 || found < 0.2 * promised {
+            self.damping *= 2.0;
+        }
     }
 
     /// Raises the penalty; returns the merit under it.
@@ -221,7 +227,8 @@ impl<'a> Search<'a> {
     /// hold to `overrun`, or `subproblems` subproblems were solved.
     pub fn close(
         &mut self,
-        [defect, overrun]: [f64; 2],
+        defect: f64,
+        overrun: f64,
         subproblems: usize,
         stop: &dyn Fn(&[Record]) -> bool,
     ) {
@@ -383,7 +390,7 @@ impl<'a> Search<'a> {
         let Merit { defect_max: defect, overrun_max: overrun, .. } = self.merit;
         self.records.push(Record {
             cost: self.merit.duration_s,
-            violation: crate::plan::iterate::Violation { defect, overrun, trespass_m: 0.0 },
+            violation: Violation { defect, overrun, trespass_m: 0.0 },
             trust: 1.0 / self.damping,
             promised,
             found,
