@@ -24,6 +24,10 @@ struct Row {
 /// The columns of a CSV trajectory; `t_s` and the position are required.
 const COLUMNS: [&str; 8] = ["t_s", "n_m", "e_m", "d_m", "yaw_rad", "v_n_mps", "v_e_mps", "v_d_mps"];
 
+/// First index of the velocity in [`COLUMNS`], and the number of columns that every table has.
+const VELOCITY: usize = 5;
+const REQUIRED: usize = 4;
+
 /// Rows closer to the previous one are dropped, s: a vehicle cannot follow anything shorter, and at
 /// positions rounded to a micrometre, closer rows would turn the rounding into accelerations.
 const ROW_SPACING_S: f64 = 0.01;
@@ -39,58 +43,16 @@ impl Table {
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
         let (_, header) = lines.next().ok_or("expected a header line, found an empty file")?;
-        let mut order = Vec::new();
-        for name in header.split(',').map(str::trim) {
-            let column = COLUMNS.iter().position(|known| *known == name).ok_or_else(|| {
-                format!("unknown column {name:?}: expected one of {}", COLUMNS.join(", "))
-            })?;
-            if order.contains(&column) {
-                return Err(format!("column {name} appears twice: expected it once"));
-            }
-            order.push(column);
-        }
-        let has = |column: usize| order.contains(&column);
-        if let Some(missing) = (0..4).find(|column| !has(*column)) {
-            return Err(format!("column {} is missing", COLUMNS[missing]));
-        }
-        let with_velocity = has(5);
-        if let Some(odd) = (5..8).find(|column| has(*column) != with_velocity) {
-            let [there, missing] = if with_velocity { [5, odd] } else { [odd, 5] };
-            return Err(format!(
-                "column {} is present, but {} is missing: expected all three of the velocity, or \
-                 none",
-                COLUMNS[there], COLUMNS[missing]
-            ));
-        }
+        let order = columns(header)?;
+        let with_velocity = order.contains(&VELOCITY);
         let mut rows: Vec<Row> = Vec::new();
         for (index, line) in lines {
-            let mut cells = [0.0; COLUMNS.len()];
-            let mut fields = line.split(',');
-            for column in &order {
-                let field = fields.next().unwrap_or("").trim();
-                let value: f64 =
-                    field.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| {
-                        let name = COLUMNS[*column];
-                        format!(
-                            "line {}: {name}: expected a finite number, found {field:?}",
-                            index + 1
-                        )
-                    })?;
-                cells[*column] = value;
-            }
-            if fields.next().is_some() {
-                return Err(format!(
-                    "line {}: expected {} fields, found more",
-                    index + 1,
-                    order.len()
-                ));
-            }
-            let [t, n, e, d, yaw, vn, ve, vd] = cells;
+            let line_error = |reason: String| format!("line {}: {reason}", index + 1);
+            let [t, n, e, d, yaw, vn, ve, vd] = cells(line, &order).map_err(line_error)?;
             if rows.last().is_some_and(|last| t <= last.t) {
-                return Err(format!(
-                    "line {}: t_s: expected a later time than on the line before, found {t}",
-                    index + 1
-                ));
+                let reason =
+                    format!("t_s: expected a later time than on the line before, found {t}");
+                return Err(line_error(reason));
             }
             let (position, velocity) = (Ned::new(n, e, d), Ned::new(vn, ve, vd));
             rows.push(Row { t, position, velocity, yaw });
@@ -103,13 +65,7 @@ impl Table {
         unwrap_yaw(&mut rows);
         let mut rows = spaced(rows);
         if !with_velocity {
-            let slopes: Vec<Ned> = rows
-                .windows(3)
-                .map(|w| (w[2].position - w[0].position) * (1.0 / (w[2].t - w[0].t)))
-                .collect();
-            for (row, slope) in rows.iter_mut().skip(1).zip(slopes) {
-                row.velocity = slope;
-            }
+            derive_velocity(&mut rows);
         }
         Ok(Self { rows })
     }
@@ -167,6 +123,61 @@ fn spaced(rows: Vec<Row>) -> Vec<Row> {
         kept.push(last);
     }
     kept
+}
+
+/// The column of each field, from the header.
+fn columns(header: &str) -> Result<Vec<usize>, String> {
+    let mut order = Vec::new();
+    for name in header.split(',').map(str::trim) {
+        let column = COLUMNS.iter().position(|known| *known == name).ok_or_else(|| {
+            format!("unknown column {name:?}: expected one of {}", COLUMNS.join(", "))
+        })?;
+        if order.contains(&column) {
+            return Err(format!("column {name} appears twice: expected it once"));
+        }
+        order.push(column);
+    }
+    let has = |column: usize| order.contains(&column);
+    if let Some(missing) = (0..REQUIRED).find(|column| !has(*column)) {
+        return Err(format!("column {} is missing", COLUMNS[missing]));
+    }
+    let with_velocity = has(VELOCITY);
+    if let Some(odd) = (VELOCITY..COLUMNS.len()).find(|column| has(*column) != with_velocity) {
+        let [there, missing] = if with_velocity { [VELOCITY, odd] } else { [odd, VELOCITY] };
+        return Err(format!(
+            "column {} is present, but {} is missing: expected all three of the velocity, or none",
+            COLUMNS[there], COLUMNS[missing]
+        ));
+    }
+    Ok(order)
+}
+
+/// The values of a line in the order of [`COLUMNS`]; 0 in columns that the table lacks.
+fn cells(line: &str, order: &[usize]) -> Result<[f64; COLUMNS.len()], String> {
+    let mut cells = [0.0; COLUMNS.len()];
+    let mut fields = line.split(',');
+    for column in order {
+        let field = fields.next().unwrap_or("").trim();
+        let value = field.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| {
+            format!("{}: expected a finite number, found {field:?}", COLUMNS[*column])
+        })?;
+        cells[*column] = value;
+    }
+    if fields.next().is_some() {
+        return Err(format!("expected {} fields, found more", order.len()));
+    }
+    Ok(cells)
+}
+
+/// Sets each velocity to the slope between the neighbouring rows; both ends keep theirs.
+fn derive_velocity(rows: &mut [Row]) {
+    let slopes: Vec<Ned> = rows
+        .windows(3)
+        .map(|w| (w[2].position - w[0].position) * (1.0 / (w[2].t - w[0].t)))
+        .collect();
+    for (row, slope) in rows.iter_mut().skip(1).zip(slopes) {
+        row.velocity = slope;
+    }
 }
 
 /// Unwraps a yaw that was written within half a turn of north, where it jumps from one side to the
