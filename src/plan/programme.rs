@@ -18,6 +18,7 @@ use self::composer::Composer;
 pub use self::kind::FlightKind;
 use self::limits::Limits;
 pub use self::limits::{Capability, ProgrammeSettings};
+pub(in crate::plan) use self::limits::{MARGIN, THRUST_SHARE};
 use self::shares::{COMBINED_SHARES, SHARES, slots};
 use super::feasibility::{Feasibility, FlightEnvelope, InfeasibleTrajectory};
 use super::file::TrajectoryError;

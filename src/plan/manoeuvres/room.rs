@@ -1,12 +1,8 @@
 //! Volume and dynamics for the manoeuvres.
 
 use crate::plan::feasibility::FlightEnvelope;
-use crate::plan::programme::{Capability, ProgrammeSettings};
+use crate::plan::programme::{Capability, MARGIN, ProgrammeSettings, THRUST_SHARE};
 
-/// Fraction of the envelope in use: feedback overshoots.
-const MARGIN: f64 = 0.9;
-/// Fraction of the vehicle's thrust that a manoeuvre may need.
-const THRUST_SHARE: f64 = 0.72;
 /// Largest vertical acceleration, in units of gravity.
 const CLIMB_MAX_G: f64 = 0.35;
 /// Lowest hover relative to the envelope's least height.

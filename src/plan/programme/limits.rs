@@ -59,10 +59,10 @@ pub struct Capability {
     pub yaw_bandwidth: f64,
 }
 /// Fraction of the envelope in use: feedback overshoots.
-const MARGIN: f64 = 0.9;
+pub(in crate::plan) const MARGIN: f64 = 0.9;
 /// Fraction of the vehicle's thrust that a trajectory may need; the rest is for feedback, and for a
 /// pack that is not full.
-const THRUST_SHARE: f64 = 0.72;
+pub(in crate::plan) const THRUST_SHARE: f64 = 0.72;
 /// Least specific thrust in units of gravity: rotors must keep their authority.
 const THRUST_MIN_G: f64 = 0.5;
 /// Largest vertical acceleration, in units of gravity.
