@@ -14,6 +14,7 @@ const ERROR_MAX: f64 = 10.0;
 /// interval, widened by this factor to about 99 %, contains it.
 const RIGHT_SHARE: f64 = 0.35;
 const INTERVAL_FACTOR: f64 = 1.6;
+
 /// Whether an effect of an answer is a real deviation of the vehicle file with the right value.
 pub(super) fn is_deviation(given: &GivenEffect, key: &KeyEntry) -> bool {
     let class = class_of(&given.id);

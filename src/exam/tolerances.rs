@@ -28,6 +28,7 @@ const POSE_S: [f64; 2] = [0.001, 0.002];
 /// Ranges over builders, as shares: thrust from rotor to rotor, and inertia by a bifilar pendulum.
 const THRUST_EACH: [f64; 2] = [0.01, 0.02];
 const INERTIA: [f64; 2] = [0.05, 0.1];
+
 /// Standard deviations of a vehicle file's numbers, in their own units or as shares.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Tolerances {

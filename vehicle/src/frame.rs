@@ -70,11 +70,13 @@ impl<T: Copy> Ned<T> {
     pub const fn north(&self) -> T {
         self.components[0]
     }
+
     /// Component towards east.
     #[inline(always)]
     pub const fn east(&self) -> T {
         self.components[1]
     }
+
     /// Component towards the centre of the earth.
     #[inline(always)]
     pub const fn down(&self) -> T {
@@ -88,11 +90,13 @@ impl<T: Copy> Frd<T> {
     pub const fn front(&self) -> T {
         self.components[0]
     }
+
     /// Component out of the vehicle's right side; as a rate, pitch.
     #[inline(always)]
     pub const fn right(&self) -> T {
         self.components[1]
     }
+
     /// Component out of the vehicle's belly; as a rate, yaw.
     #[inline(always)]
     pub const fn down(&self) -> T {

@@ -42,14 +42,17 @@ pub trait Scalar:
     fn is_above(self, bound: f64) -> bool {
         self.value() > bound
     }
+
     /// The argument with the smaller value.
     fn min(self, other: Self) -> Self {
         if other.value() < self.value() { other } else { self }
     }
+
     /// The argument with the larger value.
     fn max(self, other: Self) -> Self {
         if other.value() > self.value() { other } else { self }
     }
+
     /// Sine and cosine together.
     fn sin_cos(self) -> (Self, Self) {
         (self.sin(), self.cos())

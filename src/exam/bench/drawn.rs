@@ -23,6 +23,7 @@ const TRAP_RATIOS: [f64; 2] = [3.0, 12.0];
 /// catalogue.
 const PAIR_SIZES: [f64; 2] = [1.15, 4.0];
 const UNKNOWN_SIZES: [f64; 2] = [1.3, 4.0];
+
 /// A drawn truth.
 #[derive(Debug, Default)]
 pub(super) struct Drawn {

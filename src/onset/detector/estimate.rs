@@ -52,6 +52,7 @@ impl Detector {
             values: numbers.iter().map(|n| Value::of(n, self.cells.sizes())).collect(),
         })
     }
+
     /// The parameters of a change. A second fit to the residual of the first separates distant data
     /// from the vehicle after the change.
     fn numbers_of(&self, cause: Cause, cell: usize, scale: Scale) -> Option<Vec<Numbers>> {

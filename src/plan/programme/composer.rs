@@ -21,6 +21,7 @@ const FAST_SHARE: Share = Share { speed: 0.12, acceleration: 0.4 };
 const RAMP_S: f64 = 2.0;
 /// Sampling interval of the limit checks, s.
 const SPACING_S: f64 = 0.02;
+
 /// Waves of north, east and up, without an offset.
 type Waves = [Vec<Wave>; 3];
 

@@ -58,6 +58,7 @@ pub struct Capability {
     /// Natural frequency in yaw, rad/s.
     pub yaw_bandwidth: f64,
 }
+
 /// Fraction of the envelope in use: feedback overshoots.
 pub(in crate::plan) const MARGIN: f64 = 0.9;
 /// Fraction of the vehicle's thrust that a trajectory may need; the rest is for feedback, and for a

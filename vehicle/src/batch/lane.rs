@@ -190,6 +190,7 @@ impl<F: Real> Scalar for Lane<F> {
     fn cos(self) -> Self {
         Self::from(self.value().cos())
     }
+
     /// The argument is clamped to -80..=80; within it the error is of the order of rounding.
     #[inline(always)]
     fn exp(self) -> Self {
