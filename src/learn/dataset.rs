@@ -17,7 +17,7 @@ use super::window::{BANDWIDTH, Sliding};
 use crate::log::import::{Flight, Stream};
 use crate::model::actuation::{Actuation, RotorState};
 use crate::model::file::AccelerationSource;
-use crate::model::{ACCELERATIONS, Point};
+use crate::model::{ACCELERATIONS, Model, Point};
 
 /// Windows of the labels.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize)]
@@ -98,6 +98,14 @@ pub struct Row {
     pub label: [f64; ACCELERATIONS],
     /// The simulator's true accelerations.
     pub truth: Option<[f64; ACCELERATIONS]>,
+}
+
+impl Row {
+    /// The label less the accelerations of a model.
+    pub(super) fn residual(&self, model: &dyn Model) -> [f64; ACCELERATIONS] {
+        let modelled = model.accelerations(&self.point);
+        std::array::from_fn(|i| self.label[i] - modelled[i])
+    }
 }
 
 /// The log cannot be of this vehicle, or does not show that it is.

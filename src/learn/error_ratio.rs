@@ -2,12 +2,12 @@
 
 use std::ops::Range;
 
-use super::evaluation::{MultiStep, Predictor, StateError, multi_step};
-use super::prediction::{Baseline, RecordedInputs};
+use super::evaluation::{FlightWindows, MultiStep, Predictor, StateError, multi_step};
+use super::prediction::Baseline;
 
 /// Sum of the errors at the middle horizons, relative to those of holding the state; lower is
 /// better.
-pub(super) fn score(windows: &[(RecordedInputs<'_>, Vec<f64>)], predictor: &Predictor<'_>) -> f64 {
+pub(super) fn score(windows: &[FlightWindows<'_>], predictor: &Predictor<'_>) -> f64 {
     let hold = multi_step(windows, &Predictor::Baseline(Baseline::Hold));
     match (multi_step(windows, predictor), hold) {
         (Some((errors, _)), Some((hold, _))) => relative(&errors, &hold),

@@ -118,6 +118,14 @@ pub enum Predictor<'a> {
     Baseline(Baseline),
 }
 
+/// The windows of one flight.
+pub struct FlightWindows<'a> {
+    /// The flight, and the inputs that act on it.
+    pub inputs: RecordedInputs<'a>,
+    /// Start of each window, s.
+    pub starts: Vec<f64>,
+}
+
 /// Sums of squares at each horizon, and number of windows.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
@@ -125,14 +133,14 @@ struct Sums {
     windows: usize,
 }
 
-/// Open-loop errors over windows of the given flights; each flight comes with the start times of
-/// its windows. Returns the errors and the number of windows, `None` if there is none.
+/// Open-loop errors over windows of flights. Returns the errors and the number of windows, `None`
+/// if there is none.
 pub fn multi_step(
-    flights: &[(RecordedInputs<'_>, Vec<f64>)],
+    flights: &[FlightWindows<'_>],
     predictor: &Predictor<'_>,
 ) -> Option<(MultiStep, usize)> {
     let mut total = Sums::default();
-    for (inputs, starts) in flights {
+    for FlightWindows { inputs, starts } in flights {
         let pieces: Vec<Sums> = starts
             .par_chunks(16)
             .map(|starts| {

@@ -21,11 +21,11 @@ use super::summary::TrainSettings;
 use super::training::Method;
 use super::training_set::{Prepared, TrainingSet};
 use crate::log::import::Flight;
+use crate::model::Model;
 use crate::model::actuation::Actuation;
 use crate::model::features::Features;
 use crate::model::hybrid::Hybrid;
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
-use crate::model::{ACCELERATIONS, Model};
 
 /// Hidden units of each network: a minute of flight supports no more.
 const HIDDEN: usize = 40;
@@ -175,12 +175,9 @@ impl InFlight {
         let mut flights = [observed];
         let set = TrainingSet::continued(&self.vehicle, &self.onboard, &mut flights, prepared)?;
         let physics = PhysicsModel::new(&self.vehicle, &set.physics).map_err(TrainError::from)?;
-        let leftover = |row: &Row| {
-            let explained = physics.accelerations(&row.point);
-            std::array::from_fn(|i| row.label[i] - explained[i])
-        };
         let parts = [set.part(Part::Training), set.part(Part::Validation)];
-        let residual = train_both([&parts[0], &parts[1]], &self.settings, &leftover)?;
+        let target = |row: &Row| row.residual(&physics);
+        let residual = train_both([&parts[0], &parts[1]], &self.settings, &target)?;
         let residual = set.shrink(residual, &physics, CHOICE_WINDOWS, &mut |_| {});
         let model = Hybrid::new(physics, residual);
 
@@ -243,8 +240,8 @@ fn judge(set: &TrainingSet<'_>, model: &dyn Model, actuation: &Actuation) -> Hel
 /// RMS residual of the linear acceleration, and its persistent part, m/s^2.
 fn residuals(rows: &[&Row], model: &dyn Model) -> (f64, f64) {
     let residual = |row: &&Row| -> [f64; 3] {
-        let explained: [f64; ACCELERATIONS] = model.accelerations(&row.point);
-        std::array::from_fn(|i| row.label[i] - explained[i])
+        let [north, east, down, ..] = row.residual(model);
+        [north, east, down]
     };
     let residuals: Vec<[f64; 3]> = rows.iter().map(residual).collect();
     let product = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();

@@ -10,7 +10,9 @@ use super::commands::Onboard;
 use super::dataset::{ObservedFlight, Row};
 use super::error::TrainError;
 use super::error_ratio::{AS_HOLDING, ratios, relative};
-use super::evaluation::{HORIZONS_S, MultiStep, OneStep, Predictor, multi_step, window_starts};
+use super::evaluation::{
+    FlightWindows, HORIZONS_S, MultiStep, OneStep, Predictor, multi_step, window_starts,
+};
 use super::identify;
 use super::networks::Watch;
 use super::prediction::{Baseline, RecordedInputs};
@@ -68,10 +70,7 @@ pub fn evaluate(
     let rows: Vec<Row> =
         flights.iter().flat_map(|f| f.rows(onboard, &file.actuation, source)).collect();
     let rows: Vec<&Row> = rows.iter().collect();
-    let mut models = Vec::new();
-    for kind in ModelKind::ALL {
-        models.push((kind, file.model(kind)?));
-    }
+    let models = models(file)?;
     let deviation = file.deviation;
     let one_step = models
         .iter()
@@ -86,12 +85,19 @@ pub fn evaluate(
         .collect();
     let windows: Vec<_> = flights
         .iter()
-        .map(|flight| {
-            let inputs = RecordedInputs::new(flight, onboard, &file.actuation);
-            (inputs, window_starts(&flight.segments.spans))
+        .map(|flight| FlightWindows {
+            inputs: RecordedInputs::new(flight, onboard, &file.actuation),
+            starts: window_starts(&flight.segments.spans),
         })
         .collect();
     Ok(Evaluation { rows: rows.len(), one_step, multi_step: compare(&windows, &models, watch) })
+}
+
+/// A model file's models, each with its kind.
+type Models = Vec<(ModelKind, Box<dyn Model>)>;
+
+fn models(file: &ModelFile) -> Result<Models, VehicleError> {
+    ModelKind::ALL.into_iter().map(|kind| Ok((kind, file.model(kind)?))).collect()
 }
 
 /// Aligns a flight's motor outputs with its other streams, as in the training.
@@ -117,20 +123,17 @@ pub(super) fn judge(
     deviation: &[f64; ACCELERATIONS],
     watch: &mut dyn Watch,
 ) -> Result<Judgement, TrainError> {
-    let mut models = Vec::new();
-    for kind in ModelKind::ALL {
-        models.push((kind, file.model(kind)?));
-    }
+    let models = models(file)?;
     let mut one_step = Vec::new();
     for (kind, model) in &models {
-        let errors = |truth: bool| {
-            parts.each_ref().map(|rows| {
-                OneStep::of(model.as_ref(), rows, deviation, |row| {
-                    if truth { row.truth } else { Some(row.label) }
-                })
-            })
+        let model_errors = |measured: fn(&Row) -> Option<[f64; ACCELERATIONS]>| {
+            parts.each_ref().map(|rows| OneStep::of(model.as_ref(), rows, deviation, measured))
         };
-        one_step.push(OneStepSummary { model: *kind, labels: errors(false), truth: errors(true) });
+        one_step.push(OneStepSummary {
+            model: *kind,
+            labels: model_errors(|row| Some(row.label)),
+            truth: model_errors(|row| row.truth),
+        });
         watch.step("one step");
     }
     let windows = dataset.windows(Part::Validation, &dataset.actuation);
@@ -250,7 +253,7 @@ fn standing_of(validation: &[MultiStepSummary]) -> Standing {
 
 /// Open-loop errors of models and baselines over the same windows.
 fn compare(
-    windows: &[(RecordedInputs<'_>, Vec<f64>)],
+    windows: &[FlightWindows<'_>],
     models: &[(ModelKind, Box<dyn Model>)],
     watch: &mut dyn Watch,
 ) -> Vec<MultiStepSummary> {

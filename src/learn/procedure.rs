@@ -7,7 +7,6 @@ use super::networks::{Lesson, NETWORKS, Progress, Target, Watch, models};
 use super::split::Part;
 use super::summary::{DataSummary, RefusedLog, TrainSettings, TrainingSummary};
 use super::training_set::{CHOICE_WINDOWS_MAX, TrainingSet};
-use crate::model::Model;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::physics::PhysicsModel;
 
@@ -41,16 +40,11 @@ pub fn train(
     let physics = &dataset.physics;
     let physics_model = PhysicsModel::new(vehicle, physics)?;
 
-    let leftover = |row: &Row| {
-        let explained = physics_model.accelerations(&row.point);
-        std::array::from_fn(|i| row.label[i] - explained[i])
-    };
-    let label = |row: &Row| row.label;
     let lessons = |kind, target: &Target<'_>| {
         Lesson::both(kind, settings.features, training, validation, target)
     };
-    let mut all = Vec::from(lessons(ModelKind::Net, &label)?);
-    all.extend(lessons(ModelKind::Hybrid, &leftover)?);
+    let mut all = Vec::from(lessons(ModelKind::Net, &|row: &Row| row.label)?);
+    all.extend(lessons(ModelKind::Hybrid, &|row: &Row| row.residual(&physics_model))?);
 
     let mut progress = match progress {
         Some(progress) if belongs(&progress, dataset, settings) => progress,

@@ -8,7 +8,7 @@ use super::commands::Onboard;
 use super::dataset::{ObservedFlight, Row};
 use super::error::TrainError;
 use super::error_ratio::score;
-use super::evaluation::{OneStep, Predictor, window_starts};
+use super::evaluation::{FlightWindows, OneStep, Predictor, window_starts};
 use super::gaps::intersection;
 use super::identify;
 use super::physics_fit;
@@ -262,7 +262,7 @@ impl<'a> TrainingSet<'a> {
         &'b self,
         part: Part,
         actuation: &'b Actuation,
-    ) -> Vec<(RecordedInputs<'b>, Vec<f64>)> {
+    ) -> Vec<FlightWindows<'b>> {
         // Selections need fewer windows than evaluations.
         let most = if part == Part::Test { usize::MAX } else { CHOICE_WINDOWS_MAX };
         self.some_windows(part, actuation, most)
@@ -274,7 +274,7 @@ impl<'a> TrainingSet<'a> {
         part: Part,
         actuation: &'b Actuation,
         most: usize,
-    ) -> Vec<(RecordedInputs<'b>, Vec<f64>)> {
+    ) -> Vec<FlightWindows<'b>> {
         let mut starts: Vec<Vec<f64>> =
             (0..self.flights.len()).map(|index| window_starts(&self.blocks(index, part))).collect();
         let total: usize = starts.iter().map(Vec::len).sum();
@@ -285,7 +285,8 @@ impl<'a> TrainingSet<'a> {
         let mut windows = Vec::new();
         for (flight, starts) in self.flights.iter().zip(starts) {
             if !starts.is_empty() {
-                windows.push((RecordedInputs::new(flight, self.onboard, actuation), starts));
+                let inputs = RecordedInputs::new(flight, self.onboard, actuation);
+                windows.push(FlightWindows { inputs, starts });
             }
         }
         windows
