@@ -10,7 +10,7 @@ use vehicle::frame::{Attitude, Frd, Ned};
 use crate::log::import::{Flight, Stream};
 
 /// Range of latencies that are tried, s.
-const LATENCY_RANGE: (f64, f64) = (-0.06, 0.12);
+const LATENCY_RANGE: [f64; 2] = [-0.06, 0.12];
 /// Step of the search before the parabolic refinement, s.
 const LATENCY_STEP: f64 = 0.0025;
 /// Interval over which changes are compared, s.
@@ -38,13 +38,13 @@ impl Alignment {
             // The rotation vector of a small rotation.
             [2.0 * d.x, 2.0 * d.y, 2.0 * d.z]
         });
-        let attitude_s = latency(&turns, &turned, false);
+        let attitude_s = latency(&turns, &turned, Offset::None);
         let aligned = |time| interpolated(&flight.attitude, time + attitude_s.unwrap_or(0.0));
         let gained = Integral::of(&flight.specific_force, |time, force: &Frd| {
             Some(aligned(time)?.to_world(*force).to_array())
         });
         let gains = changes(&flight.velocity, |from: &Ned, to: &Ned| (*to - *from).to_array());
-        Self { attitude_s, velocity_s: latency(&gains, &gained, true) }
+        Self { attitude_s, velocity_s: latency(&gains, &gained, Offset::Constant) }
     }
 }
 
@@ -85,8 +85,22 @@ impl Integral {
     }
 }
 
-/// A change of a stream: start time, end time, change.
-type Change = (f64, f64, [f64; 3]);
+/// A change of a stream.
+struct Change {
+    /// s
+    from: f64,
+    /// s
+    to: f64,
+    by: [f64; 3],
+}
+
+/// An offset of the integrated rate, such as gravity or a bias.
+#[derive(Clone, Copy, PartialEq)]
+enum Offset {
+    None,
+    /// It adds in proportion to the interval.
+    Constant,
+}
 
 fn changes<V>(stream: &Stream<V>, change: impl Fn(&V, &V) -> [f64; 3]) -> Vec<Change> {
     let times = stream.times();
@@ -98,29 +112,27 @@ fn changes<V>(stream: &Stream<V>, change: impl Fn(&V, &V) -> [f64; 3]) -> Vec<Ch
         }
         if next < times.len() && times[next] - time < 2.0 * SPAN {
             let by = change(&stream.values()[index], &stream.values()[next]);
-            found.push((*time, times[next], by));
+            found.push(Change { from: *time, to: times[next], by });
         }
     }
     found
 }
 
 /// The latency at which the integral explains the changes best.
-fn latency(changes: &[Change], integral: &Integral, with_offset: bool) -> Option<f64> {
+fn latency(changes: &[Change], integral: &Integral, offset: Offset) -> Option<f64> {
     // A few thousand changes determine a delay; more only take time.
     let stride = (changes.len() / 4000).max(1);
     let unexplained = |latency: f64| -> Option<f64> {
         let (mut count, mut total, mut error) = (0.0, [[0.0; 2]; 3], [[0.0; 2]; 3]);
-        for (from, to, by) in changes.iter().step_by(stride) {
+        for Change { from, to, by } in changes.iter().step_by(stride) {
             let (Some(a), Some(b)) = (integral.at(from - latency), integral.at(to - latency))
             else {
                 continue;
             };
             count += 1.0;
             for i in 0..3 {
-                // An offset of the rate, such as gravity or a bias, adds in proportion to the
-                // interval.
                 let miss = by[i] - (b[i] - a[i]);
-                let scale = if with_offset { to - from } else { 1.0 };
+                let scale = if offset == Offset::Constant { to - from } else { 1.0 };
                 error[i][0] += miss / scale;
                 error[i][1] += (miss / scale).powi(2);
                 total[i][0] += by[i] / scale;
@@ -132,7 +144,7 @@ fn latency(changes: &[Change], integral: &Integral, with_offset: bool) -> Option
         };
         (count > 100.0).then(|| variance(error) / variance(total))
     };
-    let (low, high) = LATENCY_RANGE;
+    let [low, high] = LATENCY_RANGE;
     let steps = ((high - low) / LATENCY_STEP).round() as usize;
     let costs: Vec<f64> =
         (0..=steps).map(|k| unexplained(low + k as f64 * LATENCY_STEP)).collect::<Option<_>>()?;

@@ -26,7 +26,7 @@ const SEARCH_ROWS: usize = 12_000;
 /// Least relative span of the pack's voltage for a fit of its exponent.
 const VOLTAGE_SPAN_MIN: f64 = 0.01;
 /// Range of exponents.
-const EXPONENTS: (f64, f64) = (0.0, 3.0);
+const EXPONENTS: [f64; 2] = [0.0, 3.0];
 
 /// Linear regression with `K` regressors, accumulated from samples.
 struct Regression<const K: usize> {
@@ -66,17 +66,25 @@ impl<const K: usize> Regression<K> {
     }
 }
 
+/// A part of a flight.
+pub struct FlightPart<'a> {
+    /// The flight.
+    pub flight: &'a ObservedFlight,
+    /// Indices of the part's observations.
+    pub range: Range<usize>,
+}
+
 /// Identifies the rotors' response: the delay, lag and voltage exponent that together minimise the
 /// variance of the accelerations left unexplained by a regression on input, rates and velocity.
 ///
 /// Starts from the vehicle file's values, which remain if the logs do not determine better ones.
 pub fn actuation(
-    flights: &[(&ObservedFlight, Range<usize>)],
+    flights: &[FlightPart<'_>],
     onboard: &Onboard,
     vehicle: &VehicleParams,
     acceleration: AccelerationSource,
 ) -> Actuation {
-    let total: usize = flights.iter().map(|(_, range)| range.len()).sum();
+    let total: usize = flights.iter().map(|part| part.range.len()).sum();
     let mut found = Actuation {
         delay_s: vehicle.command_delay_s,
         lag_s: vehicle.motor_time_constant_s,
@@ -131,7 +139,7 @@ pub fn align_commands(
     for step in -SHIFT_STEPS..=SHIFT_STEPS {
         let shift = f64::from(step) * SHIFT_STEP_S;
         flight.command_shift_s = shift;
-        let all = [(&*flight, 0..count)];
+        let all = [FlightPart { flight: &*flight, range: 0..count }];
         let Some(cost) = unexplained(&all, onboard, actuation, acceleration, gravity, share) else {
             continue;
         };
@@ -187,7 +195,7 @@ fn refine(cost: &impl Fn(&Actuation) -> f64, best: &mut Actuation, least: &mut f
 /// Sum of the unexplained fractions of the three angular accelerations and of the specific force
 /// along z.
 fn unexplained(
-    flights: &[(&ObservedFlight, Range<usize>)],
+    flights: &[FlightPart<'_>],
     onboard: &Onboard,
     actuation: &Actuation,
     acceleration: AccelerationSource,
@@ -196,7 +204,7 @@ fn unexplained(
 ) -> Option<f64> {
     let mut angular: [Regression<6>; 3] = std::array::from_fn(|_| Regression::new());
     let mut vertical = Regression::<3>::new();
-    for (flight, range) in flights {
+    for FlightPart { flight, range } in flights {
         let used = ((range.len() as f64 * share).ceil() as usize).min(range.len());
         let start = range.start + (range.len() - used) / 2;
         let inputs = flight.inputs(onboard, actuation, start..start + used);
@@ -232,7 +240,7 @@ fn specific_force_z(o: &Observation, acceleration: Ned, gravity: f64) -> f64 {
 /// The exponent of the pack's voltage in the thrust, by golden-section search on the unexplained
 /// specific force along z.
 fn voltage_exponent(
-    flights: &[(&ObservedFlight, Range<usize>)],
+    flights: &[FlightPart<'_>],
     onboard: &Onboard,
     actuation: &Actuation,
     acceleration: AccelerationSource,
@@ -240,7 +248,7 @@ fn voltage_exponent(
 ) -> f64 {
     // (u1 without voltage, voltage, v_z, force) at intervals of a tenth of a second.
     let mut rows: Vec<[f64; 4]> = Vec::new();
-    for (flight, range) in flights {
+    for FlightPart { flight, range } in flights {
         let plain = Actuation { voltage_exponent: 0.0, ..*actuation };
         let inputs = flight.inputs(onboard, &plain, range.clone());
         for (o, input) in flight.observations[range.clone()].iter().zip(inputs).step_by(10) {
@@ -271,8 +279,8 @@ fn voltage_exponent(
     golden_section(EXPONENTS, cost)
 }
 
-/// Minimum of a unimodal function.
-fn golden_section((mut low, mut high): (f64, f64), cost: impl Fn(f64) -> f64) -> f64 {
+/// Minimum of a unimodal function between `low` and `high`.
+fn golden_section([mut low, mut high]: [f64; 2], cost: impl Fn(f64) -> f64) -> f64 {
     let ratio = 0.5 * (5.0_f64.sqrt() - 1.0);
     let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
     let (mut at_a, mut at_b) = (cost(a), cost(b));

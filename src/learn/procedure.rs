@@ -34,7 +34,7 @@ pub fn train(
 ) -> Result<Outcome, TrainError> {
     let vehicle = dataset.vehicle;
     let parts = Part::ALL.map(|part| dataset.part(part));
-    let [training, validation, test] = &parts;
+    let [training, validation, _] = &parts;
     let deviation = deviation(training);
 
     let physics = &dataset.physics;
@@ -46,14 +46,7 @@ pub fn train(
     let mut all = Vec::from(lessons(ModelKind::Net, &|row: &Row| row.label)?);
     all.extend(lessons(ModelKind::Hybrid, &|row: &Row| row.residual(&physics_model))?);
 
-    let mut progress = match progress {
-        Some(progress) if belongs(&progress, dataset, settings) => progress,
-        Some(_) => return Err(TrainError::Checkpoint),
-        None => {
-            let fingerprint = fingerprint(dataset, settings);
-            Progress::new(fingerprint, settings.window_half_s, trainings(settings))
-        }
-    };
+    let mut progress = begun(progress, dataset, settings)?;
     if !progress.go_on(&all, settings, watch)? {
         return Ok(Outcome::Interrupted(progress));
     }
@@ -96,7 +89,7 @@ pub fn train(
         settings: settings.clone(),
         data: DataSummary {
             split: dataset.split.kind,
-            rows: [training.len(), validation.len(), test.len()],
+            rows: parts.each_ref().map(Vec::len),
             label_bandwidth_hz: windows.bandwidth_hz(),
             acceleration: dataset.acceleration,
             deviation,
@@ -115,6 +108,22 @@ pub fn train(
         series: judged.series,
     };
     Ok(Outcome::Done(Box::new((file, summary))))
+}
+
+/// The progress to continue from: none yet, or that of the same training.
+fn begun(
+    progress: Option<Progress>,
+    dataset: &TrainingSet<'_>,
+    settings: &TrainSettings,
+) -> Result<Progress, TrainError> {
+    match progress {
+        Some(progress) if belongs(&progress, dataset, settings) => Ok(progress),
+        Some(_) => Err(TrainError::Checkpoint),
+        None => {
+            let fingerprint = fingerprint(dataset, settings);
+            Ok(Progress::new(fingerprint, settings.window_half_s, trainings(settings)))
+        }
+    }
 }
 
 /// Whether `progress` belongs to this training, for any window of its labels.

@@ -10,7 +10,7 @@ use super::error::TrainError;
 use super::error_ratio::score;
 use super::evaluation::{FlightWindows, OneStep, Predictor, window_starts};
 use super::gaps::intersection;
-use super::identify;
+use super::identify::{self, FlightPart};
 use super::physics_fit;
 use super::prediction::RecordedInputs;
 use super::refine;
@@ -358,15 +358,12 @@ impl TrainingSet<'_> {
 }
 
 /// The observations of the training part.
-fn training_part<'a>(
-    flights: &'a [ObservedFlight],
-    split: &Split,
-) -> Vec<(&'a ObservedFlight, Range<usize>)> {
+fn training_part<'a>(flights: &'a [ObservedFlight], split: &Split) -> Vec<FlightPart<'a>> {
     let mut chosen = Vec::new();
     for (flight, parts) in flights.iter().zip(&split.flights) {
         for (range, part) in parts {
             if *part == Part::Training {
-                chosen.push((flight, range.clone()));
+                chosen.push(FlightPart { flight, range: range.clone() });
             }
         }
     }
