@@ -5,6 +5,8 @@
 //! whole predictions (simulation-error identification; Ljung, System Identification, 1999, section
 //! 7.2, with the output-error predictor).
 
+use std::ops::Range;
+
 use nalgebra::DVector;
 use rayon::prelude::*;
 use vehicle::VehicleParams;
@@ -18,7 +20,7 @@ use super::physics_fit::{PARAMETERS, Parameters};
 use super::prediction::{Baseline, RecordedInputs};
 use crate::model::Model;
 use crate::model::actuation::Actuation;
-use crate::model::learned::{Network, NetworkModel};
+use crate::model::learned::{LinearTerm, Network, NetworkModel};
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 
 /// Horizons whose errors count, s.
@@ -37,8 +39,13 @@ const BALANCE_RATE_MIN: f64 = 0.05;
 const DELAY_MAX_S: f64 = 0.1;
 const LAG_MAX_S: f64 = 0.2;
 
-/// Flights with their usable spans.
-type Flights<'a> = [(&'a ObservedFlight, Vec<std::ops::Range<f64>>)];
+/// The usable spans of a flight.
+pub struct FlightSpans<'a> {
+    /// The flight.
+    pub flight: &'a ObservedFlight,
+    /// Usable times, s.
+    pub spans: Vec<Range<f64>>,
+}
 
 /// The start of a prediction, and the reported states.
 struct Window {
@@ -59,12 +66,16 @@ struct OpenLoops<'a> {
 
 impl<'a> OpenLoops<'a> {
     /// `None` if there are no windows.
-    fn of(flights: &Flights<'a>, onboard: &'a Onboard, actuation: &Actuation) -> Option<Self> {
+    fn of(
+        flights: &[FlightSpans<'a>],
+        onboard: &'a Onboard,
+        actuation: &Actuation,
+    ) -> Option<Self> {
         let stride = flights.len().div_ceil(FLIGHTS_MAX).max(1);
         let flights: Vec<_> = flights.iter().step_by(stride).collect();
         let windows = windows(&flights, onboard, actuation);
         let scales = scales(&windows);
-        let flights = flights.into_iter().map(|(flight, _)| *flight).collect();
+        let flights = flights.into_iter().map(|spans| spans.flight).collect();
         (!windows.is_empty()).then_some(Self { flights, onboard, windows, scales })
     }
 
@@ -104,7 +115,7 @@ impl<'a> OpenLoops<'a> {
 /// The actuation and physics with the best open-loop predictions over the given spans, starting
 /// from the one-step fit. `None` if there are no windows.
 pub fn open_loop(
-    flights: &Flights<'_>,
+    flights: &[FlightSpans<'_>],
     onboard: &Onboard,
     vehicle: &VehicleParams,
     actuation: &Actuation,
@@ -159,11 +170,14 @@ impl Correction {
         let (gains, rest) = rest.split_at(3);
         let (moments, thrust) = rest.split_at(3);
         let first_input = |network: &Network, count| network.mlp.inputs - count;
-        let motion = |i: usize| (i, i % 3, motions[i]);
+        let motion = |i: usize| LinearTerm { feature: i, output: i % 3, slope: motions[i] };
         let mut linear: Vec<_> = (0..3).map(motion).collect();
-        linear.push((first_input(&net.linear, 1), 2, thrust[0]));
+        let feature = first_input(&net.linear, 1);
+        linear.push(LinearTerm { feature, output: 2, slope: thrust[0] });
         let mut angular: Vec<_> = (3..6).map(motion).collect();
-        angular.extend((0..3).map(|i| (first_input(&net.angular, 3) + i, i, moments[i])));
+        let first = first_input(&net.angular, 3);
+        let moment = |i: usize| LinearTerm { feature: first + i, output: i, slope: moments[i] };
+        angular.extend((0..3).map(moment));
         let turned = [1.0 + gains[0], 1.0 + gains[1], 1.0 + gains[2]];
         let constant = |first: usize| std::array::from_fn(|i| constants[first + i]);
         NetworkModel {
@@ -178,7 +192,7 @@ impl Correction {
 /// spans: one-step errors hardly reveal a small error of a gain, a damping or a moment's mean, half
 /// a second does. `None` if there are no windows.
 pub fn network_open_loop(
-    flights: &Flights<'_>,
+    flights: &[FlightSpans<'_>],
     onboard: &Onboard,
     actuation: &Actuation,
     net: &NetworkModel,
@@ -212,13 +226,9 @@ fn unpack(
     (bounded, Actuation { delay_s, lag_s, balance_s, ..*actuation }, parameters)
 }
 
-fn windows(
-    flights: &[&(&ObservedFlight, Vec<std::ops::Range<f64>>)],
-    onboard: &Onboard,
-    actuation: &Actuation,
-) -> Vec<Window> {
+fn windows(flights: &[&FlightSpans<'_>], onboard: &Onboard, actuation: &Actuation) -> Vec<Window> {
     let mut all = Vec::new();
-    for (index, (flight, spans)) in flights.iter().enumerate() {
+    for (index, FlightSpans { flight, spans }) in flights.iter().enumerate() {
         let inputs = RecordedInputs::new(flight, onboard, actuation);
         for start in window_starts(spans) {
             let reported: Option<Vec<State>> =

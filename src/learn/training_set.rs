@@ -13,7 +13,7 @@ use super::gaps::intersection;
 use super::identify::{self, FlightPart};
 use super::physics_fit;
 use super::prediction::RecordedInputs;
-use super::refine;
+use super::refine::{self, FlightSpans};
 use super::split::{BORDER_S, Part, Split};
 use super::summary::LogSummary;
 use crate::model::ACCELERATIONS;
@@ -219,11 +219,14 @@ impl<'a> TrainingSet<'a> {
     }
 
     /// Usable times of the training part of each flight that has any.
-    fn training_blocks(&self) -> Vec<(&ObservedFlight, Vec<Range<f64>>)> {
+    fn training_blocks(&self) -> Vec<FlightSpans<'_>> {
         let flights = self.flights.iter().enumerate();
         flights
-            .map(|(index, flight)| (flight, self.blocks(index, Part::Training)))
-            .filter(|(_, spans)| !spans.is_empty())
+            .map(|(index, flight)| FlightSpans {
+                flight,
+                spans: self.blocks(index, Part::Training),
+            })
+            .filter(|part| !part.spans.is_empty())
             .collect()
     }
 

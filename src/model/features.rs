@@ -10,9 +10,10 @@ use super::{ACCELERATIONS, VARIABLES};
 pub const OUTPUTS: usize = ACCELERATIONS / 2;
 /// Largest number of features of a network.
 pub const FEATURES_MAX: usize = 15;
-/// First index of the angles in a [`Point`](super::Point)'s array, and of the input.
-const ANGLE: usize = 6;
-const INPUT: usize = 9;
+/// First index of roll, pitch and yaw in a [`Point`](super::Point)'s array, and of the input, which
+/// follows them.
+pub(super) const ANGLE: usize = 6;
+pub(super) const INPUT: usize = 9;
 
 /// One of the two networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

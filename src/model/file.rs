@@ -1,5 +1,7 @@
 //! The model file: weights as safetensors, everything else in its metadata.
 
+mod network_tensors;
+
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -11,11 +13,11 @@ use sha2::{Digest, Sha256};
 use vehicle::bounded;
 use vehicle::{Difference, VehicleError, VehicleParams};
 
+use self::network_tensors::NetworkTensors;
 use super::actuation::Actuation;
-use super::features::{FEATURES_MAX, Features, Head, OUTPUTS};
+use super::features::{Features, Head};
 use super::hybrid::Hybrid;
 use super::learned::{Network, NetworkModel};
-use super::net::{Mlp, Normalization};
 use super::physics::{PhysicsModel, PhysicsParameters};
 use super::{ACCELERATIONS, Model};
 
@@ -27,8 +29,6 @@ const VERSION: u32 = 1;
 const KEY: &str = "downwash";
 /// Largest file, in bytes: room for networks with the most hidden units and their training record.
 const SIZE_MAX: u64 = 64 << 20;
-/// Most hidden units.
-const HIDDEN_MAX: usize = 4096;
 
 /// One of a file's models.
 #[derive(
@@ -321,24 +321,7 @@ impl ModelFile {
             .as_ref()
             .and_then(|map| map.get(KEY))
             .ok_or_else(|| damaged(format!("its metadata has no key {KEY:?}")))?;
-        // The version first: another version may have another format.
-        #[derive(Deserialize)]
-        struct Stamp {
-            format: String,
-            version: u32,
-        }
-        let stamp: Stamp = serde_json::from_str(text)
-            .map_err(|error| damaged(format!("its metadata is corrupt ({error})")))?;
-        if stamp.format != FORMAT {
-            return Err(damaged(format!(
-                "expected the format {FORMAT:?}, found {:?}",
-                stamp.format
-            )));
-        }
-        if stamp.version != VERSION {
-            let found = stamp.version;
-            return Err(ModelFileError::Version { path: path.to_owned(), found });
-        }
+        check_stamp(text, path)?;
         let mut header: Header = serde_json::from_str(text)
             .map_err(|error| damaged(format!("its metadata is corrupt ({error})")))?;
         let tensors = SafeTensors::deserialize(bytes)
@@ -353,7 +336,10 @@ impl ModelFile {
             return Err(damaged("its content does not match its checksum".to_owned()));
         }
         let model = |prefix: &str, features: Features| {
-            let network = |head: Head| read_network(&tensors, prefix, head, features);
+            let network = |head: Head| {
+                let prefix = format!("{prefix}.{}", head.name());
+                NetworkTensors { tensors: &tensors, prefix }.network(features.names(head).len())
+            };
             Ok::<_, String>(NetworkModel {
                 features,
                 linear: network(Head::Linear)?,
@@ -394,6 +380,25 @@ impl ModelFile {
     }
 }
 
+/// Checks format and version, before the rest is read: another version may have another header.
+fn check_stamp(text: &str, path: &Path) -> Result<(), ModelFileError> {
+    #[derive(Deserialize)]
+    struct Stamp {
+        format: String,
+        version: u32,
+    }
+    let damaged = |reason: String| ModelFileError::Damaged { path: path.to_owned(), reason };
+    let Stamp { format, version } = serde_json::from_str(text)
+        .map_err(|error| damaged(format!("its metadata is corrupt ({error})")))?;
+    if format != FORMAT {
+        return Err(damaged(format!("expected the format {FORMAT:?}, found {format:?}")));
+    }
+    if version != VERSION {
+        return Err(ModelFileError::Version { path: path.to_owned(), found: version });
+    }
+    Ok(())
+}
+
 struct Tensor {
     name: String,
     kind: Dtype,
@@ -416,73 +421,6 @@ impl Tensor {
 /// Whether bytes are text. A model file begins with a length of 8 bytes, some of them zero.
 fn is_text(bytes: &[u8]) -> bool {
     bytes.len() >= 8 && !bytes.contains(&0) && std::str::from_utf8(bytes).is_ok()
-}
-
-fn read_network(
-    tensors: &SafeTensors<'_>,
-    prefix: &str,
-    head: Head,
-    features: Features,
-) -> Result<Network, String> {
-    let name = |part: &str| format!("{prefix}.{}.{part}", head.name());
-    let view = |part: &str, kind: Dtype| {
-        let name = name(part);
-        let view = tensors.tensor(&name).map_err(|error| format!("tensor {name}: {error}"))?;
-        if view.dtype() != kind {
-            return Err(format!("tensor {name}: expected {kind:?}, found {:?}", view.dtype()));
-        }
-        Ok(view)
-    };
-    let doubles = |part: &str, length: usize| {
-        let view = view(part, Dtype::F64)?;
-        let values: Vec<f64> =
-            view.data().as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
-        let (found, finite) = (values.len(), values.iter().filter(|v| v.is_finite()).count());
-        let sound = [found, finite] == [length; 2];
-        sound.then_some(values).ok_or_else(|| {
-            let name = name(part);
-            format!("tensor {name}: expected {length} finite numbers, found {finite} among {found}")
-        })
-    };
-    let singles = |part: &str, shape: &[usize]| {
-        let view = view(part, Dtype::F32)?;
-        if view.shape() != shape {
-            let name = name(part);
-            return Err(format!("tensor {name}: expected {shape:?}, found {:?}", view.shape()));
-        }
-        let values: Vec<f32> =
-            view.data().as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-        let odd = values.iter().copied().find(|v| !v.is_finite());
-        odd.map_or(Ok(values), |odd| {
-            Err(format!("tensor {}: expected finite numbers, found {odd}", name(part)))
-        })
-    };
-    let inputs = features.names(head).len();
-    debug_assert!(inputs <= FEATURES_MAX);
-    let hidden = view("hidden.bias", Dtype::F32)?.shape().iter().product();
-    if !(1..=HIDDEN_MAX).contains(&hidden) {
-        return Err(format!("expected 1 to {HIDDEN_MAX} hidden units, found {hidden}"));
-    }
-    let normalization = |side: &str, length: usize| {
-        let deviation = doubles(&format!("{side}_deviation"), length)?;
-        if deviation.iter().any(|d| *d <= 0.0) {
-            return Err(format!("tensor {}: expected numbers above 0", name(side)));
-        }
-        Ok(Normalization { mean: doubles(&format!("{side}_mean"), length)?, deviation })
-    };
-    Ok(Network {
-        inputs: normalization("input", inputs)?,
-        outputs: normalization("output", OUTPUTS)?,
-        mlp: Mlp {
-            inputs,
-            hidden,
-            outputs: OUTPUTS,
-            hidden_weights: singles("hidden.weight", &[hidden, inputs])?,
-            hidden_biases: singles("hidden.bias", &[hidden])?,
-            output_weights: singles("output.weight", &[OUTPUTS, hidden])?,
-            output_biases: singles("output.bias", &[OUTPUTS])?,
-        },
-    })
 }
 
 #[cfg(test)]

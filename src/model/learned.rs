@@ -1,11 +1,8 @@
 //! Accelerations from two networks: NN1 gives the linear ones, NN2 the angular ones.
 
-use super::features::{Axes, FEATURES_MAX, Features, Head, OUTPUTS};
+use super::features::{ANGLE, Axes, FEATURES_MAX, Features, Head, INPUT, OUTPUTS};
 use super::net::{Mlp, Normalization};
 use super::{ACCELERATIONS, Jacobian, Model, Point, VARIABLES};
-
-/// Range of roll, pitch and yaw among a [`Point`]'s variables.
-const ANGLES: std::ops::Range<usize> = 6..9;
 
 /// A network with the normalisation of its inputs and outputs.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,6 +13,17 @@ pub struct Network {
     pub outputs: Normalization,
     /// From normalised features to normalised accelerations.
     pub mlp: Mlp,
+}
+
+/// A slope of one acceleration along one feature, both normalised.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinearTerm {
+    /// Index of the feature.
+    pub feature: usize,
+    /// Index of the network's output.
+    pub output: usize,
+    /// The slope.
+    pub slope: f64,
 }
 
 /// Calls a method that is generic over the number of features.
@@ -68,14 +76,14 @@ impl Network {
         (self.denormalised(y), slope)
     }
 
-    /// This network with its accelerations scaled by `gains`, and with constants and linear terms
-    /// (feature, acceleration, slope) added, both in normalised units. A ReLU layer represents
-    /// `c x = c relu(x) - c relu(-x)` exactly: each term takes two additional hidden units.
+    /// This network with its accelerations scaled by `gains`, and with normalised constants and
+    /// linear terms added. A ReLU layer represents `c x = c relu(x) - c relu(-x)` exactly: each
+    /// term takes two additional hidden units.
     pub fn corrected(
         &self,
         gains: [f64; OUTPUTS],
         constants: [f64; OUTPUTS],
-        terms: &[(usize, usize, f64)],
+        terms: &[LinearTerm],
     ) -> Self {
         let Self { inputs, outputs, mlp } = self;
         let units = mlp.hidden + 2 * terms.len();
@@ -88,7 +96,7 @@ impl Network {
                 *new = (gains[output] * f64::from(*old)) as f32;
             }
         }
-        for (term, (feature, output, slope)) in terms.iter().enumerate() {
+        for (term, LinearTerm { feature, output, slope }) in terms.iter().enumerate() {
             for (unit, sign) in [1.0, -1.0].into_iter().enumerate() {
                 let mut row = vec![0.0; mlp.inputs];
                 row[*feature] = sign;
@@ -197,7 +205,7 @@ impl Model for NetworkModel {
                     }
                 }
                 // The output's axes turn with the angles.
-                for (column, slope) in ANGLES.zip(axes.to_world_slopes(y)) {
+                for (column, slope) in (ANGLE..INPUT).zip(axes.to_world_slopes(y)) {
                     for (row, value) in rows.iter_mut().zip(slope) {
                         row[column] += value;
                     }

@@ -50,9 +50,15 @@ pub fn encode(file: &ModelFile, networks: Networks) -> Vec<u8> {
     .encode_to_vec()
 }
 
-/// A rotation in a plane: from its first axis towards its second, with the names of the angle's
-/// sine and cosine.
-type Turn<'a> = ([usize; 2], &'a str, &'a str);
+/// A rotation in a plane.
+#[derive(Clone, Copy)]
+struct Turn<'a> {
+    /// Its axes: from the first towards the second.
+    plane: [usize; 2],
+    /// Names of the angle's sine and cosine.
+    sin: &'a str,
+    cos: &'a str,
+}
 
 const YAWED: [usize; 2] = [0, 1];
 const PITCHED: [usize; 2] = [2, 0];
@@ -76,14 +82,11 @@ impl Graph {
         let sines: Vec<String> = (0..3).map(|i| angle(&mut graph, i, "Sin")).collect();
         let cosines: Vec<String> = (0..3).map(|i| angle(&mut graph, i, "Cos")).collect();
         // Rotations from the world to the features' axes, in sequence.
+        let about = |plane, i: usize| Turn { plane, sin: &sines[i], cos: &cosines[i] };
         let turns: Vec<Turn<'_>> = match model.features {
             Features::World => Vec::new(),
-            Features::Heading => vec![(YAWED, &sines[2], &cosines[2])],
-            Features::Body => vec![
-                (YAWED, &sines[2], &cosines[2]),
-                (PITCHED, &sines[1], &cosines[1]),
-                (ROLLED, &sines[0], &cosines[0]),
-            ],
+            Features::Heading => vec![about(YAWED, 2)],
+            Features::Body => vec![about(YAWED, 2), about(PITCHED, 1), about(ROLLED, 0)],
         };
         let velocity = turns
             .iter()
@@ -176,7 +179,8 @@ impl Graph {
     }
 
     /// A vector rotated in a plane, `forwards` or back.
-    fn turned(&mut self, vector: &str, (plane, sin, cos): Turn<'_>, forwards: bool) -> String {
+    fn turned(&mut self, vector: &str, turn: Turn<'_>, forwards: bool) -> String {
+        let Turn { plane, sin, cos } = turn;
         let mut parts: [String; 3] = std::array::from_fn(|i| self.column(vector, i as i64));
         let [x, y] = plane.map(|axis| parts[axis].clone());
         let cx = self.node("Mul", &[cos, &x]);

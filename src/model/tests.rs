@@ -10,7 +10,7 @@ use vehicle::frame::{Attitude, Euler};
 
 use super::features::{FEATURES_MAX, Features, Head, OUTPUTS};
 use super::hybrid::Hybrid;
-use super::learned::{Network, NetworkModel};
+use super::learned::{LinearTerm, Network, NetworkModel};
 use super::net::{Mlp, Normalization};
 use super::physics::{PhysicsModel, PhysicsParameters};
 use super::{ACCELERATIONS, Model, Point, VARIABLES};
@@ -231,7 +231,8 @@ proptest! {
     ) {
         let model = networks(features, 9, &values);
         let (gains, constants) = ([1.2, 0.7, 1.0], [0.1, -0.3, 0.0]);
-        let angular = model.angular.corrected(gains, constants, &[(4, 1, slope)]);
+        let term = LinearTerm { feature: 4, output: 1, slope };
+        let angular = model.angular.corrected(gains, constants, &[term]);
         let corrected = NetworkModel { angular, ..model.clone() };
         holds_to_differences(&corrected, Some(&corrected), &at)?;
         let at = Point::from_array(&at);
