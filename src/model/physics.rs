@@ -64,9 +64,8 @@ impl PhysicsModel {
     pub fn evaluate<T: Scalar>(&self, at: &[T; VARIABLES]) -> [T; ACCELERATIONS] {
         let [vn, ve, vd, p, q, r, roll, pitch, yaw, u1, u2, u3, u4] = *at;
         let mut attitude = Euler { roll, pitch, yaw }.attitude();
-        if let Some(Attitude { w, x, y, z }) = self.untrim {
-            let untrim = Attitude { w: T::from(w), x: T::from(x), y: T::from(y), z: T::from(z) };
-            attitude = attitude.compose(untrim);
+        if let Some(untrim) = self.untrim {
+            attitude = attitude.compose(untrim.lift());
         }
         let state = State {
             position: Ned::new(T::default(), T::default(), T::from(-HEIGHT)),

@@ -305,6 +305,12 @@ impl<T: Scalar> Attitude<T> {
 }
 
 impl Attitude {
+    /// The same attitude, as a constant of another number type.
+    pub fn lift<T: Scalar>(self) -> Attitude<T> {
+        let Self { w, x, y, z } = self;
+        Attitude { w: w.into(), x: x.into(), y: y.into(), z: z.into() }
+    }
+
     /// The same rotation with w >= 0, which avoids jumps in plots.
     pub fn canonical(self) -> Self {
         if self.w < 0.0 { Self { w: -self.w, x: -self.x, y: -self.y, z: -self.z } } else { self }

@@ -162,10 +162,9 @@ fn down_along(attitude: Attitude, axis: usize) -> (f64, [f64; 3]) {
 /// the body rate.
 fn yaw_rate(state: &State) -> Dual<6> {
     type Number = Dual<6>;
-    let Attitude { w, x, y, z } = state.attitude;
     let half = |index| Number::variable(0.0, index) * 0.5;
     let turn = Attitude { w: Number::from(1.0), x: half(0), y: half(1), z: half(2) };
-    let attitude = Attitude { w: w.into(), x: x.into(), y: y.into(), z: z.into() }.compose(turn);
+    let attitude = state.attitude.lift::<Number>().compose(turn);
     let [p, q, r] = state.body_rate.to_array();
     let rate = Frd::new(Number::variable(p, 3), Number::variable(q, 4), Number::variable(r, 5));
     let [_, _, yaw] = attitude.euler().rates(rate);

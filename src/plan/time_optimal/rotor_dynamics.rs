@@ -87,7 +87,7 @@ impl RotorDynamics {
             input: [[0.0; INPUTS]; STATES],
         };
         // Twice the vector part of the rotation from the end: its small angles.
-        let turned = constant(value.attitude.inverse()).compose(end.attitude);
+        let turned = value.attitude.inverse().lift::<Number>().compose(end.attitude);
         let parts = [
             end.position.to_array(),
             end.velocity.to_array(),
@@ -143,14 +143,9 @@ fn variable(state: &State) -> State<Number> {
             Number::variable(ve, 1),
             Number::variable(vd, 2),
         ),
-        attitude: constant(state.attitude).compose(turn),
+        attitude: state.attitude.lift::<Number>().compose(turn),
         body_rate: Frd::new(Number::variable(p, 6), Number::variable(q, 7), Number::variable(r, 8)),
     }
-}
-
-fn constant(attitude: Attitude) -> Attitude<Number> {
-    let Attitude { w, x, y, z } = attitude;
-    Attitude { w: w.into(), x: x.into(), y: y.into(), z: z.into() }
 }
 
 fn values(vector: Ned<Number>) -> Ned {
