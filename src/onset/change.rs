@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::columns::{Cause, Sizes, quantity};
-use super::likelihood::Numbers;
+use super::likelihood::DirectionChange;
 
 /// Standard deviations to either side of a 90 % interval.
 const WIDTH: f64 = 1.645;
@@ -77,16 +77,16 @@ impl Estimate {
 }
 
 impl Value {
-    pub(super) fn of(numbers: &Numbers, sizes: &Sizes) -> Self {
-        let (name, unit) = quantity(numbers.direction);
-        let size = sizes.direction(numbers.direction);
+    pub(super) fn of(change: &DirectionChange, sizes: &Sizes) -> Self {
+        let (name, unit) = quantity(change.direction);
+        let size = sizes.direction(change.direction);
         let estimate = |pair: [f64; 2]| Estimate::normal(pair.map(|number| number * size));
         Self {
             name,
             unit,
-            before: estimate(numbers.before),
-            after: estimate(numbers.after),
-            change: estimate(numbers.change),
+            before: estimate(change.before),
+            after: estimate(change.after),
+            change: estimate(change.change),
         }
     }
 }

@@ -10,7 +10,7 @@ use self::estimate::peak;
 use super::cells::{CELL_S, Cell, Cells, Piece, Sample};
 use super::change::Change;
 use super::columns::{COLUMNS, Cause, DIRECTIONS, DRIFT};
-use super::likelihood::{Profile, Scale, Window};
+use super::likelihood::{Grid, Profile, Scale, Window};
 use super::noise::{Autoregression, COHERENT, LawErrors, Noise, ORDER, Spectrum};
 
 /// Cells that are examined together: half a minute.
@@ -93,7 +93,7 @@ pub struct Detector {
     noise: Noise,
     window: Window,
     /// The parameters relative to which the residuals for the noise are computed.
-    numbers: Option<[f64; COLUMNS]>,
+    parameters: Option<[f64; COLUMNS]>,
     /// Number of kept cells that the noise estimate already includes.
     noted: usize,
     /// Cells since the noise was updated, and since a look.
@@ -123,7 +123,7 @@ impl Detector {
             law_errors: LawErrors::new(),
             noise: Noise::NONE,
             window: Window::default(),
-            numbers: None,
+            parameters: None,
             noted: 0,
             renewed: 0,
             looked: 0,
@@ -183,15 +183,15 @@ impl Detector {
             self.noted = self.noted.saturating_sub(1);
             self.window.forget();
         }
-        if self.numbers.is_none() {
+        if self.parameters.is_none() {
             if self.kept.len() >= BEFORE + ORDER {
                 self.begin();
             }
             return;
         }
         if self.kept.len() > ORDER {
-            let numbers = self.numbers.unwrap_or([0.0; COLUMNS]);
-            self.window.push(&self.kept, self.kept.len() - 1, &self.noise, &numbers);
+            let parameters = self.reference();
+            self.window.push(&self.kept, self.kept.len() - 1, &self.noise, &parameters);
         }
         if self.alarm.is_none() {
             self.note(LATE);
@@ -210,48 +210,48 @@ impl Detector {
     /// The first noise estimate: the residual of parameters fitted under white noise.
     fn begin(&mut self) {
         let white = |equation: usize| {
-            let left = || self.kept.iter().map(|cell| cell.rows[equation].left);
-            let present = || left().filter(|left| left.is_finite());
+            let residual = || self.kept.iter().map(|cell| cell.rows[equation].residual);
+            let present = || residual().filter(|residual| residual.is_finite());
             let count = present().count() as f64;
             let mean = present().sum::<f64>() / count;
-            let variance = present().map(|left| (left - mean).powi(2)).sum::<f64>() / count;
+            let variance = present().map(|residual| (residual - mean).powi(2)).sum::<f64>() / count;
             (count > 2.0 && variance > 0.0)
                 .then_some(Autoregression { coefficients: [0.0; ORDER], variance })
         };
         self.noise.filters = std::array::from_fn(white);
-        self.window = Window::of(&self.kept, &self.noise, &self.numbers.unwrap_or([0.0; COLUMNS]));
-        self.numbers = self.window.numbers_now();
+        self.window = Window::of(&self.kept, &self.noise, &self.reference());
+        self.parameters = self.window.parameters();
         self.note(0);
         self.renew();
     }
 
     /// Adds cells at least `late` cells old to the noise estimate.
     fn note(&mut self, late: usize) {
-        let Some(numbers) = self.numbers else { return };
+        let Some(parameters) = self.parameters else { return };
         while self.noted + late < self.kept.len() {
             let cell = &self.kept[self.noted];
-            let left = std::array::from_fn(|equation| unexplained(cell, equation, &numbers));
-            self.spectrum.add(&left);
+            let residual = std::array::from_fn(|equation| unexplained(cell, equation, &parameters));
+            self.spectrum.add(&residual);
             if self.noted >= ORDER && late > 0 {
-                self.note_laws(&numbers);
+                self.note_laws(&parameters);
             }
             self.noted += 1;
         }
     }
 
     /// Adds the same cell, whitened, to the estimate of the laws' errors.
-    fn note_laws(&mut self, numbers: &[f64; COLUMNS]) {
+    fn note_laws(&mut self, parameters: &[f64; COLUMNS]) {
         for (equation, filter) in self.noise.filters.iter().enumerate() {
             let Some(filter) = filter else { continue };
             let at = |back: usize| &self.kept[self.noted - back];
-            let mut left = unexplained(at(0), equation, numbers);
+            let mut residual = unexplained(at(0), equation, parameters);
             let mut model = at(0).rows[equation].model;
             for (j, coefficient) in filter.coefficients.iter().enumerate() {
-                left -= coefficient * unexplained(at(j + 1), equation, numbers);
+                residual -= coefficient * unexplained(at(j + 1), equation, parameters);
                 model -= coefficient * at(j + 1).rows[equation].model;
             }
-            if left.is_finite() {
-                self.law_errors.add(equation, left, model, filter.variance);
+            if residual.is_finite() {
+                self.law_errors.add(equation, residual, model, filter.variance);
             }
         }
     }
@@ -266,13 +266,18 @@ impl Detector {
             }),
             law: std::array::from_fn(|equation| self.law_errors.variance(equation)),
         };
-        self.window = Window::of(&self.kept, &self.noise, &self.numbers.unwrap_or([0.0; COLUMNS]));
+        self.window = Window::of(&self.kept, &self.noise, &self.reference());
         if self.alarm.is_none()
             && self.window.len() >= BEFORE
-            && let Some(numbers) = self.window.numbers_now()
+            && let Some(parameters) = self.window.parameters()
         {
-            self.numbers = Some(numbers);
+            self.parameters = Some(parameters);
         }
+    }
+
+    /// The parameters relative to which cells are whitened; the file's before the first estimate.
+    fn reference(&self) -> [f64; COLUMNS] {
+        self.parameters.unwrap_or([0.0; COLUMNS])
     }
 
     fn scales(&self) -> [Scale; Cause::ALL.len()] {
@@ -284,13 +289,13 @@ impl Detector {
         })
     }
 
-    fn profiles(&self, evaluates_all: bool) -> Vec<Profile> {
+    fn profiles(&self, grid: Grid) -> Vec<Profile> {
         let last = AFTER[1].min(self.window.len().saturating_sub(BEFORE));
-        self.window.profiles([AFTER[0], last], &self.scales(), evaluates_all)
+        self.window.profiles([AFTER[0], last], &self.scales(), grid)
     }
 
     fn look(&mut self, now: f64, on_event: &mut impl FnMut(Event)) {
-        let profiles = self.profiles(false);
+        let profiles = self.profiles(Grid::Thinned);
         let best = profiles.iter().filter_map(|profile| Some((profile.cause, peak(profile)?)));
         let best = best.max_by(|a, b| a.1.evidence.total_cmp(&b.1.evidence));
         let Some((cause, place)) = best else { return };
@@ -341,17 +346,17 @@ impl Detector {
         self.kept.drain(..(cell + ORDER).min(self.kept.len()));
         self.noted = self.noted.saturating_sub(cell + ORDER);
         self.spectrum.pause();
-        self.window = Window::of(&self.kept, &self.noise, &self.numbers.unwrap_or([0.0; COLUMNS]));
+        self.window = Window::of(&self.kept, &self.noise, &self.reference());
         self.waiting.clear();
         self.alarm = None;
     }
 }
 
 /// The residual of a cell's equation.
-fn unexplained(cell: &Cell, equation: usize, numbers: &[f64; COLUMNS]) -> f64 {
+fn unexplained(cell: &Cell, equation: usize, parameters: &[f64; COLUMNS]) -> f64 {
     let row = &cell.rows[equation];
-    let modelled = row.slopes[..DRIFT].iter().zip(numbers);
-    row.left - modelled.map(|(slope, number)| slope * number).sum::<f64>()
+    let modelled = row.slopes[..DRIFT].iter().zip(parameters);
+    row.residual - modelled.map(|(slope, number)| slope * number).sum::<f64>()
 }
 
 #[cfg(test)]

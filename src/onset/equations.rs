@@ -2,7 +2,7 @@
 //! derivatives with respect to the [columns](super::columns).
 
 use vehicle::frame::{Attitude, Frd, Ned};
-use vehicle::physics::Physics;
+use vehicle::physics::{Environment, Physics};
 use vehicle::rigid_body::State;
 use vehicle::{ROTORS, VehicleError, VehicleParams};
 
@@ -37,7 +37,7 @@ pub(super) struct Means {
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
     /// Reported minus modelled; not a number where it was not reported.
-    pub left: f64,
+    pub residual: f64,
     /// The modelled value in excess of a hover.
     pub model: f64,
     /// Derivative of the modelled side with respect to each column, in units of its [size](Sizes).
@@ -80,7 +80,7 @@ impl Equations {
         let gravity = Ned::new(0.0, 0.0, physics.body().gravity());
         let attitude = means.attitude;
         let force = attitude.to_body(linear - gravity);
-        let mut rows = [Row { left: f64::NAN, model: 0.0, slopes: [0.0; COLUMNS] }; EQUATIONS];
+        let mut rows = [Row { residual: f64::NAN, model: 0.0, slopes: [0.0; COLUMNS] }; EQUATIONS];
         let reported = [
             means.acceleration.map(Ned::to_array),
             means.specific_force.map(Frd::to_array),
@@ -90,9 +90,23 @@ impl Equations {
         let moving = [linear.to_array(), attitude.to_body(linear).to_array(), angular.to_array()];
         for (index, row) in rows.iter_mut().enumerate() {
             let (group, axis) = (index / 3, index % 3);
-            row.left = reported[group].map_or(f64::NAN, |seen| seen[axis] - modelled[group][axis]);
+            row.residual =
+                reported[group].map_or(f64::NAN, |seen| seen[axis] - modelled[group][axis]);
             row.model = moving[group][axis];
         }
+        self.put_slopes(&mut rows, means, force, &environment);
+        rows
+    }
+
+    /// Writes the derivatives of the equations; `force` is the modelled specific force in body axes.
+    fn put_slopes(
+        &self,
+        rows: &mut [Row; EQUATIONS],
+        means: &Means,
+        force: Frd,
+        environment: &Environment,
+    ) {
+        let (physics, attitude) = (&self.physics, means.attitude);
         let mass = physics.body().mass();
         let constants = physics.constants();
         let inertia = constants.inertia;
@@ -107,7 +121,7 @@ impl Equations {
                 rows[RATE + axis].slopes[column] = moment[axis] * size / inertia[axis];
             }
         };
-        let thrusts = physics.thrusts(&means.rotors, &environment);
+        let thrusts = physics.thrusts(&means.rotors, environment);
         let zero = Frd::zero();
         let up = |thrust: f64| Frd::new(0.0, 0.0, -thrust);
         for (index, (rotor, thrust)) in constants.rotors.iter().zip(thrusts).enumerate() {
@@ -141,6 +155,5 @@ impl Equations {
                 row.slopes[TILT + place] = pushed;
             }
         }
-        rows
     }
 }

@@ -1,6 +1,6 @@
 //! The evidence of each cause of change in a window of cells, for each possible onset.
 //!
-//! With e the whitened left side of every equation and P its whitened slopes, a change of size d in
+//! With e the whitened residual of every equation and P its whitened slopes, a change of size d in
 //! directions D from cell k on gives e = P b + 1(cell >= k) P D d + noise. The parameters b are the
 //! vehicle's before the change: all of them are free within their [sizes](super::columns::Sizes),
 //! so a constant property that shows only now, because the vehicle moves, is no change. With normal
@@ -11,7 +11,7 @@ use std::collections::VecDeque;
 
 use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
 
-use super::cells::{CELL_S, Cell};
+use super::cells::Cell;
 use super::columns::*;
 use super::noise::{Noise, ORDER};
 
@@ -44,6 +44,15 @@ pub struct Window {
     zero_s: f64,
 }
 
+/// The onsets at which the evidence is evaluated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Grid {
+    /// Every cell.
+    Full,
+    /// Fewer cells, the farther back they are.
+    Thinned,
+}
+
 /// A cause's evidence as a function of its onset.
 #[derive(Clone, Debug)]
 pub struct Profile {
@@ -67,9 +76,9 @@ pub struct Place {
     pub statistic: f64,
 }
 
-/// Parameters of a change, in the directions' units.
+/// A change along one direction, in its unit.
 #[derive(Clone, Copy, Debug)]
-pub struct Numbers {
+pub struct DirectionChange {
     /// The direction, as an index into [`DIRECTIONS`].
     pub direction: usize,
     /// Value before, with its standard deviation; likewise `after` and `change`.
@@ -90,13 +99,13 @@ pub struct Scale {
 }
 
 impl Window {
-    /// Whitens the cells with `noise`; the first [`ORDER`] of them only serve as history. `numbers`
-    /// are the vehicle's earlier parameters.
-    pub fn of(cells: &VecDeque<Cell>, noise: &Noise, numbers: &[f64; COLUMNS]) -> Self {
+    /// Whitens the cells with `noise`; the first [`ORDER`] of them only serve as history. `parameters`
+    /// are the vehicle's earlier ones.
+    pub fn of(cells: &VecDeque<Cell>, noise: &Noise, parameters: &[f64; COLUMNS]) -> Self {
         let zero_s = cells.front().map_or(0.0, |cell| cell.time);
         let mut window = Self { terms: VecDeque::with_capacity(cells.len() + 1), zero_s };
         for index in ORDER..cells.len() {
-            window.push(cells, index, noise, numbers);
+            window.push(cells, index, noise, parameters);
         }
         window
     }
@@ -122,25 +131,25 @@ impl Window {
         cells: &VecDeque<Cell>,
         index: usize,
         noise: &Noise,
-        numbers: &[f64; COLUMNS],
+        parameters: &[f64; COLUMNS],
     ) {
         let mut gram = Box::new(Matrix::zeros());
         let mut moment = Vector::zeros();
         for (equation, filter) in noise.filters.iter().enumerate() {
             let Some(filter) = filter else { continue };
             let now = &cells[index].rows[equation];
-            let (mut left, mut model) = (now.left, now.model);
+            let (mut residual, mut model) = (now.residual, now.model);
             let mut slopes = now.slopes;
             let late = (cells[index].time - self.zero_s) / DRIFT_S;
             for (j, coefficient) in filter.coefficients.iter().enumerate() {
                 let before = &cells[index - 1 - j].rows[equation];
-                left -= coefficient * before.left;
+                residual -= coefficient * before.residual;
                 model -= coefficient * before.model;
                 for (slope, before) in slopes[..DRIFT].iter_mut().zip(&before.slopes) {
                     *slope -= coefficient * before;
                 }
             }
-            if !left.is_finite() {
+            if !residual.is_finite() {
                 continue;
             }
             // A drift hardly changes over the filter's history.
@@ -149,13 +158,13 @@ impl Window {
                 slopes[DRIFT + place] = 0.1 * late * slope;
             }
             let variance = filter.variance + noise.law[equation] * model * model;
-            let known = slopes[..DRIFT].iter().zip(numbers).map(|(slope, number)| slope * number);
-            let far = (left - known.sum::<f64>()).abs() / variance.sqrt();
+            let known = slopes[..DRIFT].iter().zip(parameters).map(|(slope, value)| slope * value);
+            let far = (residual - known.sum::<f64>()).abs() / variance.sqrt();
             let weight = if far > HUBER { HUBER / far } else { 1.0 } / variance;
             let used: Vec<usize> = (0..COLUMNS).filter(|c| slopes[*c] != 0.0).collect();
             for &a in &used {
                 let weighted = weight * slopes[a];
-                moment[a] += weighted * left;
+                moment[a] += weighted * residual;
                 for &b in used.iter().take_while(|b| **b <= a) {
                     gram[(a, b)] += weighted * slopes[b];
                 }
@@ -167,19 +176,15 @@ impl Window {
 
     /// Each cause's evidence as a function of its onset, from `after[0]` to `after[1]` cells before
     /// the end.
-    ///
-    /// Without `evaluates_all`, fewer places far back are evaluated.
     pub fn profiles(
         &self,
         after: [usize; 2],
         scales: &[Scale; Cause::ALL.len()],
-        evaluates_all: bool,
+        grid: Grid,
     ) -> Vec<Profile> {
         let mut profiles: Vec<Profile> =
             Cause::ALL.into_iter().map(|cause| Profile { cause, places: Vec::new() }).collect();
-        let Some(inverse) = self.inverse() else { return profiles };
-        let all: Vector = self.terms.iter().map(|terms| terms.moment).sum();
-        let best = inverse * all;
+        let Some(fit) = self.fit() else { return profiles };
         let (mut gram, mut moment) = (Matrix::zeros(), Vector::zeros());
         for (count, terms) in self.terms.iter().rev().enumerate().map(|(n, t)| (n + 1, t)) {
             if count > after[1] {
@@ -188,11 +193,11 @@ impl Window {
             gram += terms.gram.as_ref();
             moment += terms.moment;
             let far = COARSE.iter().filter(|coarse| count > **coarse).count();
-            let is_evaluated = evaluates_all || count % (1 << far) == 0;
+            let is_evaluated = grid == Grid::Full || count % (1 << far) == 0;
             if count < after[0] || !is_evaluated {
                 continue;
             }
-            let tail = Tail::of(&gram, &moment, &inverse, &best);
+            let tail = Tail::of(&gram, &moment, &fit);
             let cell = self.terms.len() - count;
             for (profile, scale) in profiles.iter_mut().zip(scales) {
                 profile.places.extend(tail.place(profile.cause, *scale, cell));
@@ -201,81 +206,74 @@ impl Window {
         profiles
     }
 
-    /// The parameters of a change with its onset at `cell`; `scale` widens the standard deviations.
-    pub fn numbers(&self, cause: Cause, cell: usize, scale: Scale) -> Option<Vec<Numbers>> {
-        let inverse = self.inverse()?;
-        let all: Vector = self.terms.iter().map(|terms| terms.moment).sum();
-        let best = inverse * all;
+    /// A cause's change with its onset at `cell`, along each of its directions; `scale` widens the
+    /// standard deviations.
+    pub fn changes(&self, cause: Cause, cell: usize, scale: Scale) -> Option<Vec<DirectionChange>> {
+        let fit = self.fit()?;
         let (mut gram, mut moment) = (Matrix::zeros(), Vector::zeros());
         for terms in self.terms.iter().skip(cell) {
             gram += terms.gram.as_ref();
             moment += terms.moment;
         }
-        let tail = Tail::of(&gram, &moment, &inverse, &best);
+        let tail = Tail::of(&gram, &moment, &fit);
         let directions = cause.directions();
         let inner =
             tail.information(directions) + DMatrix::identity(directions.len(), directions.len());
         let covariance = Cholesky::new(inner)?.inverse();
         let change = &covariance * tail.score(directions);
         let spread = scale.variance;
-        let mut before = best;
+        let mut before = fit.mean;
         for (place, direction) in directions.iter().enumerate() {
             before -= tail.solved[*direction] * change[place];
         }
-        let numbers = directions.iter().enumerate().map(|(place, &direction)| {
+        let changes = directions.iter().enumerate().map(|(place, &direction)| {
             let axis = axis(direction);
             let value = axis.dot(&before);
-            // Cov of the numbers before: (A^-1) + (A^-1 U) C (A^-1 U)'; with the change: -(A^-1 U)
-            // C.
+            // Covariance of the parameters before: (A^-1) + (A^-1 U) C (A^-1 U)'; with the change:
+            // -(A^-1 U) C.
             let onto = DVector::from_iterator(
                 directions.len(),
                 directions.iter().map(|other| axis.dot(&tail.solved[*other])),
             );
-            let own = (axis.transpose() * inverse * axis)[0];
+            let own = (axis.transpose() * fit.covariance * axis)[0];
             let own = own + (onto.transpose() * &covariance * &onto)[0];
             let law = (LAW * change[place]).powi(2) / spread;
             let change_variance = covariance[(place, place)] + law;
             let both = -(covariance.row(place) * &onto)[0];
             let deviation = |variance: f64| (spread * variance.max(0.0)).sqrt();
-            Numbers {
+            DirectionChange {
                 direction,
                 before: [value, deviation(own)],
                 after: [value + change[place], deviation(own + change_variance + 2.0 * both)],
                 change: [change[place], deviation(change_variance)],
             }
         });
-        Some(numbers.collect())
+        Some(changes.collect())
     }
 
     /// The present parameters if nothing changed in the window, in their sizes.
-    pub fn numbers_now(&self) -> Option<[f64; COLUMNS]> {
-        let all: Vector = self.terms.iter().map(|terms| terms.moment).sum();
-        Some((self.inverse()? * all).into())
+    pub fn parameters(&self) -> Option<[f64; COLUMNS]> {
+        Some(self.fit()?.mean.into())
     }
 
     /// The same along each direction, with its standard deviation.
     pub fn along_directions(&self) -> Option<[[f64; 2]; DIRECTIONS.len()]> {
-        let inverse = self.inverse()?;
-        let all: Vector = self.terms.iter().map(|terms| terms.moment).sum();
-        let best = inverse * all;
+        let Fit { mean, covariance } = self.fit()?;
         Some(std::array::from_fn(|direction| {
             let axis = axis(direction);
-            [axis.dot(&best), (axis.transpose() * inverse * axis)[0].max(0.0).sqrt()]
+            [axis.dot(&mean), (axis.transpose() * covariance * axis)[0].max(0.0).sqrt()]
         }))
     }
 
-    /// Covariance of the parameters without a change.
-    fn inverse(&self) -> Option<Matrix> {
+    /// The parameters without a change.
+    fn fit(&self) -> Option<Fit> {
         let mut gram = Matrix::identity();
         for terms in &self.terms {
             gram += terms.gram.as_ref();
         }
-        Some(Cholesky::new(gram)?.inverse())
-    }
-
-    /// Duration of `cells` cells, s.
-    pub fn seconds(cells: usize) -> f64 {
-        cells as f64 * CELL_S
+        let covariance = Cholesky::new(gram)?.inverse();
+        let moment: Vector = self.terms.iter().map(|terms| terms.moment).sum();
+        Some(Fit { mean: covariance * moment, covariance })
     }
 }
 
@@ -298,10 +296,17 @@ fn axis(direction: usize) -> Vector {
     axis
 }
 
+/// Posterior mean and covariance of the parameters.
+struct Fit {
+    mean: Vector,
+    /// A^-1.
+    covariance: Matrix,
+}
+
 /// The cells from one on, projected on each direction.
 struct Tail {
     /// d' G d of every pair.
-    own: SMatrix<f64, 10, 10>,
+    own: SMatrix<f64, { DIRECTIONS.len() }, { DIRECTIONS.len() }>,
     /// d' b - (G d)' A^-1 B.
     score: [f64; DIRECTIONS.len()],
     /// G d.
@@ -311,16 +316,17 @@ struct Tail {
 }
 
 impl Tail {
-    fn of(gram: &Matrix, moment: &Vector, inverse: &Matrix, best: &Vector) -> Self {
+    fn of(gram: &Matrix, moment: &Vector, fit: &Fit) -> Self {
         let along = |vector: &Vector, direction: usize| along(&vector.data.0[0], direction);
         let seen: [Vector; DIRECTIONS.len()] =
             std::array::from_fn(|direction| match DIRECTIONS[direction] {
                 Direction::Thrust => (ROTOR..CENTRE).map(|c| gram.column(c).into_owned()).sum(),
                 Direction::Column(column) => gram.column(column).into(),
             });
-        let solved = seen.map(|seen| inverse * seen);
-        let score =
-            std::array::from_fn(|direction| along(moment, direction) - seen[direction].dot(best));
+        let solved = seen.map(|seen| &fit.covariance * seen);
+        let score = std::array::from_fn(|direction| {
+            along(moment, direction) - seen[direction].dot(&fit.mean)
+        });
         let own = SMatrix::from_fn(|a, b| along(&seen[a], b));
         Self { own, score, seen, solved }
     }

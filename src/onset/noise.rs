@@ -57,8 +57,8 @@ impl Spectrum {
     }
 
     /// Adds a cell's residuals; NaN for those that are missing.
-    pub fn add(&mut self, left: &[f64; EQUATIONS]) {
-        for (equation, value) in left.iter().enumerate() {
+    pub fn add(&mut self, residual: &[f64; EQUATIONS]) {
+        for (equation, value) in residual.iter().enumerate() {
             if !value.is_finite() {
                 self.unbroken[equation] = 0;
                 continue;
@@ -87,11 +87,6 @@ impl Spectrum {
     /// Interrupts the history, after a pause.
     pub fn pause(&mut self) {
         self.unbroken = [0; EQUATIONS];
-    }
-
-    /// Effective number of cells behind an equation's spectrum.
-    pub fn count(&self, equation: usize) -> f64 {
-        self.counts[equation]
     }
 
     /// The autoregression of an equation by Levinson's recursion (Durbin 1960); `None` without
@@ -164,9 +159,9 @@ impl LawErrors {
     }
 
     /// Adds a cell's residual, the law's value, and the noise's variance.
-    pub fn add(&mut self, equation: usize, left: f64, model: f64, variance: f64) {
+    pub fn add(&mut self, equation: usize, residual: f64, model: f64, variance: f64) {
         let [e, m] = &mut self.stretch[equation];
-        *e += left;
+        *e += residual;
         *m += model;
         self.cells[equation] += 1;
         if self.cells[equation] < COHERENT {

@@ -3,8 +3,8 @@
 use super::Detector;
 use crate::onset::cells::CELL_S;
 use crate::onset::change::{Change, Other, Value};
-use crate::onset::columns::{COLUMNS, Cause};
-use crate::onset::likelihood::{Numbers, Place, Profile, Scale, Window, along};
+use crate::onset::columns::Cause;
+use crate::onset::likelihood::{DirectionChange, Grid, Place, Profile, Scale, Window, along};
 use crate::onset::noise::ORDER;
 
 /// Errors are correlated over several cells: the differences in evidence between neighbouring
@@ -16,7 +16,7 @@ const REPORTED: f64 = 0.02;
 impl Detector {
     /// The change according to the present data, if it still exceeds the threshold.
     pub(super) fn change(&self, alarmed_s: f64) -> Option<Change> {
-        let profiles = self.profiles(true);
+        let profiles = self.profiles(Grid::Full);
         let top = profiles.iter().filter_map(peak).map(|place| place.evidence);
         let top = top.fold(f64::NEG_INFINITY, f64::max);
         if top < self.settings.bound() {
@@ -33,7 +33,7 @@ impl Detector {
         let peak = peak(profile)?;
         let [low, middle, high] = quantiles(profile);
         let start = |place: usize| self.kept.get(place + ORDER).map(|cell| cell.time);
-        let numbers = self.numbers_of(profile.cause, peak.cell, self.scales()[best])?;
+        let changes = self.changes_of(profile.cause, peak.cell, self.scales()[best])?;
         let others = by_mass[1..].iter().map(|&index| Other {
             cause: profiles[index].cause,
             probability: masses[index] / total,
@@ -49,25 +49,25 @@ impl Detector {
             probability: masses[best] / total,
             others: others.filter(|other| other.probability >= REPORTED).collect(),
             evidence: peak.evidence,
-            values: numbers.iter().map(|n| Value::of(n, self.cells.sizes())).collect(),
+            values: changes.iter().map(|c| Value::of(c, self.cells.sizes())).collect(),
         })
     }
 
-    /// The parameters of a change. A second fit to the residual of the first separates distant data
-    /// from the vehicle after the change.
-    fn numbers_of(&self, cause: Cause, cell: usize, scale: Scale) -> Option<Vec<Numbers>> {
-        let first = self.window.numbers(cause, cell, scale)?;
+    /// The changes along the directions of a cause. A second fit to the residual of the first
+    /// separates distant data from the vehicle after the change.
+    fn changes_of(&self, cause: Cause, cell: usize, scale: Scale) -> Option<Vec<DirectionChange>> {
+        let first = self.window.changes(cause, cell, scale)?;
         let mut kept = self.kept.clone();
         for row in kept.iter_mut().skip(cell + ORDER).flat_map(|cell| &mut cell.rows) {
-            for numbers in &first {
-                row.left -= numbers.change[0] * along(&row.slopes, numbers.direction);
+            for change in &first {
+                row.residual -= change.change[0] * along(&row.slopes, change.direction);
             }
         }
-        let numbers = self.numbers.unwrap_or([0.0; COLUMNS]);
-        let mut second = Window::of(&kept, &self.noise, &numbers).numbers(cause, cell, scale)?;
-        for (numbers, first) in second.iter_mut().zip(first) {
-            numbers.change = [numbers.change[0] + first.change[0], first.change[1]];
-            numbers.after = [numbers.after[0] + first.change[0], first.after[1]];
+        let window = Window::of(&kept, &self.noise, &self.reference());
+        let mut second = window.changes(cause, cell, scale)?;
+        for (change, first) in second.iter_mut().zip(first) {
+            change.change = [change.change[0] + first.change[0], first.change[1]];
+            change.after = [change.after[0] + first.change[0], first.after[1]];
         }
         Some(second)
     }
