@@ -85,6 +85,13 @@ fn attitude_pd(draw: &mut Draw, inertia: [f64; 3], lag: f64) -> AttitudePd {
     AttitudePd { kp, kd, rate_hz: 250.0 }
 }
 
+/// Horizontal distance of the first rotor from the centre of mass, m: every drawn airframe is
+/// symmetric.
+pub(super) fn arm_m(vehicle: &VehicleParams) -> f64 {
+    let [x, y, _] = vehicle.rotors[0].position_m;
+    x.hypot(y)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -73,23 +73,14 @@ impl Bench {
         name: &str,
         order: &Order,
     ) -> Result<Self, VehicleError> {
-        let kind = order.kind;
         let mut nominal = airframe::vehicle(draw, name);
         let mut notes = Vec::new();
         if let Some(trip) = &order.round_trip {
             nominal = VehicleParams { name: name.to_owned(), ..trip.vehicle.clone() };
         }
-        let trap = (kind == Kind::Trap).then(|| &TRAPS[draw.below(TRAPS.len())]);
-        let must = kind == Kind::Modelled || trap.is_some_and(|trap| trap.models_drag);
         let is_free = order.round_trip.is_none();
-        let lacks = order.round_trip.as_ref().is_some_and(|trip| {
-            NEED_DRAG.contains(&trip.effect)
-                && !DRAGS.iter().any(|drag| nominal.modelled_effects.contains(*drag))
-        });
-        if must || lacks || is_free && draw.chance(0.2) {
-            let drag = if draw.chance(0.7) { DRAGS[0] } else { DRAGS[1] };
-            let size = draw.within([0.15, 0.5]);
-            nominal.modelled_effects = Direction::draw(draw, &nominal, drag).at(size);
+        let trap = (order.kind == Kind::Trap).then(|| &TRAPS[draw.below(TRAPS.len())]);
+        if let Some(drag) = model_drag(draw, &mut nominal, order, trap) {
             notes.push(format!("the vehicle file models {drag}"));
         }
         nominal = nominal.checked()?;
@@ -125,18 +116,7 @@ impl Bench {
         if let Some(time_s) = setting.attitude_correlation_s {
             sensors.attitude_correlation_s = time_s;
         }
-        let rates = Rates {
-            attitude: if draw.chance(0.5) { 250.0 } else { 125.0 },
-            imu: match draw.chance(0.3) {
-                _ if trap.is_some_and(|trap| !trap.has_imu) => 0.0,
-                true => 250.0,
-                false => 100.0,
-            },
-            position: 100.0,
-            outputs: setting.outputs_hz,
-            battery: 5.0,
-            rpm: if draw.chance(0.4) { 50.0 } else { 0.0 },
-        };
+        let rates = rates(draw, &setting, trap);
         let link = setting.link(Link {
             delay_s: 1.5e-3,
             jitter_s: draw.within([0.8e-3, 1.5e-3]),
@@ -146,22 +126,7 @@ impl Bench {
         let vigour = Vigour::draw(draw, nominal.rotor_radius_m);
         let restriction = trap.map_or(Restriction::None, |trap| trap.restriction);
         let motions = programme(draw, &vigour, restriction, settings.flights, settings.seconds);
-        let configs = motions
-            .iter()
-            .map(|_| {
-                let mut config = SitlConfig {
-                    sensors,
-                    vibration: setting.vibration,
-                    estimator: setting.estimator,
-                    ..SitlConfig::default()
-                };
-                config.battery.charge = draw.within([0.45, 1.0]);
-                if trap.is_some_and(|trap| trap.steady_pack) {
-                    config.battery = STEADY_PACK;
-                }
-                config
-            })
-            .collect();
+        let configs = motions.iter().map(|_| config(draw, &setting, sensors, trap)).collect();
         Ok(Self {
             nominal,
             believed,
@@ -194,25 +159,15 @@ impl Bench {
         }
     }
 
-    fn sorties<'a>(
-        &'a self,
-        real: &'a RealVehicle,
-        ideal: bool,
-    ) -> impl Iterator<Item = Sortie<'a>> {
+    fn sorties<'a>(&'a self, real: &'a RealVehicle) -> impl Iterator<Item = Sortie<'a>> {
         self.motions.iter().zip(&self.configs).enumerate().map(move |(number, flight)| {
             let (motion, config) = flight;
-            let mut config = config.clone();
-            if ideal {
-                config.sensors = SensorConfig::IDEAL;
-                config.vibration = Vibration::default();
-                config.estimator = EstimatorConfig::default();
-            }
             Sortie {
                 believed: &self.believed,
                 body: &real.body,
                 effects: &real.effects,
                 foreign: &real.foreign,
-                config,
+                config: config.clone(),
                 rates: self.rates,
                 link: self.link,
                 motion,
@@ -222,9 +177,10 @@ impl Bench {
         })
     }
 
+    /// True courses of all flights of a vehicle with this truth and ideal sensors.
     pub(super) fn tracks(&self, truth: &Truth) -> Result<Vec<Track>, FlightError> {
         let real = self.real(truth);
-        self.sorties(&real, true).map(|sortie| Ok(sortie.fly()?.track)).collect()
+        self.sorties(&real).map(|sortie| Ok(ideal(sortie).fly()?.track)).collect()
     }
 
     /// Adds `count` flights of another programme after the others.
@@ -250,7 +206,7 @@ impl Bench {
             let tlog = condition.apply(&sortie.fly()?.tlog, sortie.seed);
             Ok(self.setting.logged(tlog, sortie.seed))
         };
-        self.sorties(&real, false).map(log).collect()
+        self.sorties(&real).map(log).collect()
     }
 
     /// Noise of the reported state.
@@ -290,6 +246,73 @@ impl Bench {
     pub(super) fn has_drag(&self) -> bool {
         DRAGS.iter().any(|drag| self.nominal.modelled_effects.contains(*drag))
     }
+}
+
+/// Gives the vehicle file a drag where the case needs one, and else in a fifth of the cases that
+/// are free; returns the drag.
+fn model_drag(
+    draw: &mut Draw,
+    nominal: &mut VehicleParams,
+    order: &Order,
+    trap: Option<&Trap>,
+) -> Option<EffectId> {
+    let must = order.kind == Kind::Modelled || trap.is_some_and(|trap| trap.models_drag);
+    let lacks = order.round_trip.as_ref().is_some_and(|trip| {
+        NEED_DRAG.contains(&trip.effect)
+            && !DRAGS.iter().any(|drag| nominal.modelled_effects.contains(*drag))
+    });
+    let is_free = order.round_trip.is_none();
+    if !(must || lacks || is_free && draw.chance(0.2)) {
+        return None;
+    }
+    let drag = if draw.chance(0.7) { DRAGS[0] } else { DRAGS[1] };
+    let size = draw.within([0.15, 0.5]);
+    nominal.modelled_effects = Direction::draw(draw, nominal, drag).at(size);
+    Some(drag)
+}
+
+/// The rates of the reports.
+fn rates(draw: &mut Draw, setting: &Setting, trap: Option<&Trap>) -> Rates {
+    Rates {
+        attitude: if draw.chance(0.5) { 250.0 } else { 125.0 },
+        imu: match draw.chance(0.3) {
+            _ if trap.is_some_and(|trap| !trap.has_imu) => 0.0,
+            true => 250.0,
+            false => 100.0,
+        },
+        position: 100.0,
+        outputs: setting.outputs_hz,
+        battery: 5.0,
+        rpm: if draw.chance(0.4) { 50.0 } else { 0.0 },
+    }
+}
+
+/// Pack and sensors of a flight.
+fn config(
+    draw: &mut Draw,
+    setting: &Setting,
+    sensors: SensorConfig,
+    trap: Option<&Trap>,
+) -> SitlConfig {
+    let mut config = SitlConfig {
+        sensors,
+        vibration: setting.vibration,
+        estimator: setting.estimator,
+        ..SitlConfig::default()
+    };
+    config.battery.charge = draw.within([0.45, 1.0]);
+    if trap.is_some_and(|trap| trap.steady_pack) {
+        config.battery = STEADY_PACK;
+    }
+    config
+}
+
+/// The same flight with ideal sensors.
+fn ideal(mut sortie: Sortie<'_>) -> Sortie<'_> {
+    sortie.config.sensors = SensorConfig::IDEAL;
+    sortie.config.vibration = Vibration::default();
+    sortie.config.estimator = EstimatorConfig::default();
+    sortie
 }
 
 /// The same sensors with `factor` times the noise.

@@ -7,6 +7,7 @@ use vehicle::effects::{EffectId, EffectSet, Slots};
 use vehicle::foreign::Foreign;
 use vehicle::{ROTORS, VehicleParams};
 
+use super::airframe;
 use super::draw::{Draw, rounded};
 
 /// A truth outside the catalogue; size 1 is the largest that a vehicle may sensibly meet.
@@ -107,7 +108,7 @@ impl ForeignDirection {
     pub fn law(draw: &mut Draw, vehicle: &VehicleParams, has_drag: bool) -> Self {
         use EffectId::*;
         let weight = vehicle.mass * vehicle.gravity;
-        let arm = vehicle.rotors[0].position_m[0].hypot(vehicle.rotors[0].position_m[1]);
+        let arm = airframe::arm_m(vehicle);
         let number =
             if has_drag { DRAGS + draw.below(LAWS + WINDS - DRAGS) } else { draw.below(LAWS) };
         let mut beside = None;

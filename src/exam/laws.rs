@@ -7,6 +7,7 @@ use vehicle::VehicleParams;
 use vehicle::effects::EffectSet;
 use vehicle::law::{Law, LawText};
 
+use super::airframe;
 use super::attempts::CaseError;
 use super::bench::{Bench, Truth};
 use super::draw::{Draw, rounded};
@@ -22,22 +23,107 @@ const MISSION: usize = 2;
 const SHARES: [f64; 2] = [0.03, 0.15];
 const MOMENT: f64 = 0.02;
 
-/// Kinds of laws with the variables of each. The last three are outside the grammar of the search.
-const KINDS: [(&str, &[&str]); 14] = [
-    ("drag to a power", &["air"]),
-    ("drag of plates", &["air"]),
-    ("linear and quadratic drag", &["air"]),
-    ("vertical drag", &["air"]),
-    ("force across a turn", &["air", "yaw rate"]),
-    ("side force of a turn", &["yaw rate"]),
-    ("lever", &["air"]),
-    ("lift to a power", &["air"]),
-    ("decay with height", &["height"]),
-    ("drag along one axis", &["air"]),
-    ("sagging thrust", &["voltage"]),
-    ("saturating drag", &["air"]),
-    ("saturating lift", &["air"]),
-    ("drag that grows as an exponential", &["air"]),
+/// A kind of law, in terms of the constants that [`draw_law`] draws.
+struct LawKind {
+    name: &'static str,
+    /// The variables that it depends on, in terms of [`variables`].
+    variables: &'static [&'static str],
+    /// Formula of each channel.
+    formulas: &'static [(&'static str, &'static str)],
+}
+
+/// All kinds. The last three are outside the grammar of the search.
+const KINDS: [LawKind; 14] = [
+    LawKind {
+        name: "drag to a power",
+        variables: &["air"],
+        formulas: &[
+            ("force_x", "-f * air_x / v * (airspeed / v)^n"),
+            ("force_y", "-f * air_y / v * (airspeed / v)^n"),
+            ("force_z", "-f * air_z / v * (airspeed / v)^n"),
+        ],
+    },
+    LawKind {
+        name: "drag of plates",
+        variables: &["air"],
+        formulas: &[
+            ("force_x", "-a * f * air_x * abs(air_x) / v^2"),
+            ("force_y", "-b * f * air_y * abs(air_y) / v^2"),
+        ],
+    },
+    LawKind {
+        name: "linear and quadratic drag",
+        variables: &["air"],
+        formulas: &[
+            ("force_x", "-f * air_x / v * (0.5 * a + 0.5 * b * airspeed / v)"),
+            ("force_y", "-f * air_y / v * (0.5 * a + 0.5 * b * airspeed / v)"),
+        ],
+    },
+    LawKind {
+        name: "vertical drag",
+        variables: &["air"],
+        formulas: &[("force_z", "-2 * f * air_z * abs(air_z) / v^2")],
+    },
+    LawKind {
+        name: "force across a turn",
+        variables: &["air", "yaw rate"],
+        formulas: &[
+            ("force_x", "-f * rate_z * 1[s] * air_y / v"),
+            ("force_y", "f * rate_z * 1[s] * air_x / v"),
+        ],
+    },
+    LawKind {
+        name: "side force of a turn",
+        variables: &["yaw rate"],
+        formulas: &[("force_y", "f * rate_z * 1[s]")],
+    },
+    LawKind {
+        name: "lever",
+        variables: &["air"],
+        formulas: &[("moment_x", "m * air_y / v"), ("moment_y", "-m * air_x / v")],
+    },
+    LawKind {
+        name: "lift to a power",
+        variables: &["air"],
+        formulas: &[("thrust", "s * (airspeed_xy / v)^n")],
+    },
+    LawKind {
+        name: "decay with height",
+        variables: &["height"],
+        formulas: &[("thrust", "2 * s * exp(-height / l)")],
+    },
+    LawKind {
+        name: "drag along one axis",
+        variables: &["air"],
+        formulas: &[("force_x", "-f * air_x / v")],
+    },
+    LawKind {
+        name: "sagging thrust",
+        variables: &["voltage"],
+        formulas: &[("thrust", "-6 * abs(s) * (1 - voltage_share)")],
+    },
+    LawKind {
+        name: "saturating drag",
+        variables: &["air"],
+        formulas: &[
+            ("force_x", "-2 * f * air_x / (v + airspeed)"),
+            ("force_y", "-2 * f * air_y / (v + airspeed)"),
+            ("force_z", "-2 * f * air_z / (v + airspeed)"),
+        ],
+    },
+    LawKind {
+        name: "saturating lift",
+        variables: &["air"],
+        formulas: &[("thrust", "2 * s * airspeed_xy^2 / (v^2 + airspeed_xy^2)")],
+    },
+    LawKind {
+        name: "drag that grows as an exponential",
+        variables: &["air"],
+        formulas: &[
+            ("force_x", "-0.6 * f * air_x / v * exp(0.5 * airspeed / v)"),
+            ("force_y", "-0.6 * f * air_y / v * exp(0.5 * airspeed / v)"),
+        ],
+    },
 ];
 
 /// A drawn law.
@@ -70,16 +156,16 @@ pub fn variables<'a>(quantities: impl IntoIterator<Item = &'a str>) -> Vec<&'sta
 }
 
 fn draw_law(draw: &mut Draw, vehicle: &VehicleParams) -> Option<DrawnLaw> {
-    let (kind, variables) = KINDS[draw.below(KINDS.len())];
+    let &LawKind { name, variables, formulas } = &KINDS[draw.below(KINDS.len())];
     let weight = vehicle.mass * vehicle.gravity;
-    let arm = vehicle.rotors[0].position_m[0].hypot(vehicle.rotors[0].position_m[1]);
+    let arm = airframe::arm_m(vehicle);
     let share = draw.log_within(SHARES);
     let force = rounded(share * weight);
     let (along, across) = (rounded(draw.within([0.4, 1.0])), rounded(draw.within([0.4, 1.0])));
     let power = rounded(draw.within([1.2, 2.4]));
     let length = rounded(draw.within([0.2, 0.8]));
     let sign = draw.sign();
-    let mut text = LawText {
+    let text = LawText {
         constants: BTreeMap::from([
             ("f".to_owned(), format!("{force} N")),
             ("m".to_owned(), format!("{} N m", rounded(share * weight * arm * MOMENT / SHARES[0]))),
@@ -90,49 +176,10 @@ fn draw_law(draw: &mut Draw, vehicle: &VehicleParams) -> Option<DrawnLaw> {
             ("l".to_owned(), format!("{length} m")),
             ("s".to_owned(), rounded(sign * share).to_string()),
         ]),
+        formulas: formulas.iter().map(|(at, formula)| ((*at).into(), (*formula).into())).collect(),
         ..LawText::default()
     };
-    let mut at = |key: &str, formula: &str| {
-        text.formulas.insert(key.to_owned(), formula.to_owned());
-    };
-    match kind {
-        "drag to a power" => ["x", "y", "z"].iter().for_each(|axis| {
-            at(&format!("force_{axis}"), &format!("-f * air_{axis} / v * (airspeed / v)^n"));
-        }),
-        "drag of plates" => {
-            at("force_x", "-a * f * air_x * abs(air_x) / v^2");
-            at("force_y", "-b * f * air_y * abs(air_y) / v^2");
-        }
-        "linear and quadratic drag" => ["x", "y"].iter().for_each(|axis| {
-            let formula = format!("-f * air_{axis} / v * (0.5 * a + 0.5 * b * airspeed / v)");
-            at(&format!("force_{axis}"), &formula);
-        }),
-        "vertical drag" => at("force_z", "-2 * f * air_z * abs(air_z) / v^2"),
-        "force across a turn" => {
-            at("force_x", "-f * rate_z * 1[s] * air_y / v");
-            at("force_y", "f * rate_z * 1[s] * air_x / v");
-        }
-        "side force of a turn" => at("force_y", "f * rate_z * 1[s]"),
-        "lever" => {
-            at("moment_x", "m * air_y / v");
-            at("moment_y", "-m * air_x / v");
-        }
-        "lift to a power" => at("thrust", "s * (airspeed_xy / v)^n"),
-        "decay with height" => at("thrust", "2 * s * exp(-height / l)"),
-        "drag along one axis" => at("force_x", "-f * air_x / v"),
-        "sagging thrust" => at("thrust", "-6 * abs(s) * (1 - voltage_share)"),
-        "saturating drag" => ["x", "y", "z"].iter().for_each(|axis| {
-            at(&format!("force_{axis}"), &format!("-2 * f * air_{axis} / (v + airspeed)"));
-        }),
-        "saturating lift" => {
-            at("thrust", "2 * s * airspeed_xy^2 / (v^2 + airspeed_xy^2)");
-        }
-        _ => ["x", "y"].iter().for_each(|axis| {
-            let formula = format!("-0.6 * f * air_{axis} / v * exp(0.5 * airspeed / v)");
-            at(&format!("force_{axis}"), &formula);
-        }),
-    }
-    Some(DrawnLaw { kind, variables, law: Law::new("hidden", text).ok()? })
+    Some(DrawnLaw { kind: name, variables, law: Law::new("hidden", text).ok()? })
 }
 
 /// A case with its flown logs.

@@ -10,6 +10,7 @@ use vehicle::{AttitudeCascade, AttitudePd, VehicleParams};
 
 use wire::dialect::{HEARTBEAT_DATA, SET_ATTITUDE_TARGET_DATA};
 
+use super::airframe;
 use super::condition::rewritten;
 use super::draw::{Draw, rounded};
 use super::flight::Link;
@@ -211,7 +212,7 @@ const RATE_SHARE: f64 = 0.85;
 /// A cascade with the PD's proportions: an attitude loop around a rate loop with an integral,
 /// behind filters.
 pub fn cascade(draw: &mut Draw, vehicle: &VehicleParams, pd: &AttitudePd) -> AttitudeCascade {
-    let arm = vehicle.rotors[0].position_m[0].hypot(vehicle.rotors[0].position_m[1]);
+    let arm = airframe::arm_m(vehicle);
     // The moment of half of the weight on one side.
     let tilting = 0.25 * vehicle.mass * vehicle.gravity * arm;
     let turning =
