@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::answer::{GivenAnswer, NAMED, class_of};
+use super::answer::{GivenAnswer, GivenEffect, NAMED, class_of};
 use super::condition::Condition;
 use super::estimate::{coverage, estimate, is_deviation, relative_errors};
 use super::grade::{Grade, Stated, grade};
@@ -146,16 +146,15 @@ impl Row {
         let also: Vec<String> = key.also_right.iter().map(|id| class_of(id)).collect();
         let is_true = |id: &String| truth.contains(id) || also.contains(id);
         let names_effect = verdict == "effect";
-        let deviations: Vec<String> = match given {
-            Ok(given) => given
-                .effects
-                .iter()
-                .filter(|effect| !is_true(&class_of(&effect.id)))
-                .filter(|effect| is_deviation(effect, key))
-                .map(|effect| class_of(&effect.id))
-                .collect(),
-            Err(_) => Vec::new(),
+        let given_effects: &[GivenEffect] = match given {
+            Ok(given) => &given.effects,
+            Err(_) => &[],
         };
+        let deviations: Vec<String> = given_effects
+            .iter()
+            .filter(|effect| !is_true(&class_of(&effect.id)) && is_deviation(effect, key))
+            .map(|effect| class_of(&effect.id))
+            .collect();
         let is_there = |id: &String| is_true(id) || deviations.contains(id);
         let named: Vec<&String> =
             probabilities.iter().filter(|(_, p)| *p >= NAMED).map(|(id, _)| id).collect();
@@ -195,19 +194,10 @@ impl Row {
             is_deviation: !deviations_named.is_empty(),
             admits: admits && false_named.len() <= 1 && confidently_wrong.is_none(),
         });
-        let (mut errors, mut covered) = (BTreeMap::new(), BTreeMap::new());
-        if let (Ok(given), true) = (given, names_effect) {
-            for effect in findable {
-                if effect.parameters.is_empty() {
-                    continue;
-                }
-                if let Some(found) = estimate(given, effect, key.nominal_mass_kg) {
-                    let TrueEffect { id, parameters, neutral, .. } = effect;
-                    errors.insert(id.clone(), relative_errors(id, parameters, neutral, &found));
-                }
-                covered.insert(effect.id.clone(), coverage(given, effect));
-            }
-        }
+        let Estimates { errors, covered } = match given {
+            Ok(given) if names_effect => Estimates::of(given, findable, key.nominal_mass_kg),
+            _ => Estimates::default(),
+        };
         Self {
             case: case.to_owned(),
             kind: key.kind,
@@ -263,6 +253,30 @@ impl Row {
     pub fn admits_ignorance(&self) -> bool {
         let unsure = self.probabilities.iter().all(|(_, p)| *p <= CONFIDENT);
         self.verdict == "unknown" || !self.ambiguous_with.is_empty() && unsure
+    }
+}
+
+/// An answer's parameters against the truth, by effect.
+#[derive(Default)]
+struct Estimates {
+    /// Relative errors.
+    errors: BTreeMap<String, Vec<f64>>,
+    /// Whether each 90 % interval contains the truth.
+    covered: BTreeMap<String, Vec<bool>>,
+}
+
+impl Estimates {
+    fn of(given: &GivenAnswer, truth: &[TrueEffect], nominal_mass_kg: f64) -> Self {
+        let mut estimates = Self::default();
+        for effect in truth.iter().filter(|effect| !effect.parameters.is_empty()) {
+            let TrueEffect { id, parameters, neutral, .. } = effect;
+            if let Some(found) = estimate(given, effect, nominal_mass_kg) {
+                let errors = relative_errors(id, parameters, neutral, &found);
+                estimates.errors.insert(id.clone(), errors);
+            }
+            estimates.covered.insert(id.clone(), coverage(given, effect));
+        }
+        estimates
     }
 }
 
