@@ -5,6 +5,7 @@
 //! it can access nothing except the quantities. Laws belong to an
 //! [`EffectSet`](crate::effects::EffectSet), as the catalogue's effects do.
 
+mod check;
 mod parser;
 mod program;
 mod quantity;
@@ -16,6 +17,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use self::check::Fault;
 pub use parser::{Constant, LENGTH_MAX};
 pub use program::{OPERATIONS_MAX, Program};
 pub use quantity::{Needed, QUANTITIES, Quantity};
@@ -165,93 +167,16 @@ impl Law {
     /// # Errors
     /// [`LawError`] names the key at fault and the reason.
     pub fn new(name: &str, text: LawText) -> Result<Self, LawError> {
-        let refused = |place: &str, reason: String| LawError {
-            law: name.chars().take(64).collect(),
-            place: place.chars().take(64).collect(),
-            reason,
-        };
-        let is_name = |name: &str| {
-            let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_';
-            name.len() <= 32
-                && name.starts_with(|c: char| c.is_ascii_alphabetic())
-                && name.chars().all(is_part)
-        };
-        if !is_name(name) {
-            let reason = "a law's name is up to 32 letters, digits and '_'".to_owned();
-            return Err(refused("name", reason));
-        }
-        if text.constants.len() > CONSTANTS_MAX {
-            return Err(refused("constants", format!("more than {CONSTANTS_MAX}")));
-        }
-        let mut constants = BTreeMap::new();
-        for (key, written) in &text.constants {
-            let is_taken = Quantity::ALL.iter().any(|quantity| quantity.name() == key);
-            if !is_name(key) || is_taken {
-                let reason =
-                    "a constant's name is letters, digits and '_', and not the name of a quantity";
-                return Err(refused(key, reason.to_owned()));
-            }
-            let constant = Constant::parse(written).map_err(|reason| refused(key, reason))?;
-            constants.insert(key.clone(), constant);
-        }
-        let mut formulas = Vec::new();
-        for (key, formula) in &text.formulas {
-            let Some(channel) = Channel::of(key) else {
-                let known: Vec<&str> = Channel::ALL.iter().map(|channel| channel.name()).collect();
-                let reason = format!(
-                    "unknown key; a law has about, constants, range, intervals_90, max_force_N, \
-                     max_moment_Nm, and formulas at {}",
-                    known.join(", ")
-                );
-                return Err(refused(key, reason));
-            };
-            let program = parser::parse(formula, &constants, channel.unit())
-                .map_err(|reason| refused(key, reason))?;
-            formulas.push((channel, program));
-        }
-        if formulas.is_empty() {
-            return Err(refused("formulas", "expected at least one, such as force_x".to_owned()));
-        }
-        let mut limits = [[f64::NEG_INFINITY, f64::INFINITY]; QUANTITIES];
-        for (key, [low, high]) in &text.range {
-            let quantity = Quantity::ALL.into_iter().find(|quantity| quantity.name() == key);
-            let Some(slot) = quantity.and_then(|q| limits.get_mut(q as usize)) else {
-                return Err(refused("range", format!("{key:?} is not a quantity")));
-            };
-            if !(low.is_finite() && high.is_finite() && low <= high) {
-                let reason = format!("{key}: expected [low, high], found [{low}, {high}]");
-                return Err(refused("range", reason));
-            }
-            *slot = [*low, *high];
-        }
-        if let Some((key, _)) =
-            text.intervals_90.iter().find(|(_, ends)| ends.iter().any(|end| !end.is_finite()))
-        {
-            return Err(refused("intervals_90", format!("{key}: expected two numbers")));
-        }
-        for (key, bound) in
-            [("max_force_N", text.max_force_n), ("max_moment_Nm", text.max_moment_nm)]
-        {
-            if bound.is_some_and(|bound| !(bound.is_finite() && bound > 0.0)) {
-                return Err(refused(key, "expected a number above 0".to_owned()));
-            }
-        }
-        let at_rest = [0.0; QUANTITIES];
-        let mut lag_s = 0.0;
-        for (_, program) in formulas.iter().filter(|(channel, _)| *channel == Channel::Lag) {
-            if program.needed() != Needed::default() {
-                let reason =
-                    "a lag takes only constants and numbers: it is the same in every flight";
-                return Err(refused("lag", reason.to_owned()));
-            }
-            lag_s = program.value(&at_rest, &limits);
-            if !(0.0..=1.0).contains(&lag_s) {
-                return Err(refused(
-                    "lag",
-                    format!("expected an added lag of 0..=1 s, found {lag_s}"),
-                ));
-            }
-        }
+        Self::checked(name, text).map_err(|fault| fault.of(name))
+    }
+
+    fn checked(name: &str, text: LawText) -> Result<Self, Fault> {
+        check::name(name)?;
+        let constants = check::constants(&text)?;
+        let mut formulas = check::formulas(&text, &constants)?;
+        let limits = check::limits(&text)?;
+        check::bounds(&text)?;
+        let lag_s = check::lag_s(&formulas, &limits)?;
         formulas.retain(|(channel, _)| *channel != Channel::Lag);
         let needed =
             formulas.iter().fold(Needed::default(), |all, (_, program)| all.and(program.needed()));
