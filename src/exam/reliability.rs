@@ -8,7 +8,7 @@ use super::order::Kind;
 use super::score::Row;
 
 /// Borders between probabilities in the reliability table.
-pub const PROBABILITIES: [f64; 9] = [0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];
+const PROBABILITIES: [f64; 9] = [0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];
 /// Fewest cases for a bin of the reliability table to count.
 const BIN_MIN: usize = 30;
 

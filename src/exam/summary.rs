@@ -16,7 +16,7 @@ use super::score::{Law, Row};
 use super::world::{FileKind, LoopKind};
 
 /// Borders between strengths in the detection curves.
-pub const STRENGTHS: [f64; 9] = [0.0, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0, 8.0, 15.0];
+const STRENGTHS: [f64; 9] = [0.0, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0, 8.0, 15.0];
 
 /// Upper limit of the Brier score.
 pub const BRIER_MAX: f64 = 0.05;

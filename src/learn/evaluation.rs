@@ -13,7 +13,7 @@ use crate::model::{ACCELERATIONS, Model};
 /// Horizons of multi-step predictions, s.
 pub const HORIZONS_S: [f64; 4] = [0.02, 0.1, 0.5, 1.0];
 /// Time between the starts of windows, s.
-pub const WINDOW_STRIDE_S: f64 = 0.25;
+const WINDOW_STRIDE_S: f64 = 0.25;
 
 /// Names of the accelerations, in order.
 pub const ACCELERATION_NAMES: [&str; ACCELERATIONS] =
@@ -196,8 +196,8 @@ impl Sums {
     }
 }
 
-/// Start times of windows within spans: every [`WINDOW_STRIDE_S`] as long as the longest horizon
-/// fits.
+/// Start times of windows within spans, s: every quarter of a second, as long as the longest
+/// horizon fits.
 pub fn window_starts(spans: &[std::ops::Range<f64>]) -> Vec<f64> {
     let longest = HORIZONS_S[HORIZONS_S.len() - 1];
     let mut starts = Vec::new();

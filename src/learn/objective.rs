@@ -28,7 +28,7 @@ impl<'a> Objective<'a> {
         Self::with_instructions(samples, shape, Instructions::detect())
     }
 
-    pub fn with_instructions(
+    fn with_instructions(
         samples: Cow<'a, Samples>,
         shape: Shape,
         instructions: Instructions,

@@ -107,7 +107,7 @@ pub struct Segments {
 
 impl Segments {
     /// Least usable time of a flight, s.
-    pub const USABLE_MIN_S: f64 = 3.0;
+    const USABLE_MIN_S: f64 = 3.0;
 
     /// The flight's usable parts, where setpoints or motor outputs, if logged, have no gap. If the
     /// vehicle does not report when it flew, `hover` is the mean output that carries it.

@@ -9,7 +9,7 @@ use super::columns::{DIRECTIONS, quantity};
 use super::detector::Present;
 
 /// Fewest flights for two groups and their scatter.
-pub const FLIGHTS_MIN: usize = 4;
+const FLIGHTS_MIN: usize = 4;
 /// Significance level of a step, over all quantities and places.
 const CHANCE: f64 = 0.01;
 /// Steps of the numerical integral of Student's density.

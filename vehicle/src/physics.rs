@@ -125,7 +125,7 @@ impl Physics {
     }
 
     /// Whether the vehicle has aerodynamic effects, linear drag, angular damping or laws.
-    pub fn has_aerodynamics(&self) -> bool {
+    fn has_aerodynamics(&self) -> bool {
         self.aerodynamics.is_some() || self.laws.is_some()
     }
 

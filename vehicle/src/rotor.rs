@@ -3,10 +3,8 @@
 use crate::params::{ROTORS, RotorParams};
 use crate::scalar::Scalar;
 
-/// Collective thrust along -z body (N) and moments about body front, right, down (N m).
-pub type Wrench4 = [f64; 4];
-
-/// The firmware's mixer, which distributes collective and moments among the rotors.
+/// The firmware's mixer, which distributes the wrench among the rotors: the collective thrust along
+/// -z body (N), and the moments about body front, right and down (N m).
 ///
 /// Rotor thrusts f solve `[T, Mx, My, Mz] = A f`; the columns of A are
 /// `(1, -y_i, x_i, spin_i drag_torque_per_thrust_i)`, and outputs are `u_i = f_i / thrust_max_i`.
@@ -46,18 +44,18 @@ impl Allocation {
     }
 
     /// Outputs that produce collective (N) and moments (N m); each is clipped to 0..=1.
-    pub fn outputs(&self, wrench: Wrench4) -> [f64; ROTORS] {
+    pub fn outputs(&self, wrench: [f64; 4]) -> [f64; ROTORS] {
         self.unclipped_outputs(wrench).map(|u| u.clamp(0.0, 1.0))
     }
 
     /// Outputs before clipping; one outside 0..=1 means that the wrench is unattainable.
-    pub fn unclipped_outputs(&self, wrench: Wrench4) -> [f64; ROTORS] {
+    pub fn unclipped_outputs(&self, wrench: [f64; 4]) -> [f64; ROTORS] {
         let thrusts = product(&self.inverse, wrench);
         std::array::from_fn(|i| thrusts[i] / self.thrust_max[i])
     }
 
     /// Collective (N) and moments (N m) of the nominal vehicle at these outputs, without lag.
-    pub fn wrench(&self, outputs: [f64; ROTORS]) -> Wrench4 {
+    pub fn wrench(&self, outputs: [f64; ROTORS]) -> [f64; 4] {
         product(&self.effectiveness, std::array::from_fn(|i| outputs[i] * self.thrust_max[i]))
     }
 

@@ -49,7 +49,7 @@ impl FlightPlanner {
     /// envelope's, less a margin.
     pub fn limits(&self, task: &Task, margin: &Margin) -> Limits {
         let setpoint = &self.limits;
-        let full: f64 = self.physics.allocation().thrust_max().iter().sum();
+        let full = self.physics.allocation().collective_max();
         let hover = self.physics.body().mass() * self.physics.body().gravity() / full;
         let [least, most] = task.wishes.rotor.unwrap_or([0.0, 1.0]);
         let rate = [setpoint.body_rate_max_rad_s; 3];

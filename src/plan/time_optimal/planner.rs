@@ -161,7 +161,7 @@ fn penalty_s_m(course: &Course, agility: &Agility) -> f64 {
 fn agility(physics: &Physics, limits: &Limits) -> Agility {
     let body = physics.body();
     let [_, most] = limits.rotor;
-    let full: f64 = physics.allocation().thrust_max().iter().sum();
+    let full = physics.allocation().collective_max();
     Agility {
         thrust_m_s2: most * full / body.mass(),
         gravity: body.gravity(),

@@ -144,11 +144,6 @@ impl EffectSet {
         Ok(())
     }
 
-    /// A copy of this set without its laws.
-    pub fn without_laws(&self) -> Self {
-        Self { values: self.values, laws: Vec::new() }
-    }
-
     /// Whether the set has this effect.
     pub fn contains(&self, id: EffectId) -> bool {
         self.values[id as usize].is_some()
