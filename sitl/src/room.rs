@@ -48,6 +48,18 @@ pub enum RoomFaultKind {
     DropOut,
 }
 
+impl RoomFaultKind {
+    const ALL: [Self; 3] = [Self::Swap, Self::Freeze, Self::DropOut];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Swap => "swap",
+            Self::Freeze => "freeze",
+            Self::DropOut => "drop-out",
+        }
+    }
+}
+
 /// A fault with its start and duration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RoomFault {
@@ -68,13 +80,9 @@ impl FromStr for RoomFault {
                 "{text:?}: expected swap, freeze or drop-out, @ and seconds, such as freeze@8 or swap@8+2"
             )
         };
-        let (kind, times) = text.split_once('@').ok_or_else(error)?;
-        let kind = match kind {
-            "swap" => RoomFaultKind::Swap,
-            "freeze" => RoomFaultKind::Freeze,
-            "drop-out" => RoomFaultKind::DropOut,
-            _ => return Err(error()),
-        };
+        let (name, times) = text.split_once('@').ok_or_else(error)?;
+        let mut kinds = RoomFaultKind::ALL.into_iter();
+        let kind = kinds.find(|kind| kind.name() == name).ok_or_else(error)?;
         let (at, length) = times.split_once('+').unwrap_or((times, "inf"));
         let time = |text: &str| text.parse().ok().filter(|time: &f64| *time >= 0.0);
         let (at_s, for_s) = time(at).zip(time(length)).ok_or_else(error)?;
@@ -84,12 +92,7 @@ impl FromStr for RoomFault {
 
 impl fmt::Display for RoomFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let kind = match self.kind {
-            RoomFaultKind::Swap => "swap",
-            RoomFaultKind::Freeze => "freeze",
-            RoomFaultKind::DropOut => "drop-out",
-        };
-        write!(f, "{kind}@{}+{}", self.at_s, self.for_s)
+        write!(f, "{}@{}+{}", self.kind.name(), self.at_s, self.for_s)
     }
 }
 
@@ -179,8 +182,8 @@ impl Room {
             return;
         }
         if !freezes || self.latest.is_empty() {
-            let quad = self.body(("quad", 1), position, attitude);
-            let cart = self.body(("cart", 2), CART, Attitude::default());
+            let quad = self.body("quad", 1, position, attitude);
+            let cart = self.body("cart", 2, CART, Attitude::default());
             self.latest = vec![quad, cart];
         }
         let mut bodies = self.latest.clone();
@@ -201,12 +204,7 @@ impl Room {
     }
 
     /// Captures a body, in the room's axes, with noise.
-    fn body(
-        &mut self,
-        (name, number): (&'static str, i32),
-        position: Ned,
-        attitude: Attitude,
-    ) -> Body {
+    fn body(&mut self, name: &'static str, number: i32, position: Ned, attitude: Attitude) -> Body {
         let mut normals =
             || -> [f64; 3] { std::array::from_fn(|_| self.rng.sample(StandardNormal)) };
         let position = position + Ned::from(normals()) * NOISE_M;

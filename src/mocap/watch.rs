@@ -94,6 +94,13 @@ impl Run {
     }
 }
 
+/// The end of a run.
+#[derive(Clone, Copy, Debug)]
+struct Loss {
+    run: Run,
+    why: Fault,
+}
+
 /// State of the body's track.
 #[derive(Clone, Copy, Debug)]
 enum Track {
@@ -101,8 +108,8 @@ enum Track {
     Held(Run),
     /// Its poses are not accepted, or not yet.
     Lost {
-        /// The last accepted run, if any, and the reason for its end.
-        last: Option<(Run, Fault)>,
+        /// The end of the last accepted run, if there was one.
+        last: Option<Loss>,
         /// The run since then.
         coming: Option<Run>,
     },
@@ -175,7 +182,7 @@ impl Watch {
     /// Stops accepting poses, such as after a gap, until the body has returned.
     pub fn lose(&mut self, why: Fault) {
         if let Track::Held(run) = self.track {
-            self.track = Track::Lost { last: Some((run, why)), coming: None };
+            self.track = Track::Lost { last: Some(Loss { run, why }), coming: None };
         }
     }
 
@@ -185,7 +192,7 @@ impl Watch {
         self.lose(Fault::Ahead);
         if let Track::Lost { last, coming } = &mut self.track {
             *coming = None;
-            if let Some((run, _)) = last {
+            if let Some(Loss { run, .. }) = last {
                 run.latest.at_s += by_s;
                 run.first.at_s += by_s;
             }
@@ -207,13 +214,13 @@ impl Watch {
         } else {
             Fault::Jumped
         };
-        self.track = Track::Lost { last: Some((run, why)), coming: Some(Run::new(seen)) };
+        self.track = Track::Lost { last: Some(Loss { run, why }), coming: Some(Run::new(seen)) };
         Err(why)
     }
 
     fn take_back(
         &mut self,
-        mut last: Option<(Run, Fault)>,
+        mut last: Option<Loss>,
         coming: Option<Run>,
         seen: Seen,
         is_armed: bool,
@@ -223,7 +230,7 @@ impl Watch {
         // body.
         if coming.is_none()
             && self.is_anothers(&seen)
-            && let Some((run, why)) = &mut last
+            && let Some(Loss { run, why }) = &mut last
             && (seen.position - run.expected(seen.at_s)).norm() > settings.return_m
         {
             *why = Fault::Swapped;
@@ -237,7 +244,7 @@ impl Watch {
         };
         let (is_accepted, is_anew) = match last {
             None => (run.length_s() >= settings.settle_anew_s, false),
-            Some((lost, why)) => {
+            Some(Loss { run: lost, why }) => {
                 let dt = seen.at_s - lost.latest.at_s;
                 // It returns to its expected position; another body may pass there.
                 let is_near = |seen: &Seen| {
