@@ -139,7 +139,7 @@ pub fn align_commands(
     for step in -SHIFT_STEPS..=SHIFT_STEPS {
         let shift = f64::from(step) * SHIFT_STEP_S;
         flight.command_shift_s = shift;
-        let all = [FlightPart { flight: &*flight, range: 0..count }];
+        let all = [FlightPart { flight, range: 0..count }];
         let Some(cost) = unexplained(&all, onboard, actuation, acceleration, gravity, share) else {
             continue;
         };
