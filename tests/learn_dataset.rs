@@ -12,7 +12,7 @@ use downwash::learn::dataset::{ObservedFlight, Row, WindowSettings};
 use downwash::learn::networks::Progress;
 use downwash::learn::networks::Watch;
 use downwash::learn::procedure::{Outcome, train};
-use downwash::learn::refine::network_open_loop;
+use downwash::learn::refine::{FlightSpans, network_open_loop};
 use downwash::learn::summary::TrainSettings;
 use downwash::learn::training::Method;
 use downwash::learn::training_set::TrainingSet;
@@ -179,7 +179,8 @@ fn open_loop_refinement_corrects_wrong_gains() {
     let ModelFile { net, actuation, .. } = ModelFile::load(&MODEL).expect("a model");
     let angular = net.angular.corrected([0.7, 0.7, 0.7], [0.3, -0.3, 0.0], &[]);
     let spoiled = NetworkModel { angular, ..net.clone() };
-    let spans: Vec<_> = flights.iter().map(|f| (f, f.segments.spans.clone())).collect();
+    let of = |flight| FlightSpans { flight, spans: flight.segments.spans.clone() };
+    let spans: Vec<_> = flights.iter().map(of).collect();
     let refined = network_open_loop(&spans, &onboard, &actuation, &spoiled).expect("windows");
     let off = |model: &NetworkModel| -> f64 {
         let rows = flights.iter().flat_map(|f| f.rows(&onboard, &actuation, SpecificForce));

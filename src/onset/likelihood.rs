@@ -323,7 +323,7 @@ impl Tail {
                 Direction::Thrust => (ROTOR..CENTRE).map(|c| gram.column(c).into_owned()).sum(),
                 Direction::Column(column) => gram.column(column).into(),
             });
-        let solved = seen.map(|seen| &fit.covariance * seen);
+        let solved = seen.map(|seen| fit.covariance * seen);
         let score = std::array::from_fn(|direction| {
             along(moment, direction) - seen[direction].dot(&fit.mean)
         });

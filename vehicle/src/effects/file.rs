@@ -66,7 +66,8 @@ impl EffectSet {
                 return Err(refused(EffectError::Twice { name: name.to_owned() }));
             }
             given = given.overlay(&added);
-            effects = effects.overlay(&added.without_laws());
+            effects = effects.overlay(&added);
+            // Too many laws are an error here; the overlay drops the last ones.
             for law in added.laws() {
                 effects.insert_law(law.clone()).map_err(refused)?;
             }
