@@ -16,8 +16,8 @@ const BEHIND_MAX: u64 = 100;
 const RESTART: u32 = 8;
 /// Silence after which the sequence is unknown.
 const SILENCE: Duration = Duration::from_secs(1);
-/// Time after a restart for which the order is not settled: an apparent restart may be frames that
-/// arrive a hundred late.
+/// Time after a restart, or after a step beyond the sender's pace, for which the order is not
+/// settled: it may be an old frame, or frames that arrive a hundred late.
 const UNSETTLED: Duration = Duration::from_secs(1);
 /// Least time over which the rate of the frames is measured.
 const PACE_SPAN: Duration = Duration::from_secs(1);
@@ -61,7 +61,7 @@ pub(super) struct Sequence {
     /// Consecutive frames that were behind.
     behind: u32,
     at: HostTime,
-    /// When the sequence last seemed to restart.
+    /// When the sequence last seemed to restart, or stepped faster than the sender counts.
     anew: Option<HostTime>,
     pace: Pace,
     lost: u64,
@@ -119,8 +119,8 @@ impl Sequence {
         self.newest.is_some_and(|newest| number == (newest as u8).wrapping_add(1))
     }
 
-    /// Whether the sequence seemed to restart recently, or was silent for so long that its numbers
-    /// may have wrapped.
+    /// Whether the sequence recently seemed to restart, was silent for so long that its numbers may
+    /// have wrapped, or went on faster than the sender counts.
     pub(super) fn is_unsettled(&self, now: HostTime) -> bool {
         self.anew.is_some_and(|anew| now.since(anew) < UNSETTLED)
     }
@@ -150,7 +150,13 @@ impl Sequence {
         }
         let step = number.wrapping_sub(newest as u8);
         let after_copy = self.copy_place(newest, number);
-        if step > COPY_STEP_MAX && self.pace.frames(passed) > f64::from(STEP_MAX) {
+        let counted = self.pace.frames(passed);
+        let may_have_wrapped = counted > f64::from(STEP_MAX);
+        // A loss takes time. A step that takes none may be an old frame that is sent again, and the
+        // frames that follow then seem overtaken.
+        let is_hasty =
+            step <= STEP_MAX && f64::from(step) > 2.0 * counted + f64::from(COPY_STEP_MAX);
+        if step > COPY_STEP_MAX && (may_have_wrapped || is_hasty) {
             self.anew = Some(now);
         }
         match step {
@@ -308,6 +314,23 @@ mod tests {
             let after: Vec<_> = (0..20u8).map(&mut take).collect();
             assert!(after[RESTART as usize..].iter().all(|o| matches!(o, Order::New(_))), "{last}");
         }
+    }
+
+    #[test]
+    fn order_is_unsettled_after_a_step_faster_than_the_sender_counts() {
+        // 3 s of 500 frames a second, then a step within 2 ms.
+        let after = |step: u8| {
+            let mut sequence = Sequence::default();
+            let at = |k: u32| START + Duration::from_millis(2) * k;
+            for k in 0..1500u32 {
+                sequence.take(at(k), k as u8, &k.to_le_bytes(), true);
+            }
+            sequence.take(at(1500), (1499u32 as u8).wrapping_add(step), b"after", true);
+            sequence.is_unsettled(at(1501))
+        };
+        assert!(!after(1) && !after(8), "a few lost frames");
+        assert!(after(60), "an old frame whose number lies ahead by chance");
+        assert!(!after(200), "a frame that others overtook");
     }
 
     #[test]
