@@ -72,6 +72,10 @@ pub(super) const FAULTS: [Fault; 9] = [
 /// any time.
 const PATIENCE_ENDS: f64 = 0.5;
 
+/// Share of `tracking_error_for_s` to wait while the reference is not a number and no setpoint
+/// follows from it: 0.1 s by default. Autopilots act by themselves from 0.2 s on.
+const NO_REFERENCE_SHARE: f64 = 0.2;
+
 /// The condition and the reaction of each fault. Link loss has no setting: it stops the stream.
 #[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -221,11 +225,15 @@ impl SafetySettings {
     }
 
     /// Share of `tracking_error_for_s` to wait: all of it at the limit, none at 1.5 times the
-    /// limit. A vehicle that drifts off at metres per second is not coming back, and no setpoint
-    /// follows from a reference that is not a number.
+    /// limit. A vehicle that drifts off at metres per second is not coming back. Without a number
+    /// for reference it is [`NO_REFERENCE_SHARE`].
     fn patience(&self, tracking_error_m: f64) -> f64 {
         let beyond = tracking_error_m / self.tracking_error_max_m - 1.0;
-        if beyond.is_nan() { 0.0 } else { (1.0 - beyond / PATIENCE_ENDS).clamp(0.0, 1.0) }
+        if beyond.is_nan() {
+            NO_REFERENCE_SHARE
+        } else {
+            (1.0 - beyond / PATIENCE_ENDS).clamp(0.0, 1.0)
+        }
     }
 
     /// The reaction to the fault.
@@ -339,6 +347,6 @@ mod tests {
             [limit, 1.25 * limit, 1.5 * limit, 9.0 * limit].map(waits),
             [time_s, 0.5 * time_s, 0.0, 0.0]
         );
-        assert_eq!(waits(f64::NAN), time_s);
+        assert!(waits(f64::NAN) < 0.2, "before an autopilot without setpoints acts by itself");
     }
 }
