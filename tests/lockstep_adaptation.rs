@@ -1,10 +1,10 @@
 //! Parameter adaptation in flight: unannounced changes, under both laws, and flights in which
 //! adaptation must not be trusted.
 
-use crate::lockstep::{QUAD, fly, hover, params, settings, tracked};
+use crate::lockstep::{QUAD, fly, hover, params, setpoint_frames, settings, tracked};
 use downwash::control::{Law, Use};
 use downwash::lockstep;
-use downwash::log::record::{Direction, Record};
+use downwash::log::record::Record;
 use downwash::station::{End, Station, StationSettings};
 use sitl::autopilot::Vehicle;
 use sitl::config::{GpsGlitch, SitlConfig};
@@ -90,23 +90,12 @@ fn adaptation_is_silent_and_harmless_without_a_change() {
     assert_eq!((plain.1, adapted.1), (0, 0));
 }
 
-/// The setpoints' frames, byte by byte.
-fn sent(records: &[Record]) -> Vec<Vec<u8>> {
-    let frame = |record: &Record| match record {
-        Record::Frame(frame) if frame.direction == Direction::Tx && frame.message_id == 82 => {
-            Some(frame.bytes().to_vec())
-        }
-        _ => None,
-    };
-    records.iter().filter_map(frame).collect()
-}
-
 #[test]
 fn adaptation_settings_have_no_effect_when_switched_off() {
     let flown = |adaptive: bool, forgetting_s: f64| {
         let mut settings = with(Law::LQR, adaptive, 2.0);
         settings.control.adaptation.forgetting_s = forgetting_s;
-        sent(&fly(settings, &params(QUAD), &[], SitlConfig::default(), 1).1)
+        setpoint_frames(&fly(settings, &params(QUAD), &[], SitlConfig::default(), 1).1)
     };
     let off = flown(false, 4.0);
     assert!(off == flown(false, 1.0));

@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use crate::lockstep;
 use crate::lockstep::{
-    Bench, NANO, QUAD, SLOW, VEHICLES, errors, fly, hover, params, settings, toml_trajectory,
-    tracked, trajectory,
+    Bench, NANO, QUAD, SLOW, VEHICLES, errors, fly, hover, params, setpoint_frames, settings,
+    toml_trajectory, tracked, trajectory,
 };
 use downwash::control::{Limits, Use};
-use downwash::log::record::{Direction, Record};
+use downwash::log::record::Record;
 use downwash::model::physics::{PhysicsModel, PhysicsParameters};
 use downwash::offboard::EffectiveVehicle;
 use downwash::plan::Trajectory;
@@ -112,13 +112,7 @@ fn lagging_vehicle_settles_for_every_seed() {
 fn sent(settings: StationSettings, params: &VehicleParams) -> Vec<Vec<u8>> {
     let (end, records) = fly(settings, params, &[], SitlConfig::default(), 1);
     assert_eq!(end, End::Done);
-    let frame = |record: &Record| match record {
-        Record::Frame(frame) if frame.direction == Direction::Tx && frame.message_id == 82 => {
-            Some(frame.bytes().to_vec())
-        }
-        _ => None,
-    };
-    records.iter().filter_map(frame).collect()
+    setpoint_frames(&records)
 }
 
 #[test]
@@ -171,12 +165,7 @@ fn pilot_takeover_resets_the_disturbance_estimate() {
     settings.search_timeout_s = None;
     let effects = ["wind:north_m_s=4.0,east_m_s=0.0,down_m_s=0.0"];
     let mut bench = Bench::with(settings, &params, &effects, SitlConfig::default());
-    bench.until(FlightState::Standby, 10.0);
-    bench.run(0.5);
-    bench.pilot_mode(Mode::Offboard);
-    bench.run(0.2);
-    bench.pilot_arms();
-    bench.until(FlightState::Track, 30.0);
+    bench.engage();
     bench.run(5.0);
     let tilt = |bench: &Bench| {
         let last = bench.records.iter().rev().find_map(|record| match record {

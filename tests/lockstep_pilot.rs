@@ -15,16 +15,6 @@ fn waiting() -> Bench {
     Bench::new(settings, &params)
 }
 
-/// The pilot switches to OFFBOARD and arms.
-fn engage(bench: &mut Bench) {
-    bench.until(FlightState::Standby, 10.0);
-    bench.run(0.5);
-    bench.pilot_mode(Mode::Offboard);
-    bench.run(0.2);
-    bench.pilot_arms();
-    bench.until(FlightState::Track, 30.0);
-}
-
 #[test]
 fn pilot_mode_change_ends_every_phase_permanently() {
     use FlightState::{Approach, Hold, Land, TakeOff, Track};
@@ -46,7 +36,7 @@ fn pilot_mode_change_ends_every_phase_permanently() {
 #[test]
 fn pilot_switch_engages_takes_over_and_engages_again() {
     let mut bench = waiting();
-    engage(&mut bench);
+    bench.engage();
     bench.run(1.0);
     bench.pilot_mode(Mode::Position);
     bench.run(0.05);
@@ -60,7 +50,7 @@ fn pilot_switch_engages_takes_over_and_engages_again() {
 fn stop_request_does_not_hide_the_end_of_the_flight() {
     // The pilot takes over during the landing that the stop caused.
     let mut bench = waiting();
-    engage(&mut bench);
+    bench.engage();
     let now = bench.now();
     bench.station.land(now);
     bench.run(0.2);
@@ -70,7 +60,7 @@ fn stop_request_does_not_hide_the_end_of_the_flight() {
 
     // The link has been silent since the flight.
     let mut bench = waiting();
-    engage(&mut bench);
+    bench.engage();
     bench.downlink = Box::new(|_, _| vec![]);
     bench.run(4.0);
     assert_eq!(bench.station.end(), None, "it waits for the link");
@@ -80,7 +70,7 @@ fn stop_request_does_not_hide_the_end_of_the_flight() {
 
     // The takeover is over, so the stop ends the flight.
     let mut bench = waiting();
-    engage(&mut bench);
+    bench.engage();
     bench.pilot_mode(Mode::Position);
     bench.until(FlightState::Standby, 5.0);
     let now = bench.now();
@@ -91,7 +81,7 @@ fn stop_request_does_not_hide_the_end_of_the_flight() {
 #[test]
 fn flight_log_continues_after_a_pilot_takeover() {
     let mut bench = waiting();
-    engage(&mut bench);
+    bench.engage();
     bench.pilot_mode(Mode::Position);
     bench.run(8.0);
     assert!(!bench.has_recorded_end(), "still in the air");
@@ -118,7 +108,7 @@ fn link_pause_interrupts_the_streamed_hold_only_while_it_lasts() {
 fn vehicle_already_in_offboard_is_left_alone() {
     let params = params(NANO);
     let mut bench = waiting();
-    engage(&mut bench);
+    bench.engage();
     let mut settings = settings(&params, hover(30.0));
     settings.policy = EngagePolicy::PilotSwitch;
     settings.search_timeout_s = None;

@@ -19,12 +19,6 @@ use wire::transport::Peer;
 /// Messages from which the state is built.
 const STATE_MESSAGES: [u32; 4] = [30, 31, 32, 331];
 
-fn in_track(mut bench: Bench) -> Bench {
-    bench.until(FlightState::Track, 30.0);
-    bench.run(2.0);
-    bench
-}
-
 /// The vehicle lands and disarms without any further setpoint.
 fn comes_down_silently(bench: &mut Bench) {
     let now_us = bench.now_us();
@@ -35,7 +29,7 @@ fn comes_down_silently(bench: &mut Bench) {
 
 #[test]
 fn missing_samples_stop_setpoints_and_command_landing() {
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     bench.downlink = Box::new(|_, frame| {
         let is_state = message_id(frame).is_some_and(|id| STATE_MESSAGES.contains(&id));
         if is_state { vec![] } else { vec![frame.to_vec()] }
@@ -51,7 +45,7 @@ fn missing_samples_stop_setpoints_and_command_landing() {
 #[test]
 fn link_silence_leaves_landing_to_the_vehicle() {
     for vehicle in [NANO, QUAD] {
-        let mut bench = in_track(Bench::hovering(vehicle, 30.0));
+        let mut bench = Bench::hovering(vehicle, 30.0).in_track();
         bench.downlink = Box::new(|_, _| vec![]);
         bench.uplink = false;
         let cut_us = bench.now_us();
@@ -68,7 +62,7 @@ fn link_silence_leaves_landing_to_the_vehicle() {
 
 #[test]
 fn restored_link_does_not_resume_setpoints() {
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     bench.downlink = Box::new(|_, _| vec![]);
     let cut_us = bench.now_us();
     bench.run(4.0);
@@ -123,7 +117,7 @@ fn odometry(bench: &Bench, north_m: f32, q_w: f32) -> MavMessage {
 
 #[test]
 fn estimate_jump_leads_to_hold_and_landing() {
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     let message = odometry(&bench, 5.0, 1.0);
     inject(&mut bench, message);
     bench.run(0.1);
@@ -135,7 +129,7 @@ fn estimate_jump_leads_to_hold_and_landing() {
 
 #[test]
 fn nan_telemetry_is_ignored() {
-    let mut bench = in_track(Bench::hovering(NANO, 10.0));
+    let mut bench = Bench::hovering(NANO, 10.0).in_track();
     for message in [odometry(&bench, f32::NAN, 1.0), odometry(&bench, 0.0, f32::NAN)] {
         inject(&mut bench, message);
         bench.run(0.5);
@@ -193,7 +187,7 @@ fn empty_battery_lands_the_vehicle() {
 #[test]
 fn vehicle_reboot_in_flight_ends_the_flight_permanently() {
     let params = params(NANO);
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     let fresh = Vehicle::new(params, effects(&[]), SitlConfig::default(), 2).expect("a vehicle");
     bench.reboot(fresh);
     let now_us = bench.now_us();
@@ -277,7 +271,7 @@ fn low_battery_blocks_a_commanded_flight() {
 
 #[test]
 fn land_request_lands_the_vehicle() {
-    let mut bench = in_track(Bench::hovering(QUAD, 30.0));
+    let mut bench = Bench::hovering(QUAD, 30.0).in_track();
     let now = bench.now();
     bench.station.land(now);
     bench.run(1.0);
@@ -296,7 +290,7 @@ fn cut(bench: &mut Bench) {
 fn link_loss_takes_precedence_over_a_stop_request() {
     // Silence after the request, and the request during the silence.
     for stops_first in [true, false] {
-        let mut bench = in_track(Bench::hovering(NANO, 30.0));
+        let mut bench = Bench::hovering(NANO, 30.0).in_track();
         if !stops_first {
             cut(&mut bench);
             bench.run(1.0);
@@ -315,7 +309,7 @@ fn link_is_lost_after_the_configured_silence() {
     let params = params(NANO);
     let mut settings = settings(&params, hover(30.0));
     settings.offboard.supervisor.link_lost_after_s = 1.0;
-    let mut bench = in_track(Bench::new(settings, &params));
+    let mut bench = Bench::new(settings, &params).in_track();
     cut(&mut bench);
     bench.until(FlightState::Abort, 1.5);
     assert!(matches!(bench.station.end(), Some(End::LinkLost(_))), "{:?}", bench.station.end());
@@ -365,7 +359,7 @@ fn vehicle_is_recorded_after_an_abort() {
 
 #[test]
 fn recording_continues_ten_seconds_after_pilot_takeover() {
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     bench.pilot_mode(Mode::Position);
     bench.until(FlightState::PilotControl, 1.0);
     let taken_us = bench.now_us();
@@ -419,7 +413,7 @@ fn different_vehicle_after_an_abort_is_not_flown() {
 
 #[test]
 fn only_the_vehicles_closed_connection_is_reported() {
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     let now = bench.now();
     bench.station.peer_closed(now, Peer::new(7));
     bench.run(0.1);

@@ -20,12 +20,6 @@ const AUTOPILOT_VERSION: u32 = 148;
 const ODOMETRY: u32 = 331;
 const CURRENT_MODE: u32 = 436;
 
-fn in_track(mut bench: Bench) -> Bench {
-    bench.until(FlightState::Track, 30.0);
-    bench.run(2.0);
-    bench
-}
-
 /// A forged frame of the vehicle.
 fn forged(message: &MavMessage) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -95,7 +89,7 @@ fn facts_and_flights(bench: &Bench) -> Vec<String> {
 
 #[test]
 fn flight_ends_when_another_vehicle_replaces_the_flown_one() {
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     bench.downlink = exchanged();
     bench.until(FlightState::Abort, 2.0);
     let aborted_us = bench.now_us();
@@ -121,7 +115,7 @@ fn exchanged_for(autopilot: MavAutopilot) -> Downlink {
 
 #[test]
 fn replacement_autopilot_gets_no_setpoints_and_is_not_the_pilot() {
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     bench.downlink = exchanged_for(MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA);
     bench.until(FlightState::Abort, 1.1);
     let aborted_us = bench.now_us();
@@ -143,12 +137,9 @@ fn switched() -> Bench {
     settings.policy = EngagePolicy::PilotSwitch;
     settings.search_timeout_s = None;
     let mut bench = Bench::new(settings, &params);
-    bench.until(FlightState::Standby, 10.0);
-    bench.run(0.5);
-    bench.pilot_mode(Mode::Offboard);
-    bench.run(0.2);
-    bench.pilot_arms();
-    in_track(bench)
+    bench.engage();
+    bench.run(2.0);
+    bench
 }
 
 #[test]
@@ -213,7 +204,7 @@ fn read_with_mode(bench: &mut Bench, mode: Mode) -> Rc<Cell<Option<u64>>> {
 /// In one datagram the sample comes first, and the message that ends control after it.
 #[test]
 fn sample_is_not_answered_if_the_same_read_ends_control() {
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     let taken_us = read_with_mode(&mut bench, Mode::Position);
     bench.run(0.2);
     let taken_us = taken_us.get().expect("a sample");
@@ -277,7 +268,7 @@ fn unidentified() -> Downlink {
 
 #[test]
 fn log_contains_exactly_the_setpoints_sent() {
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     bench.downlink = in_pairs();
     let from_us = bench.now_us();
     bench.run(0.5);
@@ -305,7 +296,7 @@ fn sent_frames(records: &[Record]) -> usize {
 
 #[test]
 fn setpoint_refused_by_the_transport_is_not_logged_as_sent() {
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     let (from_us, from) = (bench.now_us(), bench.records.len());
     let setpoints = bench.station.status().setpoints;
     bench.is_jammed = true;
@@ -341,7 +332,7 @@ fn offboard_is_not_requested_while_no_setpoint_leaves() {
 #[test]
 fn nothing_is_sent_after_a_stall_until_a_newer_sample() {
     for stall_s in [0.06, 0.1, 0.25] {
-        let mut bench = in_track(Bench::hovering(NANO, 30.0));
+        let mut bench = Bench::hovering(NANO, 30.0).in_track();
         let stopped_us = bench.now_us();
         bench.stall(stall_s);
         let woke_us = bench.now_us();
@@ -355,7 +346,7 @@ fn nothing_is_sent_after_a_stall_until_a_newer_sample() {
         assert_eq!(bench.phase(), Some(FlightState::Track), "{stall_s}: {:#?}", bench.texts());
     }
     // A short stall does not count.
-    let mut bench = in_track(Bench::hovering(NANO, 30.0));
+    let mut bench = Bench::hovering(NANO, 30.0).in_track();
     let stopped_us = bench.now_us();
     bench.stall(0.04);
     assert!(bench.setpoints_after(stopped_us) >= 3);

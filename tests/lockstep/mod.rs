@@ -10,7 +10,7 @@ use downwash::control::{Actuation, ControlSettings, HoverVehicle};
 use downwash::link::attitude_target::ThrustMap;
 use downwash::link::session;
 use downwash::lockstep;
-use downwash::log::record::Record;
+use downwash::log::record::{Direction, Record};
 use downwash::offboard::OffboardSettings;
 use downwash::plan::{ModelFreeReference, Trajectory};
 use downwash::setpoint::State;
@@ -153,6 +153,19 @@ pub fn errors(records: &[Record]) -> (f64, f64) {
     let square: f64 = rows.iter().map(|row| row.error_m * row.error_m).sum();
     let largest = rows.iter().map(|row| row.error_m).fold(0.0, f64::max);
     ((square / rows.len() as f64).sqrt(), largest)
+}
+
+/// The setpoints' frames, byte by byte.
+pub fn setpoint_frames(records: &[Record]) -> Vec<Vec<u8>> {
+    let frame = |record: &Record| match record {
+        Record::Frame(frame)
+            if frame.direction == Direction::Tx && frame.message_id == SET_ATTITUDE_TARGET =>
+        {
+            Some(frame.bytes().to_vec())
+        }
+        _ => None,
+    };
+    records.iter().filter_map(frame).collect()
 }
 
 /// The type masks of the setpoints sent.
@@ -325,6 +338,23 @@ impl Bench {
             );
             self.turn(limit_us);
         }
+    }
+
+    /// Two seconds into the trajectory.
+    pub fn in_track(mut self) -> Self {
+        self.until(FlightState::Track, 30.0);
+        self.run(2.0);
+        self
+    }
+
+    /// The pilot of a vehicle on the ground switches to OFFBOARD and arms, and the trajectory begins.
+    pub fn engage(&mut self) {
+        self.until(FlightState::Standby, 10.0);
+        self.run(0.5);
+        self.pilot_mode(Mode::Offboard);
+        self.run(0.2);
+        self.pilot_arms();
+        self.until(FlightState::Track, 30.0);
     }
 
     /// Runs until the motors are stopped, at most `seconds`.
