@@ -44,9 +44,11 @@ fn both_vehicles_fly_every_trajectory_to_landing() {
             let (end, records) = fly(settings, &params, &[], SitlConfig::default(), 1);
             assert_eq!(end, End::Done, "{vehicle} {name}");
             let (rmse, largest) = errors(&records);
-            // Feedback alone lags; a step is at first missed by its size, 0.5 m.
+            // Feedback alone lags behind what moves; a step is at first missed by its size, 0.5 m.
+            let is_still = matches!(name, "hover.toml" | "yaw-rotation.toml");
+            let most_rmse = if is_still { 0.05 } else { 0.3 };
             let most = if name == "steps.toml" { 0.55 } else { 0.4 };
-            assert!(rmse < 0.3 && largest < most, "{vehicle} {name}: {rmse} m, {largest} m");
+            assert!(rmse < most_rmse && largest < most, "{vehicle} {name}: {rmse} m, {largest} m");
             assert!(rmse > 1e-4, "{vehicle} {name}: {rmse} m is too good to be true");
             assert_eq!(masks(&records), [0x00], "attitude, rates and thrust");
         }
@@ -76,7 +78,6 @@ fn unmodelled_effects_are_tolerated() {
             vec![drag.to_owned(), "wind:north_m_s=2".to_owned()],
             vec![drag.to_owned(), "gusts:sigma_m_s=0.7".to_owned()],
             vec![mass.to_owned()],
-            SLOW.map(str::to_owned).into(),
         ]
     };
     let nano = cases("mass:mass_kg=0.0345", "rotor_drag:d_xy=0.01,d_z=0.005");
