@@ -1,18 +1,15 @@
 //! The whole cycle in one command: hide an effect, identify it, and fly better with the result.
 
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::PathBuf;
 
+use crate::command;
 use serde_json::Value;
 use vehicle::VehicleParams;
 
 fn run(name: &str, arguments: &[&str]) -> (PathBuf, Value) {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("demo-diagnose").join(name);
-    let _ = fs::remove_dir_all(&folder);
-    fs::create_dir_all(&folder).expect("a folder");
-    let output = Command::new(env!("CARGO_BIN_EXE_downwash"))
-        .env("XDG_CONFIG_HOME", &folder)
+    let folder = command::folder(&format!("demo-diagnose/{name}"));
+    let output = command::downwash(&folder)
         .args(["demo", "--diagnose", "--json", "--excite", "60", "--out"])
         .arg(&folder)
         .args(arguments)

@@ -2,8 +2,10 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
+use crate::command;
+use crate::lockstep::{NANO, QUAD, config_file};
 use downwash::diagnose::likelihood::noise::ReportNoise;
 use downwash::diagnose::next_flight::{LiveHypothesis, NextFlight, Proposal, separating};
 use downwash::exam::interval::Rate;
@@ -14,9 +16,6 @@ use serde_json::Value;
 use sitl::config::SensorConfig;
 use vehicle::VehicleParams;
 use vehicle::effects::EffectSet;
-
-const NANO: &str = "crazyflie.toml";
-const QUAD: &str = "quad1200.toml";
 
 /// Pairs that a hover at one heading with a fresh pack cannot distinguish.
 const PAIRS: [(&str, &str, &str); 11] = [
@@ -50,21 +49,15 @@ const PAIRS: [(&str, &str, &str); 11] = [
 ];
 
 fn vehicle(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles").join(name)
+    config_file("vehicles", name)
 }
 
-/// An empty folder of the test's own.
 fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("next-flight").join(name);
-    let _ = fs::remove_dir_all(&path);
-    fs::create_dir_all(&path).expect("a folder");
-    path
+    command::folder(&format!("next-flight/{name}"))
 }
 
 fn run(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_downwash"));
-    command.env("XDG_CONFIG_HOME", folder).args(arguments);
-    let output = command.output().expect("the command runs");
+    let output = command::downwash(folder).args(arguments).output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     output
 }

@@ -2,28 +2,15 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
+use crate::command;
+use crate::lockstep::{NANO, config_file};
 use serde_json::Value;
 
-/// An empty folder of the test's own.
-fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("reflight").join(name);
-    let _ = fs::remove_dir_all(&path);
-    fs::create_dir_all(&path).expect("a folder");
-    path
-}
-
 fn run(folder: &Path, arguments: &[&str]) -> Value {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_downwash"));
-    command.env("XDG_CONFIG_HOME", folder).args(arguments);
-    let output = command.output().expect("the command runs");
+    let output = command::downwash(folder).args(arguments).output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).expect("JSON")
-}
-
-fn vehicle() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles/crazyflie.toml")
 }
 
 fn text(path: &Path) -> &str {
@@ -33,7 +20,7 @@ fn text(path: &Path) -> &str {
 /// Logs of a short programme with a hidden effect.
 fn fly(folder: &Path, effect: &str) -> Vec<PathBuf> {
     let out = folder.join("flown");
-    let (vehicle, out_text) = (vehicle(), text(&out).to_owned());
+    let (vehicle, out_text) = (config_file("vehicles", NANO), text(&out).to_owned());
     run(
         folder,
         &[
@@ -62,9 +49,9 @@ fn difference(answer: &Value, quantity: &str) -> [f64; 3] {
 
 #[test]
 fn weak_thrust_is_repaired_in_position_and_thrust() {
-    let folder = folder("heavy");
+    let folder = command::folder("reflight");
     let logs = fly(&folder, "thrust_scale:scale=0.9");
-    let vehicle = vehicle();
+    let vehicle = config_file("vehicles", NANO);
     let mut arguments = vec!["diagnose", "--json", "--twins", "0", "--vehicle", text(&vehicle)];
     arguments.extend(logs.iter().map(|log| text(log)));
     let answer = run(&folder, &arguments);

@@ -1,32 +1,22 @@
 //! From a simulated vehicle with a hidden effect to the effect's name and numbers.
 
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::PathBuf;
+use std::process::Output;
 
+use crate::command;
+use crate::command::downwash;
+use crate::lockstep::{NANO, QUAD, config_file};
 use serde_json::Value;
 use vehicle::VehicleParams;
 use vehicle::effects::EffectId;
 
-const NANO: &str = "crazyflie.toml";
-const QUAD: &str = "quad1200.toml";
-
 fn vehicle(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles").join(name)
+    config_file("vehicles", name)
 }
 
-/// An empty folder of the test's own.
 fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("diagnose").join(name);
-    let _ = fs::remove_dir_all(&path);
-    fs::create_dir_all(&path).expect("a folder");
-    path
-}
-
-fn downwash(folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_downwash"));
-    command.env("XDG_CONFIG_HOME", folder);
-    command
+    command::folder(&format!("diagnose/{name}"))
 }
 
 /// Flies a programme of `seconds` with hidden effects; returns the logs in order.

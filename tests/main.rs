@@ -1,6 +1,7 @@
 //! The package's integration tests in one binary, because each binary links the whole daemon.
 //! Several tests share the modules of the first block.
 
+mod command;
 mod damage;
 mod import_support;
 mod learn;

@@ -1,9 +1,12 @@
 //! Flights of the bundled vehicle for learning, and `train` on them.
 
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::PathBuf;
+use std::process::Output;
 
+use crate::command;
+pub use crate::command::downwash;
+use crate::lockstep;
 use serde_json::Value;
 
 /// Differences from the vehicle file, as on a real vehicle.
@@ -16,21 +19,11 @@ pub const REALISTIC: [&str; 4] = [
 
 /// The bundled vehicle's file.
 pub fn vehicle() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("config/vehicles/crazyflie.toml")
+    lockstep::config_file("vehicles", lockstep::NANO)
 }
 
-/// An empty folder of the test's own.
 pub fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("learn").join(name);
-    let _ = fs::remove_dir_all(&path);
-    fs::create_dir_all(&path).expect("a folder");
-    path
-}
-
-pub fn downwash(folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_downwash"));
-    command.env("XDG_CONFIG_HOME", folder);
-    command
+    command::folder(&format!("learn/{name}"))
 }
 
 /// Flies a programme of `seconds` with the realistic effects and `more`; returns the logs in order.
