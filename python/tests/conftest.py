@@ -1,6 +1,8 @@
 """Shared fixtures of the wheel's tests."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import downwash as dw
@@ -8,6 +10,14 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT = {"family": "hover", "altitude_m": 1.0, "duration_s": 2.0}
+# The program that the wheel installs.
+COMMAND = Path(sys.executable).with_name("downwash")
+
+
+def worker(manifest: Path, out: Path, shard: int, shards: int) -> "subprocess.Popen[bytes]":
+    """Starts the worker of one shard of a sweep."""
+    run = [COMMAND, "sweep", manifest, "--out", out, "--jobs", "1", "--shard", f"{shard}/{shards}"]
+    return subprocess.Popen(run, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def pytest_configure(config: pytest.Config) -> None:

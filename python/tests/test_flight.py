@@ -14,7 +14,7 @@ import downwash as dw
 import numpy as np
 import pytest
 
-from conftest import SHORT
+from conftest import COMMAND, SHORT
 
 
 def test_a_row_depends_only_on_its_seed() -> None:
@@ -49,11 +49,10 @@ def test_rows_become_a_table() -> None:
 
 
 def test_the_wheels_command_gives_the_same_row() -> None:
-    command = Path(sys.executable).with_name("downwash")
-    run = [command, "simulate", "hover", "--no-log", "--json", "--seed", "5"]
+    run = [COMMAND, "simulate", "hover", "--no-log", "--json", "--seed", "5"]
     done = subprocess.run(run, capture_output=True, check=True, text=True)
     assert json.loads(done.stdout) == dw.fly(trajectory="hover", seeds=5)[0]
-    wrong = subprocess.run([command, "simulate", "nowhere.toml"], capture_output=True, text=True)
+    wrong = subprocess.run([COMMAND, "simulate", "nowhere.toml"], capture_output=True, text=True)
     assert wrong.returncode == 2 and "nowhere.toml" in wrong.stderr
 
 
@@ -136,14 +135,14 @@ def test_a_short_call_does_not_wait_for_a_long_one() -> None:
     began, over = threading.Event(), threading.Event()
     ended: list[BaseException] = []
 
-    def told(stage: str, done: int, of: int) -> None:
+    def report(stage: str, done: int, of: int) -> None:
         began.set()
         if over.is_set():
             raise LookupError(stage)
 
     def fly() -> None:
         try:
-            dw.fly(trajectory=SHORT, seeds=range(100_000), progress=told)
+            dw.fly(trajectory=SHORT, seeds=range(100_000), progress=report)
         except LookupError as error:
             ended.append(error)
 
@@ -158,7 +157,7 @@ def test_a_short_call_does_not_wait_for_a_long_one() -> None:
     assert ended
 
 
-def test_what_is_told_may_fly_too() -> None:
+def test_a_progress_callback_may_fly_too() -> None:
     ends: list[str] = []
     dw.fly(
         trajectory=SHORT,

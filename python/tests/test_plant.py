@@ -130,7 +130,7 @@ def test_a_masked_entry_is_no_number() -> None:
 
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda of: of.copy()])
 @pytest.mark.parametrize("of", [dw.Plant, lambda: dw.Fleet(2)])
-def test_every_copy_goes_its_own_way(of: Callable[[], Any], copied: Callable[[Any], Any]) -> None:
+def test_every_kind_of_copy_is_independent(of: Callable[[], Any], copied: Callable[[Any], Any]) -> None:
     vehicle = of()
     vehicle.step([0.6] * 4, 100)
     before, other = vehicle.state, copied(vehicle)

@@ -9,15 +9,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import downwash as dw
 import pytest
 
-from conftest import ROOT
+from conftest import COMMAND, ROOT, worker
 
-COMMAND = Path(sys.executable).with_name("downwash")
 EXAMPLES = ROOT / "python/examples"
 
 MANIFEST = """\
@@ -51,12 +49,6 @@ def whole(manifest: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     summary = dw.sweep(manifest, out)
     assert (summary["points"], summary["done"], summary["failures"]) == (POINTS, POINTS, POINTS // 2)
     return Path(summary["table"]).read_bytes()
-
-
-def worker(manifest: Path, out: Path, shard: int, shards: int) -> "subprocess.Popen[bytes]":
-    run: Sequence[str | Path] = [COMMAND, "sweep", manifest, "--out", out, "--jobs", "1"]
-    null = subprocess.DEVNULL
-    return subprocess.Popen([*run, "--shard", f"{shard}/{shards}"], stdout=null, stderr=null)
 
 
 def test_rows_hold_results_and_failures(whole: bytes) -> None:

@@ -5,14 +5,13 @@ import json
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import downwash as dw
 import pytest
 
-COMMAND = Path(sys.executable).with_name("downwash")
+from conftest import COMMAND, worker
 
 DIAGNOSES = """\
 schema_version = 1
@@ -57,11 +56,6 @@ def whole(folder: Path) -> bytes:
     summary = dw.sweep(folder / "diagnoses.toml", folder / "whole")
     assert (summary["points"], summary["done"], summary["failures"]) == (6, 6, 2)
     return Path(summary["table"]).read_bytes()
-
-
-def worker(manifest: Path, out: Path, shard: int, shards: int) -> "subprocess.Popen[bytes]":
-    run = [COMMAND, "sweep", manifest, "--out", out, "--jobs", "1", "--shard", f"{shard}/{shards}"]
-    return subprocess.Popen(run, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def test_every_case_has_its_row(whole: bytes) -> None:
