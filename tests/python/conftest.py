@@ -67,6 +67,14 @@ def downwash_command():
 DOWNWASH = downwash_command()
 
 
+def run(*arguments, code=0, timeout=280):
+    """Runs `downwash` to its end, which must have this exit code."""
+    done = subprocess.run([*DOWNWASH, *map(str, arguments)], capture_output=True, text=True, timeout=timeout)
+    assert done.returncode == code, done.stderr
+    assert "panicked" not in done.stderr
+    return done
+
+
 def sitl_command():
     """The command that starts the simulated vehicle: `downwash sitl`, or the `downwash-sitl` program."""
     if "DOWNWASH_BIN" in os.environ:
@@ -123,19 +131,69 @@ class Sitl:
 
 
 CRAZYFLIE = ROOT / "config/vehicles/crazyflie.toml"
-SHORT_HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 1.0\n"
+# The shipped mapping of a motion-capture table, and its columns.
+MOTION_CAPTURE = ROOT / "config/mappings/motion-capture.toml"
+MOTION_CAPTURE_COLUMNS = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat"
+# The parts of a flight that most tests wait for and do not check: thrust rises, the vehicle climbs 0.8 m, settles
+# and holds in 3 s instead of 7 s. It climbs no faster than a segment takes at least, 1 s.
+QUICK = {
+    "DOWNWASH_OFFBOARD__GUIDANCE__SPOOL_S": "0.3",
+    "DOWNWASH_OFFBOARD__GUIDANCE__CLIMB_SPEED_M_S": "1.5",
+    "DOWNWASH_OFFBOARD__GUIDANCE__SETTLE_S": "0.2",
+    "DOWNWASH_OFFBOARD__SUPERVISOR__HOLD_S": "0.5",
+}
+# The same for the simulated vehicle: it lands and disarms in 2 s instead of 6 s.
+QUICK_LANDING = "[parameters]\nMPC_LAND_SPEED = 1.5\nCOM_DISARM_LAND = 0.5\n"
+
+
+def hover_for(seconds):
+    """A trajectory: a hover."""
+    return f"family = 'hover'\naltitude_m = 0.8\nduration_s = {seconds:.1f}\n"
+
+
+SHORT_HOVER = hover_for(1)
+
+
+def fly_arguments(trajectory, url, folder, *options):
+    """The arguments of `downwash fly` for a Crazyflie."""
+    return ["fly", trajectory, "--connect", url, "--vehicle", CRAZYFLIE, "--log-dir", folder, *options]
+
+
+# A turn along which a plan tracks more closely than feedback alone.
+TURN = """family = 'sinusoid-yaw'
+altitude_m = 0.8
+duration_s = 3.0
+amplitude_m = 0.4
+period_s = 3.0
+yaw_period_s = 6.0
+ramp_s = 1.0
+"""
+
+
+def only_log(folder):
+    (log,) = folder.glob("*.mcap")
+    return log
+
+
+def until(condition, what, timeout=20.0):
+    """Waits for something that sends no event."""
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end, f"not within {timeout} s: {what}"
+        time.sleep(0.01)
 
 
 class Program:
-    """A running `downwash`. A thread reads its stderr line by line."""
+    """A running `downwash`, by default with `QUICK` flights. A thread reads its stderr line by line."""
 
-    def __init__(self, *arguments, **options):
+    def __init__(self, *arguments, settings=QUICK, **options):
         self.process = subprocess.Popen(
             [*DOWNWASH, *map(str, arguments)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            env=os.environ | settings,
             **options,
         )
         self.lines = []
@@ -230,19 +288,77 @@ def vehicle_file(tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def sitl(vehicle_file):
+def started(file, *options):
     """Starts simulated vehicles, stops them after the test, and requires a clean exit."""
     running = []
 
-    def start(*links, speed=1, file=vehicle_file):
+    def start(*links, speed=1, effects=()):
         links = links or ("udpin:127.0.0.1:0",)
-        running.append(Sitl(file, links, ["--speed", str(speed)]))
+        hidden = [word for effect in effects for word in ("--effect", effect)]
+        running.append(Sitl(file, links, [*options, *hidden, "--speed", str(speed)]))
         return running[-1]
 
     yield start
     codes = [vehicle.stop() for vehicle in running]
     assert all(code == 130 for code in codes), f"exit codes {codes}"
+
+
+@pytest.fixture
+def sitl(vehicle_file):
+    """Starts simulated vehicles for MAVLink clients."""
+    yield from started(vehicle_file)
+
+
+@pytest.fixture(scope="session")
+def quick_landing(tmp_path_factory):
+    """The options of a simulated vehicle with `QUICK_LANDING`."""
+    path = tmp_path_factory.mktemp("landing") / "sitl.toml"
+    path.write_text(QUICK_LANDING)
+    return ["--config", str(path)]
+
+
+@pytest.fixture
+def crazyflie(quick_landing):
+    """Starts simulated Crazyflies for `downwash fly`."""
+    yield from started(CRAZYFLIE, *quick_landing)
+
+
+@pytest.fixture
+def hand_made():
+    """A hand-made vehicle, and the URL on which a daemon receives it."""
+    from hand_made_vehicle import HandMadeVehicle
+
+    port = free_port()
+    vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
+    yield vehicle, f"udpin:127.0.0.1:{port}"
+    vehicle.stop()
+
+
+# Marks the tests of `demo`: one xdist worker runs it for all.
+of_the_demo = pytest.mark.xdist_group("demo")
+
+
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory):
+    """A demo on a vehicle with a hidden drag: its folder, and the JSON that it printed."""
+    folder = tmp_path_factory.mktemp("demo")
+    (folder / "turn.toml").write_text(TURN)
+    options = ("--trajectory", folder / "turn.toml", "--learn", 60, "--fly", "model-free,physics,replanned")
+    drag = ("--effect", "rotor_drag:d_xy=0.02,d_z=0.01")
+    return folder / "out", run("demo", "--out", folder / "out", *options, *drag, "--json").stdout
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from browser import Browser
+
+    one = Browser()
+    yield one
+    one.close()
+
+
+# Widths in pixels of a desktop and of a phone, each in the light and in the dark scheme.
+LOOKS = [(width, dark) for width in (1400, 400) for dark in (False, True)]
 
 
 def free_port(kind=socket.SOCK_DGRAM):

@@ -9,8 +9,13 @@ import pytest
 SEED = os.environ.get("DOWNWASH_CAMPAIGN_SEED", "1")
 
 
+def campaign(program, folder, *options):
+    """Starts a campaign. The environment must not change the settings that a script states."""
+    return program("campaign", "--real-time", *options, "--out", folder, "--json", settings={})
+
+
 def fly(program, folder, flights, seed=SEED):
-    one = program("campaign", "--real-time", "--flights", flights, "--seed", seed, "--out", folder, "--json")
+    one = campaign(program, folder, "--flights", flights, "--seed", seed)
     code, out = one.finish(60 * (2 + flights // 5))
     summary = json.loads(out)
     assert summary["real_time"] and summary["done"] == flights
@@ -58,7 +63,7 @@ def test_a_script_with_a_restart_a_pause_and_a_takeover(program, tmp_path):
     }
     path = tmp_path / "script.json"
     path.write_text(json.dumps(script))
-    one = program("campaign", "--real-time", "--script", path, "--out", tmp_path / "out", "--json")
+    one = campaign(program, tmp_path / "out", "--script", path)
     code, out = one.finish(120)
     flight = json.loads(out)
     assert code == 0 and flight["violations"] == [], one.err

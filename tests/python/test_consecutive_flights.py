@@ -3,32 +3,26 @@
 import json
 import signal
 
-from conftest import CRAZYFLIE
-
-QUICK = "[offboard.supervisor]\nhold_s = 0.5\n"
+from conftest import CRAZYFLIE, fly_arguments
 
 
-def test_a_second_flight_leaves_offboard_before_arming(program, hover, sitl, mavlink_client, tmp_path):
-    vehicle = sitl("udpin:127.0.0.1:0", "udpin:127.0.0.1:0", file=CRAZYFLIE)
+def test_a_second_flight_leaves_offboard_before_arming(program, hover, crazyflie, mavlink_client, tmp_path):
+    vehicle = crazyflie("udpin:127.0.0.1:0", "udpin:127.0.0.1:0")
     watcher = mavlink_client(vehicle.peer_url(1))
     for turn in (1, 2):
         if turn == 2:
             # Like PX4, it returns to the mode selected before arming.
             watcher.hello()
             watcher.wait_mode(6)
-        flight = program(
-            "fly", hover, "--connect", vehicle.peer_url(), "--vehicle", CRAZYFLIE, "--log-dir", tmp_path, "--json"
-        )
+        flight = program(*fly_arguments(hover, vehicle.peer_url(), tmp_path, "--json"))
         code, out = flight.finish()
         assert code == 0, flight.err
         assert json.loads(out)["end"] == "done"
         assert len(list(tmp_path.glob("*.mcap"))) == turn
 
 
-def test_collect_flies_in_sequence_and_resumes(program, sitl, tmp_path):
-    vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
-    configuration = tmp_path / "quick.toml"
-    configuration.write_text(QUICK)
+def test_collect_flies_in_sequence_and_resumes(program, crazyflie, tmp_path):
+    vehicle = crazyflie()
     logs = tmp_path / "logs"
 
     def collect():
@@ -36,7 +30,7 @@ def test_collect_flies_in_sequence_and_resumes(program, sitl, tmp_path):
         return program(
             "collect",
             *("--out", logs, "--connect", vehicle.peer_url(), "--vehicle", CRAZYFLIE),
-            *("--config", configuration, "--seconds", 32, "--json", "-v"),
+            *("--seconds", 32, "--json", "-v"),
         )
 
     first = collect()

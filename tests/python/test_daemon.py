@@ -1,42 +1,21 @@
 """`downwash daemon`: the pilot hands the vehicle over and takes it back."""
 
-import os
 import re
 import signal
 import socket
 import time
 
-import pytest
-
-from conftest import CRAZYFLIE, bounds_time, free_port
-from hand_made_vehicle import HOLD, LAND, OFFBOARD, HandMadeVehicle
+from conftest import CRAZYFLIE, QUICK, bounds_time, free_port, hover_for, until
+from hand_made_vehicle import HOLD, LAND, OFFBOARD
 from serial_cable import SerialCable
-
-QUICK = "[offboard.supervisor]\nhold_s = 0.5\n"
 
 
 def configuration(folder, connect, hover):
     path = folder / "daemon.toml"
     path.write_text(
-        f"vehicle = '{CRAZYFLIE}'\ntrajectory = '{hover}'\nconnect = '{connect}'\nlog_dir = '{folder}'\n{QUICK}"
+        f"vehicle = '{CRAZYFLIE}'\ntrajectory = '{hover}'\nconnect = '{connect}'\nlog_dir = '{folder}'\n"
     )
     return path
-
-
-@pytest.fixture
-def hand_made():
-    """A hand-made vehicle, and the URL on which a daemon receives it."""
-    port = free_port()
-    vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
-    yield vehicle, f"udpin:127.0.0.1:{port}"
-    vehicle.stop()
-
-
-def until(condition, what, timeout=20.0):
-    end = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < end, f"timed out: {what}"
-        time.sleep(0.01)
 
 
 def streamed(vehicle, since):
@@ -120,9 +99,9 @@ def test_systemd_notifications(program, hover, hand_made, tmp_path):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(str(path))
         manager.settimeout(10)
-        environment = os.environ | {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "2000000"}
+        environment = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "2000000"}
         config = configuration(tmp_path, url, hover)
-        daemon = program("daemon", "--config", config, env=environment)
+        daemon = program("daemon", "--config", config, settings=QUICK | environment)
         assert b"READY=1" in manager.recv(1024)
         beats = []
         while len(beats) < 3:
@@ -137,7 +116,7 @@ def test_systemd_notifications(program, hover, hand_made, tmp_path):
 
 
 @bounds_time
-def test_unplugging_the_serial_line_in_flight(program, hover, sitl, mavlink_client, tmp_path):
+def test_unplugging_the_serial_line_in_flight(program, hover, crazyflie, mavlink_client, tmp_path):
     # Finds SET_ATTITUDE_TARGET frames in the daemon's bytes by their header: v2, system 254, component 191, id 82.
     setpoints = []
 
@@ -148,8 +127,8 @@ def test_unplugging_the_serial_line_in_flight(program, hover, sitl, mavlink_clie
 
     cable = SerialCable(tmp_path, watch)
     try:
-        vehicle = sitl("udpin:127.0.0.1:0", cable.url(0), file=CRAZYFLIE)
-        hover.write_text(hover.read_text().replace("duration_s = 1.0", "duration_s = 60.0"))
+        vehicle = crazyflie("udpin:127.0.0.1:0", cable.url(0))
+        hover.write_text(hover_for(60))
         daemon = program("daemon", "--config", configuration(tmp_path, cable.url(1), hover))
         line = daemon.says(" standby: ")
         until(lambda: setpoints, "a streamed hold")
@@ -186,16 +165,16 @@ def test_unplugging_the_serial_line_in_flight(program, hover, sitl, mavlink_clie
         cable.close()
 
 
-def test_a_vehicle_that_starts_later_and_restarts(program, hover, sitl, tmp_path):
+def test_a_vehicle_that_starts_later_and_restarts(program, hover, crazyflie, tmp_path):
     """Until the vehicle starts, the network refuses the daemon's packets; the daemon keeps sending."""
     url = f"udpin:127.0.0.1:{free_port()}"
     daemon = program("daemon", "--config", configuration(tmp_path, url.replace("udpin", "udpout"), hover))
     daemon.says("link open")
-    vehicle = sitl(url, file=CRAZYFLIE)
+    vehicle = crazyflie(url)
     line = daemon.says(" standby: ")
     vehicle.stop()
     line = daemon.says(" connect: ", line)
-    sitl(url, file=CRAZYFLIE)
+    crazyflie(url)
     daemon.says(" standby: ", line)
     assert daemon.cpu_s() < 5
     assert "panicked" not in daemon.err

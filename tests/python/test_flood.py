@@ -5,8 +5,7 @@ import socket
 import threading
 import time
 
-from conftest import CRAZYFLIE, SHORT_HOVER, Program, free_port
-from hand_made_vehicle import HandMadeVehicle
+from conftest import fly_arguments, until
 from pymavlink.dialects.v20 import all as dialect
 
 # Datagrams a second: more than the link's own traffic, and few enough that a busy machine drops none.
@@ -34,27 +33,17 @@ def flood(port, stop, sent):
             each.close()
 
 
-def test_a_flooded_port_does_not_end_the_flight(tmp_path):
-    port = free_port()
-    (tmp_path / "hover.toml").write_text(SHORT_HOVER)
-    vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
-    daemon = Program("fly", tmp_path / "hover.toml", "--vehicle", CRAZYFLIE, "--connect", f"udpin:127.0.0.1:{port}",
-                     "--system", 1, "--log-dir", tmp_path)
+def test_a_flooded_port_does_not_end_the_flight(program, hover, hand_made, tmp_path):
+    vehicle, url = hand_made
+    flight = program(*fly_arguments(hover, url, tmp_path, "--system", 1))
+    until(lambda: vehicle.setpoints, "setpoints")
     stop, sent = threading.Event(), [0]
-    flooder = threading.Thread(target=flood, args=(port, stop, sent))
+    flooder = threading.Thread(target=flood, args=(int(url.rsplit(":", 1)[1]), stop, sent))
+    flooder.start()
     try:
-        deadline = time.monotonic() + 30
-        while not vehicle.setpoints and time.monotonic() < deadline:
-            time.sleep(0.05)
-        flooder.start()
-        code = daemon.process.wait(timeout=90)
+        code, _ = flight.finish(90)
     finally:
         stop.set()
-        if flooder.ident:
-            flooder.join()
-        vehicle.stop()
-        if daemon.process.poll() is None:
-            daemon.process.kill()
-            daemon.process.wait()
-    assert code == 0, "\n".join(daemon.lines)
+        flooder.join()
+    assert code == 0, flight.err
     assert sent[0] > RATE_HZ

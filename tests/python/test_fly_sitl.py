@@ -19,44 +19,54 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
-from conftest import CRAZYFLIE, SHORT_HOVER, Program, Sitl, downwash_command, free_port
+from conftest import (
+    CRAZYFLIE,
+    DOWNWASH,
+    QUICK,
+    SHORT_HOVER,
+    Program,
+    Sitl,
+    fly_arguments,
+    free_port,
+    hover_for,
+    only_log,
+)
 from serial_cable import SerialCable
-
-LAND = 4 << 16 | 6 << 24
-
-
-def fly(start, trajectory, url, folder, *options):
-    return start("fly", trajectory, "--connect", url, "--vehicle", CRAZYFLIE, "--log-dir", folder, *options)
-
-
-def only_log(folder):
-    (log,) = folder.glob("*.mcap")
-    return log
 
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
-    """A flight over each transport, all at once."""
+    """A flight with the default settings over each transport, all at once."""
     running, cleanup = {}, []
 
-    def begin(name, sitl_link, connect=None):
+    def vehicle(link):
+        one = Sitl(CRAZYFLIE, [link])
+        cleanup.append(one.stop)
+        return one
+
+    def fly(name, url):
         folder = tmp_path_factory.mktemp(name)
         (folder / "hover.toml").write_text(SHORT_HOVER)
-        vehicle = Sitl(CRAZYFLIE, [sitl_link])
-        cleanup.append(vehicle.stop)
-        url = connect or vehicle.peer_url()
-        program = fly(Program, folder / "hover.toml", url, folder, "--json", "--tlog", folder / "link.tlog")
+        options = ("--json", "--tlog", folder / "link.tlog")
+        program = Program(*fly_arguments(folder / "hover.toml", url, folder, *options), settings={})
         cleanup.append(program.close)
         running[name] = (program, folder)
+        return program
 
     try:
-        begin("udpout", "udpin:127.0.0.1:0")
+        fly("udpout", vehicle("udpin:127.0.0.1:0").peer_url())
         port = free_port()
-        begin("udpin", f"udpout:127.0.0.1:{port}", f"udpin://127.0.0.1:{port}")
-        begin("tcp", "tcpin:127.0.0.1:0")
+        vehicle(f"udpout:127.0.0.1:{port}")
+        fly("udpin", f"udpin://127.0.0.1:{port}")
+        fly("tcp", vehicle("tcpin:127.0.0.1:0").peer_url())
+        # The vehicle connects, so downwash must listen first.
+        port = free_port(socket.SOCK_STREAM)
+        fly("tcpin", f"tcpin:127.0.0.1:{port}").says("link open")
+        vehicle(f"tcp:127.0.0.1:{port}")
         cable = SerialCable(tmp_path_factory.mktemp("cable"))
         cleanup.append(cable.close)
-        begin("serial", cable.url(0), cable.url(1))
+        vehicle(cable.url(0))
+        fly("serial", cable.url(1))
         yield running
     finally:
         for end in reversed(cleanup):
@@ -65,7 +75,7 @@ def flights(tmp_path_factory):
 
 # One xdist worker flies them all.
 @pytest.mark.xdist_group("flights")
-@pytest.mark.parametrize("transport", ["udpout", "udpin", "tcp", "serial"])
+@pytest.mark.parametrize("transport", ["udpout", "udpin", "tcp", "tcpin", "serial"])
 def test_a_flight_over_each_transport(flights, transport):
     program, folder = flights[transport]
     code, out = program.finish()
@@ -94,23 +104,10 @@ def test_a_flight_over_each_transport(flights, transport):
     assert tlog.recv_match(type="SET_ATTITUDE_TARGET") is not None
 
 
-def test_a_flight_over_tcp_with_downwash_listening(program, hover, tmp_path):
-    port = free_port(socket.SOCK_STREAM)
-    flight = fly(program, hover, f"tcpin:127.0.0.1:{port}", tmp_path)
-    flight.says("link open")
-    vehicle = Sitl(CRAZYFLIE, [f"tcp:127.0.0.1:{port}"])
-    try:
-        code, out = flight.finish()
-    finally:
-        vehicle.stop()
-    assert code == 0, flight.err
-    assert "done" in out and "RMSE" in out
-
-
-def test_after_a_kill_the_log_opens_and_the_vehicle_lands(program, hover, sitl, mavlink_client, tmp_path):
-    vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
-    hover.write_text(SHORT_HOVER.replace("duration_s = 1.0", "duration_s = 30.0"))
-    flight = fly(program, hover, vehicle.peer_url(), tmp_path)
+def test_after_a_kill_the_log_opens_and_the_vehicle_lands(program, hover, crazyflie, mavlink_client, tmp_path):
+    vehicle = crazyflie()
+    hover.write_text(hover_for(30))
+    flight = program(*fly_arguments(hover, vehicle.peer_url(), tmp_path))
     observer = mavlink_client(vehicle.peer_url())
     flight.says(" track: ")
     # Some seconds of flight in the log.
@@ -140,15 +137,17 @@ def test_after_a_kill_the_log_opens_and_the_vehicle_lands(program, hover, sitl, 
 
 
 @pytest.mark.parametrize("moment", ["heard", "track"])
-def test_an_unplugged_serial_line_ends_the_flight(program, sitl, tmp_path, hover, moment):
+def test_an_unplugged_serial_line_ends_the_flight(program, crazyflie, tmp_path, hover, moment):
     cable = SerialCable(tmp_path)
     try:
-        sitl(cable.url(0), file=CRAZYFLIE)
-        hover.write_text(SHORT_HOVER.replace("duration_s = 1.0", "duration_s = 60.0"))
-        flight = fly(program, hover, cable.url(1), tmp_path)
+        crazyflie(cable.url(0))
+        hover.write_text(hover_for(60))
+        # Above the time after which a silent vehicle is lost, 2.5 s.
+        search = {"DOWNWASH_LINK__SEARCH_TIMEOUT_S": "4.0"}
+        flight = program(*fly_arguments(hover, cable.url(1), tmp_path), settings=QUICK | search)
         flight.says(f" {moment}" + (": " if moment == "track" else " system 1"))
         cable.pull(1)
-        # No later than the search for a vehicle times out.
+        # After the search for the vehicle, or after the recording of a vehicle in the air, 10 s.
         code, _ = flight.finish(25)
         assert code == 3, flight.err
         assert "link closed" in flight.err
@@ -189,11 +188,11 @@ def garbage(seed):
         yield draw.choice(kinds)()
 
 
-def test_garbage_is_counted_and_the_flight_continues(program, hover, sitl, tmp_path):
+def test_garbage_is_counted_and_the_flight_continues(program, hover, crazyflie, tmp_path):
     port = free_port()
-    vehicle = sitl(f"udpout:127.0.0.1:{port}", "udpin:127.0.0.1:0", file=CRAZYFLIE)
+    vehicle = crazyflie(f"udpout:127.0.0.1:{port}", "udpin:127.0.0.1:0")
     # The garbage includes another autopilot's HEARTBEAT, so --system selects the vehicle.
-    flight = fly(program, hover, f"udpin:127.0.0.1:{port}", tmp_path, "--json", "--system", 1)
+    flight = program(*fly_arguments(hover, f"udpin:127.0.0.1:{port}", tmp_path, "--json", "--system", 1))
     flight.says("heard system 1 ")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as noise:
         for number, junk in enumerate(garbage(7)):
@@ -218,16 +217,14 @@ def test_garbage_is_counted_and_the_flight_continues(program, hover, sitl, tmp_p
         assert last[count] > 0 and flown["link"][count] == last[count], count
 
 
-def test_a_terminal_shows_one_status_line(hover, sitl, tmp_path):
+def test_a_terminal_shows_one_status_line(hover, crazyflie, tmp_path):
     """The status line is redrawn in place, and the messages above it stay whole."""
-    vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
-    command = [*downwash_command(), "fly", str(hover), "--connect", vehicle.peer_url()]
-    command += ["--vehicle", str(CRAZYFLIE), "--log-dir", str(tmp_path)]
+    vehicle = crazyflie()
+    command = [*DOWNWASH, *map(str, fly_arguments(hover, vehicle.peer_url(), tmp_path))]
     child, terminal = pty.fork()
     if child == 0:
-        os.environ["TERM"] = "xterm"
         fcntl.ioctl(1, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 100, 0, 0))
-        os.execv(command[0], command)
+        os.execve(command[0], command, os.environ | QUICK | {"TERM": "xterm"})
     seen = bytearray()
     end = time.monotonic() + 60
     while time.monotonic() < end:

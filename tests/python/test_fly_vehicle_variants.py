@@ -7,10 +7,10 @@ import time
 
 import pytest
 
-from conftest import CRAZYFLIE, ROOT, SHORT_HOVER, bounds_time, free_port
-from vehicle_variants import VehicleVariant
+from mcap.reader import make_reader
 
-LONG_HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 12.0\n"
+from conftest import ROOT, SHORT_HOVER, bounds_time, fly_arguments, free_port, hover_for, only_log
+from vehicle_variants import VehicleVariant
 
 
 @pytest.fixture
@@ -25,10 +25,7 @@ def flight(tmp_path, program):
         file.write_text(trajectory)
         for number, these in enumerate(traits):
             vehicles.append(VehicleVariant(f"udpout:127.0.0.1:{port}", **these))
-        daemon = program(
-            "fly", file, "--connect", url, "--vehicle", CRAZYFLIE, "--log-dir", tmp_path, "--json", *options
-        )
-        return vehicles, daemon
+        return vehicles, program(*fly_arguments(file, url, tmp_path, "--json", *options))
 
     yield start
     for vehicle in vehicles:
@@ -45,7 +42,7 @@ def flight(tmp_path, program):
     ],
 )
 def test_a_vehicle_with_a_drifting_clock_is_flown(flight, rate, answers):
-    _, daemon = flight({"clock_rate": rate, "answers_timesync": answers}, trajectory=LONG_HOVER)
+    _, daemon = flight({"clock_rate": rate, "answers_timesync": answers}, trajectory=hover_for(12))
     code, _ = daemon.finish(90)
     assert code == 0, daemon.err
 
@@ -65,13 +62,20 @@ def supported():
 
 
 @pytest.mark.parametrize("name, protocol, mode_from, state_from", supported())
-def test_supported_autopilots_are_flown(flight, name, protocol, mode_from, state_from):
+def test_supported_autopilots_are_flown(flight, tmp_path, name, protocol, mode_from, state_from):
     autopilot = 3 if name.startswith("ArduCopter") else 12
     traits = {"mavlink": int(protocol), "mode_from": mode_from, "state_from": state_from, "autopilot": autopilot}
     (vehicle,), daemon = flight(traits)
-    code, _ = daemon.finish(60)
+    code, out = daemon.finish(60)
     assert code == 0, daemon.err
+    assert json.loads(out)["schema"] == "downwash.fly"
+    # Attitude and rates together are unsafe on a real PX4: only attitude and thrust may be sent.
+    assert vehicle.masks == {0x07}
     assert 0.6 < vehicle.highest < 1.2
+    assert not vehicle.armed and vehicle.position[2] == 0.0
+    with only_log(tmp_path).open("rb") as file:
+        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+    assert {"/state", "/setpoint", "/reference", "/mavlink/rx", "/mavlink/tx"} <= topics
     is_reported = "sends no CURRENT_MODE" in daemon.err
     assert is_reported == (mode_from == "HEARTBEAT" and autopilot == 12), daemon.err
 

@@ -5,18 +5,9 @@ import time
 import pytest
 
 from conftest import CRAZYFLIE, free_port
-from hand_made_vehicle import HandMadeVehicle, mavutil
+from hand_made_vehicle import mavutil
 
 STATION = {"source_system": 255, "source_component": 190, "dialect": "all"}
-
-
-@pytest.fixture
-def hand_made():
-    """A hand-made vehicle, and the URL on which a daemon receives it."""
-    port = free_port()
-    vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
-    yield vehicle, f"udpin:127.0.0.1:{port}"
-    vehicle.stop()
 
 
 @pytest.fixture

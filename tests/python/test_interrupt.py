@@ -4,22 +4,18 @@ without a partial file; one that flies reports within a second how it ends.
 
 import json
 import os
-import signal
 import subprocess
 import time
 
 import pytest
 
-from conftest import CRAZYFLIE, DOWNWASH, ROOT, SHORT_HOVER, SIGNALS, SIGNALS_TERM_LONG
-
-MAPPING = ROOT / "config/mappings/motion-capture.toml"
+from conftest import CRAZYFLIE, MOTION_CAPTURE, SIGNALS, SIGNALS_TERM_LONG, fly_arguments, hover_for, run
 
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flights")
-    command = [*DOWNWASH, "collect", "--out", folder, "--seconds", "40"]
-    subprocess.run(list(map(str, command)), check=True, capture_output=True, timeout=120)
+    run("collect", "--out", folder, "--seconds", 40)
     return sorted(folder.glob("*.mcap"))
 
 
@@ -88,16 +84,20 @@ def test_interrupted_exam(program, tmp_path, number, stage):
 
 @pytest.mark.computes
 @SIGNALS
-def test_interrupted_plan(program, tmp_path, number):
-    long = tmp_path / "long.toml"
+def test_an_interrupted_plan_is_the_best_so_far(program, tmp_path, number):
+    # Too long for the slowest solver to end before the signal.
+    long, out = tmp_path / "long.toml", tmp_path / "plan.json"
     long.write_text(
-        "family = 'sinusoid-yaw'\naltitude_m = 1.0\nduration_s = 4.0\namplitude_m = 0.4\n"
+        "family = 'sinusoid-yaw'\naltitude_m = 1.0\nduration_s = 5.0\namplitude_m = 0.4\n"
         "period_s = 3.0\nyaw_period_s = 6.0\nramp_s = 0.5\n"
     )
-    one = program("plan", long, "-o", tmp_path / "plan.json", "--solver", "penalty", "--json")
+    one = program("plan", long, "-o", out, "--solver", "penalty", "--json")
     one.says("planning")
     summary = json.loads(ends_after(one, number))
-    assert summary["status"] == "stopped" and (tmp_path / "plan.json").exists()
+    plan = json.loads(out.read_text())
+    assert summary["status"] == plan["status"] == "stopped"
+    # 5 s and the rest at the end, at 100 Hz.
+    assert len(plan["inputs"]) == 550
 
 
 @pytest.mark.computes
@@ -113,8 +113,8 @@ READERS = {
     "log info": ["log", "info", "INPUT"],
     "log export": ["log", "export", "INPUT", "--topic", "/state", "--out", "OUT"],
     "log report": ["log", "report", "INPUT", "--out", "OUT"],
-    "log import": ["log", "import", "INPUT", "--mapping", MAPPING, "-o", "OUT"],
-    "log audit": ["log", "audit", "INPUT", "--mapping", MAPPING],
+    "log import": ["log", "import", "INPUT", "--mapping", MOTION_CAPTURE, "-o", "OUT"],
+    "log audit": ["log", "audit", "INPUT", "--mapping", MOTION_CAPTURE],
     "model info": ["model", "info", "INPUT"],
     "model eval": ["model", "eval", "LOG", "--model", "INPUT"],
     "model predict": ["model", "predict", "LOG", "--model", "INPUT", "--out", "OUT"],
@@ -149,22 +149,21 @@ def test_interrupted_while_listening(program, number, command):
 
 
 @SIGNALS
-def test_an_interrupted_flight_reports_at_once_and_lands(program, sitl, tmp_path, number):
-    trajectory = tmp_path / "hover.toml"
-    trajectory.write_text(SHORT_HOVER.replace("1.0", "30.0"))
-    vehicle = sitl("udpin:127.0.0.1:0", file=CRAZYFLIE)
-    one = program(
-        "fly", trajectory, "--connect", vehicle.peer_url(), "--vehicle", CRAZYFLIE, "--log-dir", tmp_path
-    )
+def test_an_interrupted_flight_reports_at_once_and_lands(program, hover, hand_made, tmp_path, number):
+    vehicle, url = hand_made
+    hover.write_text(hover_for(30))
+    one = program(*fly_arguments(hover, url, tmp_path))
     line = one.says(" track: ")
     one.signal(number)
     one.says("land", line, timeout=1.0)
     assert one.finish(30)[0] == 130, one.err
+    assert not vehicle.armed and vehicle.position[2] == 0.0
 
 
 @SIGNALS
 def test_an_interrupted_collection_reports_at_once(program, tmp_path, number):
-    one = program("collect", "--out", tmp_path, "--seconds", 3000)
+    # Ten flights of a minute, which take seconds; the programme of many more would take longer to make.
+    one = program("collect", "--out", tmp_path, "--seconds", 600)
     line = one.says("... flying")
     one.signal(number)
     one.says("stopping", line, timeout=1.0)

@@ -15,7 +15,18 @@ from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
-from conftest import CRAZYFLIE, DOWNWASH, SHORT_HOVER, Program, Sitl, free_port, python_tool
+from conftest import (
+    CRAZYFLIE,
+    DOWNWASH,
+    SHORT_HOVER,
+    Program,
+    Sitl,
+    fly_arguments,
+    free_port,
+    hover_for,
+    only_log,
+    python_tool,
+)
 from hand_made_vehicle import OFFBOARD, HandMadeVehicle
 
 # One xdist worker makes the logs for all.
@@ -51,19 +62,12 @@ def run(*arguments):
     return done
 
 
-def only_log(folder):
-    (log,) = folder.glob("*.mcap")
-    return log
-
-
-def flown(folder, kill):
+def flown(folder, landing, kill):
     """The log of a flight over a link; with `kill`, of one whose program was killed in flight."""
     trajectory = folder / "hover.toml"
-    trajectory.write_text(SHORT_HOVER.replace("1.0", "30.0") if kill else SHORT_HOVER)
-    vehicle = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
-    program = Program(
-        "fly", trajectory, "--connect", vehicle.peer_url(), "--vehicle", CRAZYFLIE, "--log-dir", folder
-    )
+    trajectory.write_text(hover_for(30) if kill else SHORT_HOVER)
+    vehicle = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], landing)
+    program = Program(*fly_arguments(trajectory, vehicle.peer_url(), folder))
     try:
         if kill:
             program.says(" track: ")
@@ -81,7 +85,7 @@ def from_the_daemon(folder):
     port = free_port()
     settings.write_text(
         f"vehicle = '{CRAZYFLIE}'\ntrajectory = '{trajectory}'\nconnect = 'udpin:127.0.0.1:{port}'\n"
-        f"log_dir = '{folder}'\n[offboard.supervisor]\nhold_s = 0.5\n"
+        f"log_dir = '{folder}'\n"
     )
     vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
     daemon = Program("daemon", "--config", settings)
@@ -110,15 +114,18 @@ def from_a_table(folder):
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory):
+def logs(tmp_path_factory, quick_landing):
     """A log of each kind."""
     folder = {kind: tmp_path_factory.mktemp(kind) for kind in KINDS}
-    run(*DOWNWASH, "demo", "--fly", "model-free", "--out", folder["demo"])
-    run(*DOWNWASH, "collect", "--out", folder["collect"], "--seconds", 40)
+    hover = tmp_path_factory.mktemp("trajectory") / "hover.toml"
+    hover.write_text(SHORT_HOVER)
+    # The shortest flights: the readers below take seconds for each of flight.
+    run(*DOWNWASH, "demo", "--fly", "model-free", "--trajectory", hover, "--out", folder["demo"])
+    run(*DOWNWASH, "collect", "--out", folder["collect"], "--seconds", 32)
     logs = {kind: sorted(folder[kind].glob("**/*.mcap"))[0] for kind in ("demo", "collect")}
     with ThreadPoolExecutor() as at_once:
-        whole = at_once.submit(flown, folder["fly"], kill=False)
-        killed = at_once.submit(flown, folder["killed"], kill=True)
+        whole = at_once.submit(flown, folder["fly"], quick_landing, kill=False)
+        killed = at_once.submit(flown, folder["killed"], quick_landing, kill=True)
         daemon = at_once.submit(from_the_daemon, folder["daemon"])
     logs |= {"fly": whole.result(), "killed": killed.result(), "daemon": daemon.result()}
     logs["import"] = folder["import"] / "flight.mcap"

@@ -10,9 +10,7 @@ import time
 
 import pytest
 
-from conftest import CRAZYFLIE, Sitl, bounds_time, free_port
-
-HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 20.0\n"
+from conftest import CRAZYFLIE, Sitl, bounds_time, fly_arguments, free_port, hover_for
 
 
 def room_in(sitl_options, autopilot="bundled", links=2):
@@ -38,11 +36,10 @@ def bridge(program, vehicle, room, body="quad", *options):
     return program("mocap", "--room", room, "--body", body, "--connect", vehicle.peer_url(1), "--json", *options)
 
 
-def fly(program, vehicle, folder):
+def fly(program, vehicle, folder, seconds):
     trajectory = folder / "hover.toml"
-    trajectory.write_text(HOVER)
-    url = vehicle.peer_url(0)
-    return program("fly", trajectory, "--connect", url, "--vehicle", CRAZYFLIE, "--log-dir", folder, "--json")
+    trajectory.write_text(hover_for(seconds))
+    return program(*fly_arguments(trajectory, vehicle.peer_url(0), folder, "--json"))
 
 
 def summary(one, number=signal.SIGINT, code=130):
@@ -62,7 +59,8 @@ def test_a_hover_on_motion_capture_poses(program, vehicle, tmp_path):
     quad = vehicle("--mocap", f"127.0.0.1:{port}", "--mocap-x-heading", "30")
     one = bridge(program, quad, f"stream:127.0.0.1:{port}", "quad", "--x-heading", "30")
     one.says("the body is seen", timeout=20)
-    flight = fly(program, quad, tmp_path)
+    # With take-off and landing, some twelve seconds of poses.
+    flight = fly(program, quad, tmp_path, 4)
     code, out = flight.finish(90)
     assert code == 0, f"{flight.err}\n{one.err}"
     assert json.loads(out)["flight"]["tracking"]["rmse_3d_m"] < 0.1
@@ -83,7 +81,8 @@ def test_frozen_or_swapped_poses_end_the_flight(program, vehicle, tmp_path, faul
     quad = vehicle("--mocap", f"127.0.0.1:{port}", "--mocap-fault", f"{fault}@5")
     one = bridge(program, quad, f"stream:127.0.0.1:{port}")
     one.says("the body is seen", timeout=20)
-    flight = fly(program, quad, tmp_path)
+    # Longer than until the fault, five seconds after arming.
+    flight = fly(program, quad, tmp_path, 20)
     # The bridge reports the fault once; the vehicle coasts, then reports its position unhealthy; `fly` lands it.
     one.says(words, timeout=60)
     code, out = flight.finish(60)

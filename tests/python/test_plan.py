@@ -1,13 +1,11 @@
-"""`downwash plan`: the file it writes, which plans `fly` refuses, and the plan after an interrupt."""
+"""`downwash plan`: the file it writes, and which plans `fly` refuses."""
 
 import json
 import re
-import signal
-import subprocess
 
 import pytest
 
-from conftest import CRAZYFLIE, DOWNWASH, ROOT
+from conftest import CRAZYFLIE, ROOT, run
 
 pytestmark = pytest.mark.computes
 
@@ -20,15 +18,6 @@ period_s = 3.0
 yaw_period_s = 6.0
 ramp_s = 0.5
 """
-
-
-def run(*arguments, code=0):
-    done = subprocess.run(
-        DOWNWASH + list(map(str, arguments)), capture_output=True, text=True, timeout=120
-    )
-    assert done.returncode == code, done.stderr
-    assert "panicked" not in done.stderr
-    return done
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +44,8 @@ def test_the_file_holds_the_plan(planned):
     assert {len(state) for state in plan["states"]} == {12}
     assert {len(one) for one in plan["inputs"]} == {7}
     assert plan["violation"]["defect"] <= 1e-6 and plan["violation"]["overrun"] <= 1e-4
-    assert summary["schema"] == "downwash.plan.summary" and summary["not_flyable"] is None
+    assert (summary["schema"], summary["schema_version"]) == ("downwash.plan.summary", 1)
+    assert summary["status"] in ("converged", "stalled") and summary["not_flyable"] is None
     assert summary["cost"] == plan["cost"] and summary["subproblems"] == len(plan["records"])
 
 
@@ -68,9 +58,7 @@ def test_the_report_loads_nothing_external(planned):
 
 
 def fly(plan, folder, vehicle=CRAZYFLIE, code=4):
-    return run(
-        "fly", plan, "--connect", FAR, "--vehicle", vehicle, "--log-dir", folder, code=code
-    ).stderr
+    return run("fly", plan, "--connect", FAR, "--vehicle", vehicle, "--log-dir", folder, code=code).stderr
 
 
 def test_a_plan_is_refused_for_another_vehicle(planned, tmp_path):
@@ -86,21 +74,30 @@ def test_a_plan_is_refused_for_another_vehicle(planned, tmp_path):
     assert not list(tmp_path.glob("*.mcap"))
 
 
-def test_a_plan_that_violates_its_dynamics_is_refused(planned, tmp_path):
-    plan = json.loads(planned[0].read_text())
-    plan["violation"]["defect"] = 0.02
-    invalid = tmp_path / "invalid.json"
-    invalid.write_text(json.dumps(plan))
-    assert "violates its dynamics by 2.0e-2" in fly(invalid, tmp_path)
+def test_unflyable_plans_are_refused_with_the_reason(planned, tmp_path):
+    good = planned[0].read_text()
+    bad = tmp_path / "bad.json"
 
+    def refused(change, code, *words):
+        plan = json.loads(good)
+        change(plan)
+        bad.write_text(json.dumps(plan))
+        error = fly(bad, tmp_path, code=code)
+        assert all(word in error for word in words), error
 
-def test_damaged_plans_are_refused(planned, tmp_path):
-    text = planned[0].read_text()
-    damaged = tmp_path / "damaged.json"
-    for change in (text[: len(text) // 2], text.replace('"schema_version":2', '"schema_version":9')):
-        damaged.write_text(change)
-        error = fly(damaged, tmp_path, code=2)
-        assert "damaged.json" in error and "plan it again" in error
+    refused(lambda plan: plan.update(vehicle="another"), 4, "the plan is for the vehicle")
+    refused(lambda plan: plan["violation"].update(defect=0.02), 4, "violates its dynamics by 2.0e-2")
+    refused(lambda plan: plan.update(status="failed"), 4, "failed")
+    refused(lambda plan: plan.update(schema_version=99), 2, "99", "bad.json", "plan it again")
+    refused(lambda plan: plan["inputs"].pop(), 2, "states")
+    refused(lambda plan: plan.update(inputs=[]), 2, "periods")
+    refused(lambda plan: plan["body"].update(mass_kg=0.05), 4, "another vehicle with this name")
+    refused(lambda plan: plan["states"][3].__setitem__(2, 5.0), 4, "jumps by")
+    refused(lambda plan: [state.__setitem__(2, state[2] + 5.0) for state in plan["states"]], 4, "lowest height")
+    bad.write_text(good[: len(good) // 2])
+    error = fly(bad, tmp_path, code=2)
+    assert "bad.json" in error and "plan it again" in error
+    assert not list(tmp_path.glob("*.mcap"))
 
 
 def test_a_zero_time_limit_gives_an_unflyable_plan(trajectory, tmp_path):
@@ -111,22 +108,6 @@ def test_a_zero_time_limit_gives_an_unflyable_plan(trajectory, tmp_path):
     assert summary["status"] == "stopped" and summary["subproblems"] == 0
     assert "violates its dynamics" in summary["not_flyable"]
     assert "violates its dynamics" in fly(out, tmp_path)
-
-
-def test_an_interrupt_leaves_the_best_plan_so_far(program, tmp_path):
-    # The slowest solver, so that the search outlasts the interrupt.
-    long = tmp_path / "long.toml"
-    long.write_text(SHORT.replace("duration_s = 3.0", "duration_s = 5.0"))
-    out = tmp_path / "plan.json"
-    one = program("plan", long, "-o", out, "--solver", "penalty", "--json")
-    one.says("planning")
-    one.signal(signal.SIGINT)
-    code, text = one.finish(120)
-    assert code == 130, one.err
-    summary = json.loads(text)
-    plan = json.loads(out.read_text())
-    assert summary["status"] == plan["status"] == "stopped"
-    assert len(plan["inputs"]) == 550
 
 
 @pytest.mark.parametrize(

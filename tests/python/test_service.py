@@ -8,27 +8,21 @@ import urllib.error
 import urllib.request
 
 import pytest
-from conftest import CRAZYFLIE, SHORT_HOVER, Program, Sitl
+
+from conftest import fly_arguments
 
 
 @pytest.fixture
-def flight(tmp_path):
+def flight(program, hover, crazyflie, tmp_path):
     """Starts `downwash fly` with metrics on a simulated vehicle; returns the program and its URL."""
-    (tmp_path / "hover.toml").write_text(SHORT_HOVER)
-    sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
-    started = []
 
     def start(**options):
-        program = Program("fly", tmp_path / "hover.toml", "--vehicle", CRAZYFLIE, "--connect", sitl.peer_url(),
-                          "--log-dir", tmp_path, "--metrics=127.0.0.1:0", **options)
-        started.append(program)
-        line = program.lines[program.says("metrics at http") - 1]
-        return program, re.search(r"http://[0-9.:]+", line).group(0)
+        arguments = fly_arguments(hover, crazyflie().peer_url(), tmp_path, "--metrics=127.0.0.1:0")
+        one = program(*arguments, **options)
+        line = one.lines[one.says("metrics at http") - 1]
+        return one, re.search(r"http://[0-9.:]+", line).group(0)
 
-    yield start
-    for program in started:
-        program.close()
-    sitl.stop()
+    return start
 
 
 def get(url):

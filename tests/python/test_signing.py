@@ -4,18 +4,19 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
-from conftest import CRAZYFLIE, DOWNWASH, SHORT_HOVER, Program, Sitl, free_port
-from hand_made_vehicle import HandMadeVehicle
+
+from conftest import CRAZYFLIE, DOWNWASH, QUICK, Sitl, fly_arguments, free_port
 from signing_conformance import ATTACKS, attack, stamp_now
-from pathlib import Path
 
 SUITE = Path(__file__).with_name("signing_conformance.py")
 
 
-def run(*arguments, **options):
-    return subprocess.run([*DOWNWASH, *map(str, arguments)], capture_output=True, text=True, timeout=90, **options)
+def run(*arguments, settings=QUICK):
+    command = [*DOWNWASH, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=90, env=os.environ | settings)
 
 
 @pytest.fixture
@@ -37,18 +38,7 @@ def key_of(path):
     return bytes.fromhex(path.read_text().strip())
 
 
-def hover(folder):
-    path = folder / "hover.toml"
-    path.write_text(SHORT_HOVER)
-    return path
-
-
-def fly(folder, url, *options, **process):
-    arguments = ["--vehicle", CRAZYFLIE, "--connect", url, "--log-dir", folder, "--json", *options]
-    return run("fly", hover(folder), *arguments, **process)
-
-
-def test_a_key_file_is_private_and_never_printed(tmp_path, key_file, config):
+def test_a_key_file_is_private_and_never_printed(hover, tmp_path, key_file, config):
     assert key_file.stat().st_mode & 0o777 == 0o600
     assert len(key_of(key_file)) == 32
     secret = key_file.read_text().strip()
@@ -56,24 +46,25 @@ def test_a_key_file_is_private_and_never_printed(tmp_path, key_file, config):
     shown = run("config", "--config", config, "--json")
     assert shown.returncode == 0 and secret not in shown.stdout + shown.stderr
     key_file.chmod(0o644)
-    refused = fly(tmp_path, "udpin:127.0.0.1:0", "--config", str(config))
+    refused = run(*fly_arguments(hover, "udpin:127.0.0.1:0", tmp_path, "--config", config))
     assert refused.returncode == 2
     assert "0600" in refused.stderr and secret not in refused.stderr
 
 
-def test_a_signed_flight_leaves_no_key_in_its_log(tmp_path, key_file, config):
-    sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], ["--signing-key", str(key_file)])
+def test_a_signed_flight_leaves_no_key_in_its_log(hover, tmp_path, key_file, config, quick_landing):
+    sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], ["--signing-key", str(key_file), *quick_landing])
+    arguments = fly_arguments(hover, sitl.peer_url(), tmp_path)
     try:
         # Without the key downwash can send only unsigned frames, and the vehicle obeys none.
         waits = {"DOWNWASH_LINK__SEARCH_TIMEOUT_S": "4.0", "DOWNWASH_OFFBOARD__SUPERVISOR__READY_TIMEOUT_S": "6.0"}
-        blind = fly(tmp_path, sitl.peer_url(), env={**os.environ, **waits})
+        blind = run(*arguments, settings=waits)
         assert blind.returncode != 0 and "sign" in blind.stderr
-        flown = fly(tmp_path, sitl.peer_url(), "--config", str(config))
-        assert flown.returncode == 0, flown.stderr
+        checked = run(*arguments, "--config", config, "--check")
+        assert checked.returncode == 0, checked.stderr
         # The stamps continue where they ended.
         state = json.loads((tmp_path / "key.stamps").read_text())
-        again = fly(tmp_path, sitl.peer_url(), "--config", str(config))
-        assert again.returncode == 0, again.stderr
+        flown = run(*arguments, "--config", config)
+        assert flown.returncode == 0, flown.stderr
         later = json.loads((tmp_path / "key.stamps").read_text())
         assert later["newest"] > state["newest"] > stamp_now() - 10**8
         assert [row["system"] for row in later["streams"]] == [1] * len(later["streams"]) != []
@@ -85,18 +76,13 @@ def test_a_signed_flight_leaves_no_key_in_its_log(tmp_path, key_file, config):
 
 
 @pytest.mark.parametrize("right", [True, False], ids=["same-key", "other-key"])
-def test_a_pymavlink_vehicle_needs_the_same_key(tmp_path, key_file, config, right):
-    port = free_port()
-    vehicle = HandMadeVehicle(f"udpout:127.0.0.1:{port}")
+def test_a_pymavlink_vehicle_needs_the_same_key(hover, hand_made, tmp_path, key_file, config, right):
+    vehicle, url = hand_made
     key = key_of(key_file) if right else bytes(range(32))
     vehicle.link.setup_signing(key, sign_outgoing=True, allow_unsigned_callback=None,
                                initial_timestamp=stamp_now(), link_id=3)
-    options = {"env": {**os.environ, "DOWNWASH_LINK__SEARCH_TIMEOUT_S": "4.0"}}
-    try:
-        flown = run("fly", hover(tmp_path), "--vehicle", CRAZYFLIE, "--connect", f"udpin:127.0.0.1:{port}",
-                    "--log-dir", tmp_path, "--config", config, **options)
-    finally:
-        vehicle.stop()
+    search = {"DOWNWASH_LINK__SEARCH_TIMEOUT_S": "4.0"}
+    flown = run(*fly_arguments(hover, url, tmp_path, "--config", config), settings=QUICK | search)
     if right:
         assert flown.returncode == 0, flown.stderr
         assert vehicle.setpoints and vehicle.highest > 0.6
@@ -107,7 +93,7 @@ def test_a_pymavlink_vehicle_needs_the_same_key(tmp_path, key_file, config, righ
         assert not vehicle.setpoints and not vehicle.armed
 
 
-def test_setup_installs_changes_and_removes_a_key(tmp_path, key_file, config):
+def test_setup_installs_changes_and_removes_a_key(hover, tmp_path, key_file, config):
     sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
     try:
         url = sitl.peer_url()
@@ -125,7 +111,7 @@ def test_setup_installs_changes_and_removes_a_key(tmp_path, key_file, config):
         assert own.returncode == 0, own.stderr
         taken = run("signing", "setup", "--connect", url, "--config", changed, "--off")
         assert taken.returncode == 0, taken.stderr
-        assert fly(tmp_path, url).returncode == 0
+        assert run(*fly_arguments(hover, url, tmp_path, "--check")).returncode == 0
     finally:
         sitl.stop()
 
@@ -142,14 +128,10 @@ def test_the_bundled_vehicle_refuses_every_attack(key_file):
         sitl.stop()
 
 
-def test_downwash_refuses_every_attack(tmp_path, key_file, config):
+def test_downwash_refuses_every_attack(program, key_file, config):
     port = free_port()
-    listener = Program("inspect", "--connect", f"udpin:127.0.0.1:{port}", "--config", config, "--seconds", 60)
-    try:
-        assert attack(f"udpout:127.0.0.1:{port}", key_of(key_file), "vehicle") == expected_results()
-    finally:
-        listener.process.kill()
-        listener.process.wait()
+    program("inspect", "--connect", f"udpin:127.0.0.1:{port}", "--config", config, "--seconds", 60)
+    assert attack(f"udpout:127.0.0.1:{port}", key_of(key_file), "vehicle") == expected_results()
 
 
 def test_attacks_that_pymavlink_accepts_match_the_docs(key_file):

@@ -9,8 +9,7 @@ import pexpect
 import pyte
 import pytest
 
-from conftest import CRAZYFLIE, DOWNWASH, free_port
-from hand_made_vehicle import HandMadeVehicle
+from conftest import DOWNWASH, QUICK, fly_arguments, hover_for
 
 ROWS, COLUMNS = 30, 110
 
@@ -23,7 +22,7 @@ class Screen:
             DOWNWASH[0],
             [*DOWNWASH[1:], *map(str, arguments)],
             dimensions=(ROWS, COLUMNS),
-            env={**os.environ, "TERM": "xterm-256color"},
+            env=os.environ | QUICK | {"TERM": "xterm-256color"},
             timeout=60,
         )
         self.before = termios.tcgetattr(self.child.child_fd)
@@ -65,25 +64,19 @@ class Screen:
 
 
 @pytest.fixture
-def flight(tmp_path):
+def flight(hover, hand_made, tmp_path):
     """Starts `fly --tui` with a hand-made vehicle."""
-    vehicles = []
+    _, url = hand_made
 
-    def start(*options, duration=30.0):
-        port = free_port()
-        vehicles.append(HandMadeVehicle(f"udpout:127.0.0.1:{port}"))
-        hover = tmp_path / "hover.toml"
-        hover.write_text(f"family = 'hover'\naltitude_m = 0.8\nduration_s = {duration}\n")
-        connect = ("--connect", f"udpin:127.0.0.1:{port}", "--vehicle", CRAZYFLIE)
-        return Screen("fly", hover, *connect, "--log-dir", tmp_path, "--tui", *options)
+    def start(duration_s=30):
+        hover.write_text(hover_for(duration_s))
+        return Screen(*fly_arguments(hover, url, tmp_path, "--tui"))
 
-    yield start
-    for vehicle in vehicles:
-        vehicle.stop()
+    return start
 
 
 def test_the_screen_follows_a_flight_to_its_landing(flight):
-    screen = flight(duration=1.0)
+    screen = flight(duration_s=1)
     screen.until("state", "link", "events", "q or Ctrl-C: land and stop")
     screen.until("state track", "mode Offboard", "armed", "link connected", "attitude roll", "error n")
     assert screen.finish() == 0
@@ -135,8 +128,7 @@ def test_terminal_settings_are_restored(flight):
 
 
 def test_without_a_terminal_it_is_refused(program, hover, tmp_path):
-    options = ("--connect", "udpin:127.0.0.1:0", "--vehicle", CRAZYFLIE, "--log-dir", tmp_path, "--tui")
-    flight = program("fly", hover, *options)
+    flight = program(*fly_arguments(hover, "udpin:127.0.0.1:0", tmp_path, "--tui"))
     code, _ = flight.finish()
     assert code == 2
     assert "--tui: expected a terminal" in flight.err
