@@ -109,15 +109,20 @@ class Browser:
 
     def open(self, page, width=1400, height=900, dark=False, scripts=True):
         """Opens a file or a URL in a viewport of the given size in pixels."""
+        # The page before may still complain, such as about a server that has ended.
+        self._navigate("about:blank")
         self.complaints.clear()
+        self.requests.clear()
         self.ask("Emulation.setScriptExecutionDisabled", value=not scripts)
         self.ask("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.ask("Emulation.setEmulatedMedia", features=[scheme])
+        self._navigate(page if isinstance(page, str) else page.resolve().as_uri())
+
+    def _navigate(self, url):
         with self._news:
             self._events.clear()
-        self.requests.clear()
-        self.ask("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
+        self.ask("Page.navigate", url=url)
         self._wait(lambda: "Page.loadEventFired" in self._events)
 
     def value(self, expression):

@@ -6,10 +6,10 @@ import subprocess
 
 import pytest
 
-from browser import Browser
-from conftest import DOWNWASH, ROOT
+from conftest import DOWNWASH, LOOKS, ROOT
 
-LOOKS = [(width, dark) for width in (1400, 400) for dark in (False, True)]
+# One xdist worker makes the pages for all: the diagnosis alone takes seconds of every core.
+pytestmark = [pytest.mark.computes, pytest.mark.xdist_group("pages")]
 # The smallest size of visible text, in pixels, and its element.
 SMALLEST = """
 (() => {
@@ -37,13 +37,6 @@ WORDLESS = """
 [...document.querySelectorAll('figure svg')].filter(svg => (svg.getAttribute('aria-label') || '').length < 20)
     .map(svg => svg.outerHTML.slice(0, 120))
 """
-
-
-@pytest.fixture(scope="module")
-def browser():
-    one = Browser()
-    yield one
-    one.close()
 
 
 def downwash(*arguments, folder, codes=(0,)):
@@ -104,7 +97,6 @@ PAGES = ("flight", "recording", "compare", "diagnosis", "onset", "plan")
 
 
 @pytest.mark.long
-@pytest.mark.computes
 @pytest.mark.parametrize("name", ("experiment", "training", "exam"))
 @pytest.mark.parametrize(("width", "dark"), LOOKS)
 def test_slow_pages_fit_and_are_legible(slow_pages, browser, name, width, dark):
@@ -225,6 +217,8 @@ def test_labels_of_the_path_do_not_overlap(pages, browser):
             assert browser.value(outside) == [], (name, width)
 
 
+# `report_flight.rs` bounds the page of a made-up log.
+@pytest.mark.long
 def test_a_ten_minute_flight_makes_a_small_page(browser, tmp_path):
     (tmp_path / "long.toml").write_text(
         "family = 'sinusoid-xy'\naltitude_m = 1.0\nduration_s = 600.0\namplitude_m = [0.8, 0.6]\nperiod_s = [4.0, 4.0]\n"

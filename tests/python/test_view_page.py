@@ -1,28 +1,21 @@
 """The page of the live view in a real browser: a flight in progress, and the playback of a log."""
 
+import os
 import re
 
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from browser import Browser
-from conftest import CRAZYFLIE, Program, Sitl
+from conftest import LOOKS, Program, fly_arguments, hover_for
 
-HOVER = "family = 'hover'\naltitude_m = 0.8\nduration_s = 4.0\n"
+HOVER = hover_for(4)
 STATE = "document.getElementById('figure-state').textContent"
 
 
 def address(program):
     program.says("view at ")
     return re.search(r"view at (http://\S+/)", program.err).group(1)
-
-
-@pytest.fixture
-def browser():
-    one = Browser()
-    yield one
-    one.close()
 
 
 @pytest.fixture(scope="module")
@@ -94,32 +87,30 @@ def test_a_log_plays_pauses_and_seeks(program, browser, log):
     assert replay.finish()[0] == 130
 
 
-@pytest.mark.parametrize("width", [1400, 400])
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_the_page_fits_and_is_readable(program, browser, log, width, dark):
-    replay = program("replay", log, "--view=127.0.0.1:0")
-    url = address(replay)
-    browser.open(url, width, 1000, dark=dark)
-    browser.until("known.now > playback.from + 3 && known.trail.length > 5")
-    assert browser.value("document.documentElement.scrollWidth") <= width
-    small = """[...document.querySelectorAll('body *')].filter(e => e.childNodes.length
-        && [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim()))
-        .map(e => parseFloat(getComputedStyle(e).fontSize)).filter(size => size < 11)"""
-    assert browser.value(small) == []
-    unlabelled = "[...document.querySelectorAll('canvas')].filter(c => !c.getAttribute('aria-label')).length"
-    assert browser.value(unlabelled) == 0
-    check_clean(browser, url)
+def test_the_page_fits_and_is_readable_in_every_look(program, browser, log):
+    url = address(program("replay", log, "--view=127.0.0.1:0"))
+    for width, dark in LOOKS:
+        browser.open(url, width, 1000, dark=dark)
+        browser.until("playback")
+        browser.value("control(0, 8, playback.from)")
+        browser.until("known.now > playback.from + 3 && known.trail.length > 5")
+        assert browser.value("document.documentElement.scrollWidth") <= width
+        small = """[...document.querySelectorAll('body *')].filter(e => e.childNodes.length
+            && [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim()))
+            .map(e => parseFloat(getComputedStyle(e).fontSize)).filter(size => size < 11)"""
+        assert browser.value(small) == [], (width, dark)
+        unlabelled = "[...document.querySelectorAll('canvas')].filter(c => !c.getAttribute('aria-label')).length"
+        assert browser.value(unlabelled) == 0
+        check_clean(browser, url)
 
 
 @pytest.fixture
-def writable(program, tmp_path):
+def writable(program, hover, crazyflie, tmp_path):
     """A long hover with --view-write, on its own vehicle; the program and its URL."""
-    (tmp_path / "hover.toml").write_text("family = 'hover'\naltitude_m = 0.8\nduration_s = 120.0\n")
-    sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"])
-    flight = program("fly", tmp_path / "hover.toml", "--vehicle", CRAZYFLIE, "--connect", sitl.peer_url(),
-                     "--log-dir", tmp_path, "--view=127.0.0.1:0", "--view-write")
-    yield flight, address(flight)
-    sitl.stop()
+    hover.write_text(hover_for(120))
+    options = ("--view=127.0.0.1:0", "--view-write")
+    flight = program(*fly_arguments(hover, crazyflie().peer_url(), tmp_path, *options))
+    return flight, address(flight)
 
 
 def test_the_page_moves_the_goal(writable, browser, tmp_path):
@@ -150,26 +141,23 @@ def test_the_page_moves_the_goal(writable, browser, tmp_path):
     assert any("a viewer's change: goal 1.00 m north, -0.50 m east, 0.40 m up" in text for text in logged)
 
 
-@pytest.mark.parametrize("width", [1400, 400])
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_the_change_form_fits(writable, browser, width, dark):
+def test_the_change_form_fits_in_every_look(writable, browser):
     _, url = writable
-    browser.open(url, width, 1000, dark=dark)
-    browser.until("!document.getElementById('change').hidden && known.state")
-    assert browser.value("document.documentElement.scrollWidth") <= width
-    sizes = "[...document.querySelectorAll('#change *')].map(e => parseFloat(getComputedStyle(e).fontSize))"
-    assert min(browser.value(sizes)) >= 11
-    assert browser.value("[...document.querySelectorAll('#change input')].every(i => i.labels.length === 1)")
-    check_clean(browser, url)
+    for width, dark in LOOKS:
+        browser.open(url, width, 1000, dark=dark)
+        browser.until("!document.getElementById('change').hidden && known.state")
+        assert browser.value("document.documentElement.scrollWidth") <= width, dark
+        sizes = "[...document.querySelectorAll('#change *')].map(e => parseFloat(getComputedStyle(e).fontSize))"
+        assert min(browser.value(sizes)) >= 11, (width, dark)
+        assert browser.value("[...document.querySelectorAll('#change input')].every(i => i.labels.length === 1)")
+        check_clean(browser, url)
 
 
 def test_without_view_no_port_is_opened(program, hover, tmp_path):
     """A flight without --view listens on no TCP port."""
-    flight = program("fly", hover, "--connect", "udpin:127.0.0.1:0", "--vehicle", "crazyflie", "--log-dir", tmp_path)
+    flight = program(*fly_arguments(hover, "udpin:127.0.0.1:0", tmp_path))
     flight.says("link open")
     sockets = set()
-    import os
-
     for descriptor in os.listdir(f"/proc/{flight.process.pid}/fd"):
         target = os.readlink(f"/proc/{flight.process.pid}/fd/{descriptor}")
         if target.startswith("socket:["):
