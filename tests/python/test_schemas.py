@@ -6,9 +6,8 @@ import subprocess
 import jsonschema
 import pytest
 
-from conftest import ROOT, downwash_command
+from conftest import CRAZYFLIE, DOWNWASH, ROOT, of_the_demo
 
-DOWNWASH = downwash_command()
 DRAG = ["--effect", "rotor_drag:d_xy=0.02,d_z=0.01"]
 
 
@@ -52,11 +51,6 @@ def flights(tmp_path_factory):
     return sorted(folder.glob("*.mcap")), collected
 
 
-@pytest.fixture(scope="module")
-def vehicle():
-    return ROOT / "config/vehicles/crazyflie.toml"
-
-
 def test_every_schema_is_valid(schemas):
     for schema in schemas.values():
         jsonschema.Draft202012Validator.check_schema(schema)
@@ -72,19 +66,19 @@ def test_the_reference_pages_are_current(tmp_path):
         assert text == (tmp_path / page).read_text(), f"{page}: downwash reference --out docs/reference"
 
 
-def test_vehicle_and_config_output(schemas, vehicle):
+def test_vehicle_and_config_output(schemas):
     check(schemas, "downwash.vehicle.list", run("vehicle", "list", "--json"))
-    check(schemas, "downwash.vehicle.check", run("vehicle", "check", vehicle, "--json"))
+    check(schemas, "downwash.vehicle.check", run("vehicle", "check", CRAZYFLIE, "--json"))
     check(schemas, "downwash.vehicle.init", run("vehicle", "init", "--mass", 1, "--arm", 0.2, "--json"))
     check(schemas, "downwash.config", run("config", "--json"))
 
 
 @pytest.mark.computes
-def test_diagnosis_and_exam_sweep_output(schemas, flights, vehicle, tmp_path):
+def test_diagnosis_and_exam_sweep_output(schemas, flights, tmp_path):
     (logs, _) = flights
     diagnoses, exam = tmp_path / "diagnoses.toml", tmp_path / "exam.toml"
     names = json.dumps([str(log) for log in logs])
-    diagnoses.write_text(f'schema_version = 1\nof = "diagnose"\ntwins = 0\nvehicle = "{vehicle}"\nlogs = {names}\n')
+    diagnoses.write_text(f'schema_version = 1\nof = "diagnose"\ntwins = 0\nvehicle = "{CRAZYFLIE}"\nlogs = {names}\n')
     exam.write_text('schema_version = 1\nof = "exam"\ntwins = 0\ncases = 1\nnulls = 1\n')
     for manifest, row_schema in [(diagnoses, "downwash.diagnose.row"), (exam, "downwash.exam.case")]:
         out = tmp_path / manifest.stem
@@ -111,6 +105,7 @@ def test_simulate_and_sweep_output(schemas, tmp_path):
         check(schemas, "downwash.sweep.point", line)
 
 
+@pytest.mark.computes
 def test_log_output(schemas, flights, tmp_path):
     logs, collected = flights
     check(schemas, "downwash.collect", collected)
@@ -121,10 +116,10 @@ def test_log_output(schemas, flights, tmp_path):
 
 
 @pytest.mark.computes
-def test_model_and_plan_output(schemas, flights, vehicle, tmp_path):
+def test_model_and_plan_output(schemas, flights, tmp_path):
     logs, _ = flights
     model = tmp_path / "m.safetensors"
-    train = ["--hidden", 8, "--passes", 4, "--vehicle", vehicle, "-o", model, "--json"]
+    train = ["--hidden", 8, "--passes", 4, "--vehicle", CRAZYFLIE, "-o", model, "--json"]
     check(schemas, "downwash.training", run("train", *logs, *train))
     check(schemas, "downwash.model_info", run("model", "info", model, "--json"))
     check(schemas, "downwash.model_eval", run("model", "eval", logs[0], "--model", model, "--json"))
@@ -138,21 +133,22 @@ def test_model_and_plan_output(schemas, flights, vehicle, tmp_path):
 
 
 @pytest.mark.computes
-def test_diagnose_output(schemas, flights, vehicle, tmp_path):
+def test_diagnose_output(schemas, flights, tmp_path):
     logs, _ = flights
-    options = ["--vehicle", vehicle, "--twins", 4, "--next-flight", tmp_path / "next.toml", "--json"]
+    options = ["--vehicle", CRAZYFLIE, "--twins", 4, "--next-flight", tmp_path / "next.toml", "--json"]
     answer = check(schemas, "downwash.diagnose", run("diagnose", *logs, *options))
     assert answer["verdict"] == "effect"
     # One flight without effects, only noise.
     still = run("simulate", "figure-8", "--out", tmp_path / "s", "--json")
     log = json.loads(still)["log"]
-    check(schemas, "downwash.diagnose", run("diagnose", log, "--vehicle", vehicle, "--twins", 4, "--json"))
+    check(schemas, "downwash.diagnose", run("diagnose", log, "--vehicle", CRAZYFLIE, "--twins", 4, "--json"))
 
 
 @pytest.mark.computes
-def test_demo_output(schemas, tmp_path):
-    demo = ["--fly", "model-free,physics", "--learn", 60, "--out", tmp_path / "demo", "--json"]
-    check(schemas, "downwash.demo", run("demo", *demo, *DRAG))
+@of_the_demo
+@pytest.mark.timeout(300)
+def test_demo_output(schemas, demo):
+    check(schemas, "downwash.demo", demo[1])
 
 
 @pytest.mark.computes
