@@ -10,12 +10,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from conftest import CRAZYFLIE, DOWNWASH, ROOT
+from conftest import CRAZYFLIE, DOWNWASH, MOTION_CAPTURE, MOTION_CAPTURE_COLUMNS
 
 pytestmark = pytest.mark.computes
-
-MAPPING = ROOT / "config/mappings/motion-capture.toml"
-COLUMNS = "t,px,py,pz,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1,m2,m3,m4,vbat"
 
 
 def run(*arguments):
@@ -31,7 +28,7 @@ def messages(path):
 
 
 def write_table(path, rows=100):
-    lines = [COLUMNS]
+    lines = [MOTION_CAPTURE_COLUMNS]
     for row in range(rows):
         t = 0.01 * row
         half = 0.1 * t
@@ -43,7 +40,7 @@ def write_table(path, rows=100):
 def test_a_table_imports_as_a_readable_mcap_log(tmp_path):
     table, out = tmp_path / "flight.csv", tmp_path / "flight.mcap"
     write_table(table)
-    done = run(table, "--mapping", MAPPING, "-o", out, "--json")
+    done = run(table, "--mapping", MOTION_CAPTURE, "-o", out, "--json")
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert summary["schema"] == "downwash.log.import" and summary["left_out"] == []
@@ -68,7 +65,7 @@ def test_a_table_imports_as_a_readable_mcap_log(tmp_path):
 def test_reimporting_a_log_changes_nothing(tmp_path):
     table, first, second = (tmp_path / name for name in ("a.csv", "b.mcap", "c.mcap"))
     write_table(table)
-    assert run(table, "--mapping", MAPPING, "-o", first).returncode == 0
+    assert run(table, "--mapping", MOTION_CAPTURE, "-o", first).returncode == 0
     done = run(first, "-o", second, "--json")
     assert done.returncode == 0, done.stderr
     bodies = [
@@ -84,15 +81,15 @@ def test_import_errors_name_the_file(tmp_path):
     done = run(table, "-o", out)
     assert done.returncode == 2 and "--mapping" in done.stderr and "flight.csv" in done.stderr
     mapping = tmp_path / "map.toml"
-    mapping.write_text(MAPPING.read_text().replace('world_frame = "nwu"', ""))
+    mapping.write_text(MOTION_CAPTURE.read_text().replace('world_frame = "nwu"', ""))
     done = run(table, "--mapping", mapping, "-o", out)
     assert done.returncode == 2 and "world_frame" in done.stderr and "map.toml" in done.stderr
     noise = tmp_path / "noise.tlog"
     noise.write_bytes(bytes(range(256)) * 10)
     done = run(noise, "-o", out)
     assert done.returncode == 2 and "not a flight log" in done.stderr
-    done = run(table, "--mapping", MAPPING, "-o", table)
-    assert done.returncode == 2 and table.read_text().startswith(COLUMNS)
+    done = run(table, "--mapping", MOTION_CAPTURE, "-o", table)
+    assert done.returncode == 2 and table.read_text().startswith(MOTION_CAPTURE_COLUMNS)
     assert not out.exists()
 
 
@@ -137,7 +134,7 @@ def test_files_without_a_flight_are_refused_with_the_reason(tmp_path):
     write_table(table)
     lines = table.read_text().splitlines()
     table.write_text("\n".join([lines[0]] + [line + ",7" for line in lines[1:]]))
-    done = run(table, "--mapping", MAPPING, "-o", out)
+    done = run(table, "--mapping", MOTION_CAPTURE, "-o", out)
     assert done.returncode == 2 and "20 cells where the header has 19" in done.stderr, done.stderr
     assert not out.exists()
 

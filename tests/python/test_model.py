@@ -4,8 +4,6 @@ import csv
 import json
 import math
 import signal
-import subprocess
-import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +14,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from safetensors import safe_open
 from safetensors.numpy import load_file
 
-from conftest import CRAZYFLIE, DOWNWASH
+from conftest import CRAZYFLIE, run
 
 EFFECTS = ["rotor_drag:d_xy=0.012,d_z=0.008", "motor_lag:tau_s=0.05", "command_delay:delay_s=0.02"]
 SMALL = ["--passes", "15", "--hidden", "20", "--regularization", "1e-5"]
@@ -24,14 +22,6 @@ PREDICTIONS = "run,start,h,x,y,z,vx,vy,vz,qw,qx,qy,qz,wx,wy,wz"
 
 # One xdist worker flies and trains for all.
 pytestmark = [pytest.mark.computes, pytest.mark.xdist_group("model"), pytest.mark.timeout(300)]
-
-
-def run(*arguments, code=0):
-    command = DOWNWASH + list(map(str, arguments))
-    done = subprocess.run(command, capture_output=True, text=True, timeout=280)
-    assert done.returncode == code, done.stderr
-    assert "panicked" not in done.stderr
-    return done
 
 
 def train(out, logs, *more, vehicle=CRAZYFLIE, code=0):
