@@ -7,10 +7,11 @@ from conftest import free_port
 from vehicle_variants import VehicleVariant
 
 
-def listen(program, traits, command="doctor", seconds="4"):
-    """Runs the command on a vehicle with `traits`; returns exit code, JSON output and stderr."""
+def listen(program, traits, command="doctor", seconds="4", parameters=()):
+    """Runs the command on a vehicle with `traits` and `parameters`; returns exit code, JSON output and stderr."""
     port = free_port()
     vehicle = VehicleVariant(f"udpout:127.0.0.1:{port}", **traits)
+    vehicle.params |= dict(parameters)
     url = f"udpin:127.0.0.1:{port}"
     try:
         running = program(command, "--connect", url, "--json", "--seconds", seconds)
@@ -23,7 +24,7 @@ def listen(program, traits, command="doctor", seconds="4"):
 
 
 def test_doctor_on_a_flyable_vehicle(program):
-    code, answer, err = listen(program, {"clock_rate": 0.95}, seconds="8")
+    code, answer, err = listen(program, {"clock_rate": 0.95})
     assert code == 0, (answer["findings"], err)
     report = answer["report"]
     assert answer["verdict"] == "can be flown"
@@ -36,15 +37,8 @@ def test_doctor_on_a_flyable_vehicle(program):
 
 def test_doctor_lists_reasons_to_refuse_a_flight(program):
     traits = {"autopilot": 3, "mode_from": "HEARTBEAT", "state_from": "attitude and position", "battery": 5}
-    port = free_port()
-    vehicle = VehicleVariant(f"udpout:127.0.0.1:{port}", **traits)
-    vehicle.params["GUID_OPTIONS"] = 0.0
-    try:
-        running = program("doctor", "--connect", f"udpin:127.0.0.1:{port}", "--json", "--seconds", "4")
-        code, out = running.finish(30)
-    finally:
-        vehicle.stop()
-    refused = {f["subject"] for f in json.loads(out)["findings"] if f["weight"] == "refuses"}
+    code, answer, _ = listen(program, traits, parameters={"GUID_OPTIONS": 0.0})
+    refused = {f["subject"] for f in answer["findings"] if f["weight"] == "refuses"}
     assert code == 4 and refused == {"parameter GUID_OPTIONS", "battery"}
 
 

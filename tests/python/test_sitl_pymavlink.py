@@ -2,6 +2,7 @@
 
 import os
 import pty
+import signal
 import struct
 import subprocess
 import threading
@@ -237,7 +238,5 @@ def test_invalid_options_are_explained(vehicle_file, options, words):
 
 
 def test_sigterm_ends_cleanly(vehicle_file):
-    import signal
-
     vehicle = Sitl(vehicle_file, ["udpin:127.0.0.1:0"])
     assert vehicle.stop(signal.SIGTERM) == 0
