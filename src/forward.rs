@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use mavlink::Message;
 use wire::dialect::MavMessage;
-use wire::{Decoder, Endpoint, Frame};
+use wire::{Decoder, Endpoint, Frame, message_name};
 
 use crate::log::record::{Direction, Record};
 use crate::log::sink::Listener;
@@ -217,13 +217,9 @@ fn report_refused(frame: &Frame, name: &str, refused: &mut BTreeMap<u32, u64>) {
     let count = refused.entry(frame.id()).or_insert(0_u64);
     *count += 1;
     if *count == 1 {
-        let message = frame.message().ok();
-        let message_text = message.map_or_else(
-            || format!("message {}", frame.id()),
-            |message| message.message_name().to_owned(),
-        );
         tracing::info!(
-            "{message_text} from {name} is not forwarded to the vehicle: forward.allow lacks it"
+            "{} from {name} is not forwarded to the vehicle: forward.allow lacks it",
+            message_name(frame.id())
         );
     }
 }

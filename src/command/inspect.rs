@@ -7,13 +7,12 @@ use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::Serialize;
-use wire::Frame;
+use wire::{Frame, message_name};
 
 use super::listen::Listener;
 use super::{Exit, print_json, print_status, print_text};
 use crate::cli::ListenArgs;
 use crate::clock::HostTime;
-use crate::link::budget::message_name;
 use crate::link::session::Delivery;
 
 /// Listening time without a terminal, s.

@@ -4,6 +4,7 @@ use std::fmt;
 
 use mavlink::Message;
 use wire::dialect::MavMessage;
+use wire::message_name;
 
 use super::profile::MessageRate;
 
@@ -153,12 +154,6 @@ pub(super) fn frame_len(id: u32) -> usize {
     let payload_len = MavMessage::default_message_from_id(id)
         .map_or(0, |message| message.ser(mavlink::MavlinkVersion::V1, &mut payload));
     FRAME_OVERHEAD + payload_len
-}
-
-/// The name of a message in the dialect, or its number.
-pub fn message_name(id: u32) -> String {
-    MavMessage::default_message_from_id(id)
-        .map_or_else(|| format!("message {id}"), |message| message.message_name().to_owned())
 }
 
 #[cfg(test)]

@@ -2,7 +2,9 @@
 
 use std::fmt;
 
-use super::budget::{frame_len, message_name};
+use wire::message_name;
+
+use super::budget::frame_len;
 use super::counters::MessageCount;
 
 /// Bytes of a signature at the end of a frame.

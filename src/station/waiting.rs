@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use message::LandedState;
+use wire::message_name;
 
 use super::Station;
 use crate::clock::HostTime;
-use crate::link::budget::message_name;
 use crate::link::counters::LinkState;
 use crate::link::silence::Silence;
 use crate::log::record::Severity;

@@ -7,7 +7,7 @@ mod frame;
 
 pub use decoder::{Decoder, DecoderStats};
 pub use encoder::Encoder;
-pub use frame::Frame;
+pub use frame::{Frame, message_name};
 pub(crate) use frame::{Front, Signature, front};
 
 #[cfg(test)]

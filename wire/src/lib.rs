@@ -29,6 +29,6 @@ pub mod tlog;
 pub mod transport;
 
 pub use endpoint::Endpoint;
-pub use framing::{Decoder, DecoderStats, Encoder, Frame};
+pub use framing::{Decoder, DecoderStats, Encoder, Frame, message_name};
 /// The MAVLink dialect of this workspace. `ardupilotmega` contains `common`, so it also serves PX4.
 pub use mavlink::dialects::ardupilotmega as dialect;

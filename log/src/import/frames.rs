@@ -2,12 +2,12 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use mavlink::{Message as _, MessageData};
+use mavlink::MessageData;
 use message::attitude_target::{self, AttitudeTarget};
-use wire::Frame;
 use wire::dialect::{
     HEARTBEAT_DATA, MavAutopilot, MavMessage, SET_ATTITUDE_TARGET_DATA, TIMESYNC_DATA,
 };
+use wire::{Frame, message_name};
 
 use super::LogFault;
 use super::clocks::{Exchange, FrameTime};
@@ -106,10 +106,7 @@ impl Frames {
             let start = *self.start_ns.get_or_insert(ns);
             self.latest = (i128::from(ns) - i128::from(start)) as f64 * 1e-9;
         }
-        self.seen.entry(frame.id()).or_insert_with(|| match frame.message() {
-            Ok(message) => message.message_name().to_owned(),
-            Err(_) => format!("message {}", frame.id()),
-        });
+        self.seen.entry(frame.id()).or_insert_with(|| message_name(frame.id()));
         let frame_time = FrameTime { index: self.index, ground: self.latest };
         let sender = (frame.system(), frame.component());
         if !self.numbers.contains_key(&sender) && self.numbers.len() == SENDERS_MAX {

@@ -5,10 +5,10 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::Serialize;
 use wire::dialect::MavSysStatusSensor;
+use wire::message_name;
 
 use super::observed::{Observed, Report};
 use crate::command::listen::Listener;
-use crate::link::budget::message_name;
 use crate::link::loss_reaction::LossReaction;
 use crate::link::profile::Profile;
 use crate::log::import::VehicleKind;

@@ -6,10 +6,11 @@ use std::fmt;
 use message::{Inbound, LandedState};
 use schemars::JsonSchema;
 use serde::Serialize;
+use wire::message_name;
 
 use crate::command::listen::Listener;
 use crate::config::Config;
-use crate::link::budget::{LineBudget, message_name};
+use crate::link::budget::LineBudget;
 use crate::link::loss_reaction::LossReaction;
 use crate::link::profile::Profile;
 use crate::link::request::Request;

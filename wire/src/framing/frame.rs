@@ -200,6 +200,12 @@ fn raw(version: MavlinkVersion, bytes: &[u8]) -> (MAVLinkMessageRaw, Check) {
     }
 }
 
+/// The name of a message in the dialect, or its number.
+pub fn message_name(id: u32) -> String {
+    MavMessage::default_message_from_id(id)
+        .map_or_else(|| format!("message {id}"), |message| message.message_name().to_owned())
+}
+
 /// The checksum's extra byte for a message id; `None` if the dialect lacks the message.
 pub(super) fn known_extra_crc(id: u32) -> Option<u8> {
     let extra_crc = MavMessage::extra_crc(id);
