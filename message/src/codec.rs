@@ -84,6 +84,19 @@ impl Codec {
         self.parameter_types.get(name).copied()
     }
 
+    /// Whether a message has stated the vehicle's time, to which shorter stamps can be extended.
+    pub fn knows_time(&self) -> bool {
+        self.clock.is_known()
+    }
+
+    /// The vehicle time nearest to the newest one at which a counter of 32 bits reads `low_us`
+    /// microseconds; notes it as the newest.
+    pub fn extended(&mut self, low_us: u32) -> VehicleTime {
+        let time = self.clock.extend_us(low_us);
+        self.clock.observe(time);
+        time
+    }
+
     /// Decodes a frame. Returns `None` for an unsupported message, or for a STATUSTEXT chunk that
     /// does not complete its text.
     ///

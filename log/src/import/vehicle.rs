@@ -6,6 +6,7 @@
 
 mod boots;
 mod facts;
+mod raw;
 
 use std::collections::BTreeMap;
 
@@ -13,9 +14,8 @@ use mavlink::MessageData;
 use message::Codec;
 use message::parameter_value::ParameterCast;
 use message::{AttitudeSource, Battery, Inbound, LandedState};
-use vehicle::frame::Frd;
-use wire::Frame;
 use wire::dialect::*;
+use wire::{Frame, message_name};
 
 use super::LogFault;
 use super::clocks::{Arrival, ClockMap, Exchange, FrameTime};
@@ -23,16 +23,13 @@ use super::epoch::{Epoch, IMUS, ImuSample, PoseSample, Source};
 use super::flight::{Clock, Flight, Stream};
 use super::setpoints::{Sent, steadied};
 use super::tally::Tally;
+use raw::Updates;
 
 /// Values of MAV_AUTOPILOT.
 const PX4: u8 = MavAutopilot::MAV_AUTOPILOT_PX4 as u8;
 const ARDUPILOT: u8 = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA as u8;
-/// The unit G in autopilots and MAVLink, m/s^2.
-const STANDARD_GRAVITY: f64 = 9.806_65;
 /// Largest number of texts kept.
 const TEXTS_MAX: usize = 40;
-/// Largest number of boots listed; a damaged log may have any number.
-const BOOTS_NAMED: usize = 20;
 /// Index of RAW_IMU in [`IMUS`].
 const RAW_IMU: usize = 1;
 /// Consecutive messages that must agree on a jump of the vehicle's clock.
@@ -51,8 +48,11 @@ pub(super) struct VehicleLog {
     /// Last value of each parameter.
     parameters: BTreeMap<String, f64>,
     texts: Vec<String>,
-    /// Latest time stamp, us; short counters are extended from it.
-    latest_us: u64,
+    /// Servo outputs that wait for a message that states the vehicle's time: their own stamps have
+    /// 32 bits.
+    outputs_waiting: Vec<(FrameTime, SERVO_OUTPUT_RAW_DATA)>,
+    /// The sensor whose HIGHRES_IMU is used, the first that was heard.
+    imu_id: Option<u8>,
     epochs: Vec<Epoch>,
     current: usize,
     /// Frame number from which on an epoch is current, with the epoch's index.
@@ -93,8 +93,8 @@ impl VehicleLog {
 
     /// Adds a frame from this vehicle.
     pub fn add(&mut self, frame_time: FrameTime, frame: &Frame) {
-        if let Some(raw) = Raw::of(frame.id()) {
-            self.add_raw(raw, frame_time, frame);
+        if raw::is_raw(frame.id()) {
+            self.add_raw(frame_time, frame);
             return;
         }
         if !is_kept(frame.id()) {
@@ -104,12 +104,14 @@ impl VehicleLog {
             Ok(Some(decoded)) => decoded,
             Ok(None) => return,
             Err(refusal) => {
-                self.tally.add(&format!("{}: {refusal}", name_of(frame.id())), 1);
+                self.tally.add(&format!("{}: {refusal}", message_name(frame.id())), 1);
                 return;
             }
         };
         self.messages += 1;
-        self.latest_us = self.latest_us.max(time.map_or(0, |time| time.as_us()));
+        if self.codec.knows_time() {
+            self.keep_waiting_outputs();
+        }
         let vehicle = time.map(|time| time.as_us() as f64 * 1e-6);
         match message {
             Inbound::Heartbeat { autopilot, vehicle_type, armed, .. }
@@ -153,12 +155,15 @@ impl VehicleLog {
                 });
             }
             Inbound::Imu { specific_force, body_rate } => {
-                let (force, rate) = updated_sensors(frame.payload());
-                if !force && !rate {
-                    return;
+                let Updates { sensor, force, rate } = Updates::of_highres_imu(frame.payload());
+                let used = *self.imu_id.get_or_insert(sensor);
+                if sensor != used {
+                    let reason = format!("HIGHRES_IMU: of sensor {sensor}, where {used} is used");
+                    self.tally.add(&reason, 1);
+                } else if force || rate {
+                    let sample = (force.then_some(specific_force), rate.then_some(body_rate));
+                    self.keep_imu(Source::Imu, frame_time, vehicle, sample);
                 }
-                let sample = (force.then_some(specific_force), rate.then_some(body_rate));
-                self.keep_imu(Source::Imu, frame_time, vehicle, sample);
             }
             Inbound::MotorOutputs { outputs, .. } => {
                 let outputs = outputs.map(f64::from);
@@ -177,71 +182,6 @@ impl VehicleLog {
                 }
                 LandedState::InAir => self.landed.push((frame_time, true)),
             },
-            _ => {}
-        }
-    }
-
-    /// Adds a message that only the importer needs, not the link.
-    fn add_raw(&mut self, raw: Raw, frame_time: FrameTime, frame: &Frame) {
-        let Ok(message) = frame.message() else {
-            self.tally.add(&format!("{}: payload does not fit its message", raw.name()), 1);
-            return;
-        };
-        self.messages += 1;
-        let ms = |ms: u32| Some(f64::from(ms) * 1e-3);
-        let imu = |force: [i16; 3], rate: [i16; 3]| {
-            let force = force.map(|mg| f64::from(mg) * 1e-3 * STANDARD_GRAVITY);
-            let rate = rate.map(|mrad| f64::from(mrad) * 1e-3);
-            (Some(Frd::from(force)), Some(Frd::from(rate)))
-        };
-        match message {
-            // Only the first group of four belongs to a quadrotor's rotors.
-            MavMessage::ESC_STATUS(data) if data.index == 0 => {
-                let rpm = data.rpm.map(|rpm| f64::from(rpm).abs());
-                let time = Some(data.time_usec as f64 * 1e-6);
-                self.keep(Source::EscStatus, frame_time, time, |e, time| e.rpm.push(time, rpm));
-            }
-            MavMessage::RAW_IMU(d) => {
-                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
-                let time = Some(d.time_usec as f64 * 1e-6);
-                self.keep_imu(Source::RawImu, frame_time, time, sample);
-            }
-            MavMessage::SCALED_IMU(d) => {
-                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
-                self.keep_imu(Source::ScaledImu, frame_time, ms(d.time_boot_ms), sample);
-            }
-            MavMessage::SCALED_IMU2(d) => {
-                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
-                self.keep_imu(Source::ScaledImu2, frame_time, ms(d.time_boot_ms), sample);
-            }
-            MavMessage::SCALED_IMU3(d) => {
-                let sample = imu([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
-                self.keep_imu(Source::ScaledImu3, frame_time, ms(d.time_boot_ms), sample);
-            }
-            MavMessage::SERVO_OUTPUT_RAW(d) => {
-                let first = [d.servo1_raw, d.servo2_raw, d.servo3_raw, d.servo4_raw];
-                let next = [d.servo5_raw, d.servo6_raw, d.servo7_raw, d.servo8_raw];
-                let third = [d.servo9_raw, d.servo10_raw, d.servo11_raw, d.servo12_raw];
-                let last = [d.servo13_raw, d.servo14_raw, d.servo15_raw, d.servo16_raw];
-                let groups = [first, next, third, last];
-                let outputs = std::array::from_fn(|at| f64::from(groups[at / 4][at % 4]));
-                let (source, port) = match d.port {
-                    0 => (Source::ServoOutputs, 0),
-                    1 => (Source::ServoOutputsAux, 1),
-                    _ => return,
-                };
-                let ahead = d.time_usec.wrapping_sub(self.latest_us as u32) as i32;
-                let us = self.latest_us.saturating_add_signed(ahead.into());
-                self.latest_us = self.latest_us.max(us);
-                self.keep(source, frame_time, Some(us as f64 * 1e-6), |epoch, time| {
-                    epoch.servo_outputs[port].push(time, outputs)
-                });
-            }
-            // 0 and the largest number mean unknown.
-            MavMessage::SYS_STATUS(d) if !matches!(d.voltage_battery, 0 | u16::MAX) => {
-                let voltage = f64::from(d.voltage_battery) * 1e-3;
-                self.system_voltage.push((frame_time, voltage));
-            }
             _ => {}
         }
     }
@@ -318,6 +258,7 @@ impl VehicleLog {
         boot: Option<usize>,
         flight: &mut Flight,
     ) -> Result<Tally, LogFault> {
+        self.keep_waiting_outputs();
         let mut tally = std::mem::take(&mut self.tally);
         // Parameters from the log's metadata, overridden by received ones.
         let mut stated = std::mem::take(&mut flight.facts.parameters);
@@ -326,24 +267,7 @@ impl VehicleLog {
         flight.facts = self.facts();
         let flown = self.flown();
         let Some(chosen) = self.chosen(boot, &flown)? else { return Ok(tally) };
-        let boots = self.epochs.len();
-        for (at, epoch) in self.epochs.iter().enumerate() {
-            let (from, to) = epoch.span();
-            if boots > 1 && (at < BOOTS_NAMED || at == chosen) {
-                let taken = if at == chosen { ", used" } else { "" };
-                let (boot, flown) = (at + 1, flown[at]);
-                flight.facts.notes.push(format!(
-                    "boot {boot} of {boots} (--boot {boot}): {from:.2} to {to:.2} s, {flown:.1} s \
-                     of it flown{taken}"
-                ));
-            }
-            if at != chosen {
-                let reason = format!(
-                    "message of another run of the vehicle's clock ({from:.2} to {to:.2} s)"
-                );
-                tally.add(&reason, epoch.messages() as u64);
-            }
-        }
+        self.note_boots(chosen, &flown, &mut flight.facts.notes, &mut tally);
         let in_epoch = |frame_time: &FrameTime| self.epoch_at(frame_time.index) == Some(chosen);
         let of_epoch = |all: &[(FrameTime, f64)]| -> Vec<(FrameTime, f64)> {
             all.iter().filter(|(frame_time, _)| in_epoch(frame_time)).copied().collect()
@@ -433,66 +357,4 @@ fn is_kept(id: u32) -> bool {
             | PARAM_VALUE_DATA::ID
             | STATUSTEXT_DATA::ID
     )
-}
-
-/// Messages that only the importer needs.
-#[derive(Clone, Copy, Debug)]
-struct Raw(u32);
-
-impl Raw {
-    fn of(id: u32) -> Option<Self> {
-        let known = matches!(
-            id,
-            ESC_STATUS_DATA::ID
-                | RAW_IMU_DATA::ID
-                | SCALED_IMU_DATA::ID
-                | SCALED_IMU2_DATA::ID
-                | SCALED_IMU3_DATA::ID
-                | SERVO_OUTPUT_RAW_DATA::ID
-                | SYS_STATUS_DATA::ID
-        );
-        known.then_some(Self(id))
-    }
-
-    fn name(self) -> String {
-        name_of(self.0)
-    }
-}
-
-/// Whether a HIGHRES_IMU has a new accelerometer sample and a new gyro sample, according to
-/// `fields_updated`. If all flags are unset, the sender does not fill them in.
-fn updated_sensors(payload: &[u8]) -> (bool, bool) {
-    /// Offset after the time and thirteen floats.
-    const FIELDS_UPDATED: usize = 60;
-    const ACCELEROMETER: u16 = 0x007;
-    const GYRO: u16 = 0x038;
-    // MAVLink 2 cuts trailing zeros.
-    let byte = |at: usize| payload.get(at).copied().unwrap_or(0);
-    let flags = u16::from_le_bytes([byte(FIELDS_UPDATED), byte(FIELDS_UPDATED + 1)]);
-    let has = |mask: u16| flags == 0 || flags & mask == mask;
-    (has(ACCELEROMETER), has(GYRO))
-}
-
-/// Name of a message in refusals.
-fn name_of(id: u32) -> String {
-    match id {
-        ODOMETRY_DATA::ID => "ODOMETRY".into(),
-        ATTITUDE_QUATERNION_DATA::ID => "ATTITUDE_QUATERNION".into(),
-        ATTITUDE_DATA::ID => "ATTITUDE".into(),
-        LOCAL_POSITION_NED_DATA::ID => "LOCAL_POSITION_NED".into(),
-        HIGHRES_IMU_DATA::ID => "HIGHRES_IMU".into(),
-        ACTUATOR_OUTPUT_STATUS_DATA::ID => "ACTUATOR_OUTPUT_STATUS".into(),
-        SERVO_OUTPUT_RAW_DATA::ID => "SERVO_OUTPUT_RAW".into(),
-        BATTERY_STATUS_DATA::ID => "BATTERY_STATUS".into(),
-        EXTENDED_SYS_STATE_DATA::ID => "EXTENDED_SYS_STATE".into(),
-        ESC_STATUS_DATA::ID => "ESC_STATUS".into(),
-        RAW_IMU_DATA::ID => "RAW_IMU".into(),
-        SCALED_IMU_DATA::ID => "SCALED_IMU".into(),
-        SCALED_IMU2_DATA::ID => "SCALED_IMU2".into(),
-        SCALED_IMU3_DATA::ID => "SCALED_IMU3".into(),
-        SYS_STATUS_DATA::ID => "SYS_STATUS".into(),
-        PARAM_VALUE_DATA::ID => "PARAM_VALUE".into(),
-        STATUSTEXT_DATA::ID => "STATUSTEXT".into(),
-        id => format!("message {id}"),
-    }
 }

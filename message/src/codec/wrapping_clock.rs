@@ -4,6 +4,9 @@ use crate::clock::VehicleTime;
 
 /// A time stamp further behind the newest than this means a restarted vehicle, not a late frame, s.
 const LATE_MAX_S: f64 = 10.0;
+/// A larger stamp counts from 1970 and not from the vehicle's boot. MAVLink allows both in
+/// `time_usec`, and has the receiver judge by the magnitude; no vehicle runs for ten years.
+const SINCE_BOOT_MAX: VehicleTime = VehicleTime::from_us(10 * 365 * 86_400 * 1_000_000);
 
 /// The newest vehicle time, which gives shorter stamps the bits that they lack.
 #[derive(Debug, Default)]
@@ -12,13 +15,18 @@ pub(super) struct WrappingClock {
 }
 
 impl WrappingClock {
-    /// Notes the time of a sample. A late frame changes nothing; a clock that is far behind has
-    /// restarted.
+    /// Notes the time of a sample. A late frame changes nothing, and neither does a time since
+    /// 1970, which says nothing about shorter stamps; a clock that is far behind has restarted.
     pub fn observe(&mut self, time: VehicleTime) {
         let is_late = time < self.latest && self.latest.seconds_since(time) < LATE_MAX_S;
-        if !is_late {
+        if !is_late && time <= SINCE_BOOT_MAX {
             self.latest = time;
         }
+    }
+
+    /// Whether any time was noted.
+    pub fn is_known(&self) -> bool {
+        self.latest > VehicleTime::default()
     }
 
     /// Extends a counter of microseconds, which wraps every 71.6 minutes.
@@ -74,5 +82,19 @@ mod tests {
         }
         assert_eq!(time(3_000), 3_000, "rebooted since");
         assert_eq!(time(3_010), 3_010);
+    }
+
+    #[test]
+    fn time_since_1970_does_not_extend_boot_milliseconds() {
+        let mut clock = WrappingClock::default();
+        // On both dates of a pair the lower half is on another side of the counter's middle.
+        for unix_s in [1_700_000_000, 1_701_728_000] {
+            for ms in [100_000, 100_020] {
+                clock.observe(VehicleTime::from_us(unix_s * 1_000_000));
+                let time = clock.extend_ms(ms);
+                clock.observe(time);
+                assert_eq!(time, VehicleTime::from_ms(ms), "{unix_s}");
+            }
+        }
     }
 }

@@ -3,7 +3,10 @@
 use super::VehicleLog;
 use crate::import::LogFault;
 use crate::import::epoch::Epoch;
+use crate::import::tally::Tally;
 
+/// Largest number of boots listed; a damaged log may have any number.
+const BOOTS_NAMED: usize = 20;
 /// Longest time that a state holds without a new report, s.
 const STATE_LASTS: f64 = 10.0;
 
@@ -50,5 +53,34 @@ impl VehicleLog {
         let epochs = self.epochs.iter().zip(flown).enumerate().rev();
         let most = epochs.max_by_key(|(_, (epoch, flown))| weight(epoch, **flown));
         Ok(most.map(|(at, _)| at))
+    }
+
+    /// Notes each boot with its time in the air, s, if there are several, and counts the messages
+    /// of all but the chosen one.
+    pub(super) fn note_boots(
+        &self,
+        chosen: usize,
+        flown: &[f64],
+        notes: &mut Vec<String>,
+        tally: &mut Tally,
+    ) {
+        let boots = self.epochs.len();
+        for (at, (epoch, flown)) in self.epochs.iter().zip(flown).enumerate() {
+            let (from, to) = epoch.span();
+            if boots > 1 && (at < BOOTS_NAMED || at == chosen) {
+                let used = if at == chosen { ", used" } else { "" };
+                let boot = at + 1;
+                notes.push(format!(
+                    "boot {boot} of {boots} (--boot {boot}): {from:.2} to {to:.2} s, {flown:.1} s \
+                     of it flown{used}"
+                ));
+            }
+            if at != chosen {
+                let reason = format!(
+                    "message of another run of the vehicle's clock ({from:.2} to {to:.2} s)"
+                );
+                tally.add(&reason, epoch.messages() as u64);
+            }
+        }
     }
 }
