@@ -34,19 +34,30 @@ struct Source {
     has_instances: bool,
 }
 
+/// Which sensor, core or pack a row is of.
+#[derive(Clone, Copy, Debug)]
+enum Instance {
+    /// As a field of the row says.
+    Field(Access),
+    /// The same for all rows of the message.
+    Only(u8),
+}
+
 /// A message that rows are kept of.
 #[derive(Clone, Debug)]
 struct Kept {
     source: Source,
     /// The stamp, and what it is in s.
     stamp: (Access, f64),
-    instance: Option<Access>,
+    instance: Instance,
     fields: Vec<Option<(Access, f64)>>,
 }
 
 impl Kept {
     fn new(kind: u8, layout: &Layout, units: &Units) -> Option<Self> {
-        let source = ardupilot::SOURCES.iter().find(|s| s.spec.topic == layout.name)?;
+        let core = ardupilot::core(&layout.name);
+        let name = core.map_or(layout.name.as_str(), |(name, _)| name);
+        let source = ardupilot::SOURCES.iter().find(|s| s.spec.topic == name)?;
         // Before ArduPilot 3.3 in ms.
         let stamp = match layout.field(&["TimeUS"]) {
             Some(field) => (field, 1e-6),
@@ -61,7 +72,9 @@ impl Kept {
             let default_factor = ardupilot::older_unit(layout, access).unwrap_or(*default_factor);
             Some((access, units.factor(kind, access, default_factor)))
         };
-        let instance = if source.has_instances { layout.field(&INSTANCES) } else { None };
+        let field = layout.field(&INSTANCES).filter(|_| source.has_instances && core.is_none());
+        let only = Instance::Only(core.map_or(0, |(_, core)| core));
+        let instance = field.map_or(only, Instance::Field);
         Some(Self { source: *source, stamp, instance, fields: named.map(found).collect() })
     }
 }
@@ -117,7 +130,10 @@ pub(super) fn read(
         };
         let number = |access: Access| access.number(body).unwrap_or(f64::NAN);
         let (stamp, seconds) = kept.stamp;
-        let instance = kept.instance.map_or(0, |instance| number(instance) as u8);
+        let instance = match kept.instance {
+            Instance::Field(field) => number(field) as u8,
+            Instance::Only(instance) => instance,
+        };
         values.clear();
         values.extend(
             kept.fields

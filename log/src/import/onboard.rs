@@ -145,13 +145,16 @@ impl Topics {
             .map(|((_, instance), topic)| (*instance, topic))
     }
 
-    /// The primary instance of a topic if it was logged, else the first. Counts the rows of the
-    /// others.
+    /// The primary instance of a topic if it was logged, else the first.
+    pub fn primary_instance(&self, name: &'static str, primary: u8) -> Option<u8> {
+        let first = || self.instances(name).next().map(|(instance, _)| instance);
+        self.instance(name, primary).map(|_| primary).or_else(first)
+    }
+
+    /// The topic of [`Topics::primary_instance`]. Counts the rows of the others.
     pub fn primary(&self, name: &'static str, primary: u8, tally: &mut Tally) -> Option<&Topic> {
-        let (chosen, topic) = match self.instance(name, primary) {
-            Some(topic) => (primary, topic),
-            None => self.instances(name).next()?,
-        };
+        let chosen = self.primary_instance(name, primary)?;
+        let topic = self.instance(name, chosen)?;
         for (instance, topic) in self.instances(name).filter(|(instance, _)| *instance != chosen) {
             let reason = format!("{name}: of instance {instance}, where {chosen} is used");
             tally.add(&reason, topic.len() as u64);

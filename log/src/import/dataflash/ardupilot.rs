@@ -35,6 +35,29 @@ const CHANNELS_BEFORE: [[&str; 2]; 14] = [
     ["Ch13", "Chan13"],
     ["Ch14", "Chan14"],
 ];
+/// Messages that each are of one core of an estimator, as ArduPilot wrote them before 4.1: the name,
+/// the message that has all cores since, and the core.
+const CORES: [(&str, &str, u8); 6] = [
+    ("XKQ1", "XKQ", 0),
+    ("XKQ2", "XKQ", 1),
+    ("XKF6", "XKF1", 1),
+    ("NKQ1", "NKQ", 0),
+    ("NKQ2", "NKQ", 1),
+    ("NKF6", "NKF1", 1),
+];
+
+/// Messages of an estimator.
+struct Estimator {
+    /// Position and velocity.
+    state: &'static str,
+    quaternion: &'static str,
+    /// Has the core that flies.
+    status: &'static str,
+}
+
+const EKF2: Estimator = Estimator { state: "NKF1", quaternion: "NKQ", status: "NKF4" };
+const EKF3: Estimator = Estimator { state: "XKF1", quaternion: "XKQ", status: "XKF4" };
+
 /// V in one of the whole numbers that a voltage was before ArduPilot 3.4.
 const CENTIVOLT: f64 = 0.01;
 /// Degrees in SI.
@@ -76,6 +99,12 @@ sources! {
         "Thrust" = 1.0, "ClimbRt" = 1.0],
 }
 
+/// The message that has all cores, and the core, for the name of an older message of one core.
+pub(super) fn core(message: &str) -> Option<(&'static str, u8)> {
+    let known = CORES.iter().find(|(name, ..)| *name == message);
+    known.map(|(_, all, core)| (*all, *core))
+}
+
 /// All names that a field had over the years.
 pub(super) fn names(field: &'static str) -> Vec<&'static str> {
     let channel = CHANNELS.iter().position(|channel| *channel == field);
@@ -109,10 +138,9 @@ impl Contents {
         let mut facts = self.facts();
         facts.notes.append(&mut self.notes);
         flight.clock = Clock::Single;
-        let core = self.core();
-        self.fill_attitude(core, flight, &mut facts, &mut tally);
+        self.fill_attitude(flight, &mut facts, &mut tally);
         self.fill_sensors(flight, &mut facts, &mut tally);
-        self.fill_position(core, flight, &mut facts, &mut tally);
+        self.fill_position(flight, &mut facts, &mut tally);
         self.fill_setpoint(flight, &mut facts, &mut tally);
         self.fill_outputs(flight, &mut facts, &mut tally);
         self.fill_rotor_speed(flight, &mut tally);
@@ -169,24 +197,26 @@ impl Contents {
         }
     }
 
-    /// The core of the estimator that flies.
-    fn core(&self) -> u8 {
-        let primary = ["XKF4", "NKF4"].into_iter().find_map(|name| {
-            let (_, topic) = self.topics.instances(name).next()?;
-            topic.most_frequent("PI")
-        });
+    /// The estimators, first the one that flies: both may run and be logged.
+    fn estimators(&self) -> [Estimator; 2] {
+        match self.parameter("AHRS_EKF_TYPE") {
+            Some(2.0) => [EKF2, EKF3],
+            _ => [EKF3, EKF2],
+        }
+    }
+
+    /// The core of an estimator that flies.
+    fn core(&self, estimator: &Estimator) -> u8 {
+        let mut status = self.topics.instances(estimator.status);
+        let primary = status.next().and_then(|(_, topic)| topic.most_frequent("PI"));
         primary.or(self.parameter("EK3_PRIMARY")).map_or(0, |core| core as u8)
     }
 
-    fn fill_attitude(
-        &self,
-        core: u8,
-        flight: &mut Flight,
-        facts: &mut VehicleFacts,
-        tally: &mut Tally,
-    ) {
-        let mut chosen = ("", Stream::default());
-        for name in ["XKQ", "NKQ", "ATT", "ANG"] {
+    fn fill_attitude(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
+        let quaternions = self.estimators().map(|e| (e.quaternion, self.core(&e)));
+        let mut chosen = ("", 0, Stream::default());
+        for (name, core) in quaternions.into_iter().chain([("ATT", 0), ("ANG", 0)]) {
+            let Some(core) = self.topics.primary_instance(name, core) else { continue };
             let Some(topic) = self.topics.primary(name, core, tally) else { continue };
             let stream = self.topics.stream(topic, tally, |row| {
                 let quaternion = row.finite(["Q1", "Q2", "Q3", "Q4"]);
@@ -196,11 +226,11 @@ impl Contents {
                 };
                 Sample::of(stamp(&row), attitude)
             });
-            if stream.rate() > CLEARLY_MORE * chosen.1.rate() || chosen.1.is_empty() {
-                chosen = (name, stream);
+            if stream.rate() > CLEARLY_MORE * chosen.2.rate() || chosen.2.is_empty() {
+                chosen = (name, core, stream);
             }
         }
-        let (name, stream) = chosen;
+        let (name, core, stream) = chosen;
         if !stream.is_empty() {
             let of_core =
                 if name.ends_with('Q') { format!(" of core {core}") } else { String::new() };
@@ -239,14 +269,10 @@ impl Contents {
             most("specific force", &[("IMU", ACCELEROMETER), ("ACC", ACCELEROMETER)], &mut again);
     }
 
-    fn fill_position(
-        &self,
-        core: u8,
-        flight: &mut Flight,
-        facts: &mut VehicleFacts,
-        tally: &mut Tally,
-    ) {
-        for name in ["XKF1", "NKF1", "EKF1"] {
+    fn fill_position(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
+        let states = self.estimators().map(|e| (e.state, self.core(&e)));
+        for (name, core) in states.into_iter().chain([("EKF1", 0)]) {
+            let Some(core) = self.topics.primary_instance(name, core) else { continue };
             let Some(topic) = self.topics.primary(name, core, tally) else { continue };
             let vector = |fields: [&'static str; 3], tally: &mut Tally| {
                 self.topics.stream(topic, tally, |row| {
@@ -367,4 +393,69 @@ fn mode(number: f64) -> String {
         number => return format!("{number}"),
     };
     name.to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::import::flight::Origin;
+
+    /// A log with ten rows of each of these messages: name, core, a field and its number.
+    fn log(parameters: &[(&str, f64)], messages: &[(&str, u8, &str, f64)]) -> Contents {
+        let mut contents = Contents::default();
+        contents.parameters.extend(parameters.iter().map(|(name, x)| ((*name).to_owned(), *x)));
+        for step in 0..10 {
+            let time = 0.1 * f64::from(step);
+            for (name, core, field, number) in messages {
+                let source = SOURCES.iter().find(|source| source.spec.topic == *name);
+                let spec = source.expect("a known message").spec;
+                let value = |of: &&str| match *of {
+                    "TimeUS" => time,
+                    of if of == *field => *number,
+                    _ => 0.0,
+                };
+                let values: Vec<f64> = spec.fields.iter().map(value).collect();
+                contents.topics.push(spec, *core, time, &values);
+            }
+        }
+        contents
+    }
+
+    #[test]
+    fn position_is_of_the_estimator_and_the_core_that_fly() {
+        let messages = [
+            ("XKF1", 0, "PN", 1.0),
+            ("XKF1", 1, "PN", 2.0),
+            ("NKF1", 0, "PN", 3.0),
+            ("NKF1", 1, "PN", 4.0),
+            ("XKF4", 0, "PI", 1.0),
+            ("NKF4", 0, "PI", 0.0),
+        ];
+        for (parameters, north, note) in [
+            (vec![], 2.0, "XKF1 of core 1"),
+            (vec![("AHRS_EKF_TYPE", 3.0)], 2.0, "XKF1 of core 1"),
+            (vec![("AHRS_EKF_TYPE", 2.0)], 3.0, "NKF1 of core 0"),
+        ] {
+            let origin = Origin {
+                path: "memory".into(),
+                run: String::new(),
+                sha256: String::new(),
+                format: "dataflash",
+            };
+            let mut flight = Flight::empty(origin, Clock::Single);
+            let mut facts = VehicleFacts::default();
+            let contents = log(&parameters, &messages);
+            contents.fill_position(&mut flight, &mut facts, &mut Tally::default());
+            assert_eq!(flight.position.values()[0].north(), north);
+            assert_eq!(facts.notes, [format!("position and velocity from {note}")]);
+        }
+    }
+
+    #[test]
+    fn older_messages_are_of_one_core() {
+        assert_eq!(core("NKF6"), Some(("NKF1", 1)));
+        assert_eq!(core("XKQ1"), Some(("XKQ", 0)));
+        assert_eq!(core("NKF1"), None);
+        assert!(CORES.iter().all(|(_, all, _)| SOURCES.iter().any(|s| s.spec.topic == *all)));
+    }
 }
