@@ -18,6 +18,8 @@ pub(super) use text::decoded;
 
 /// A pause of more periods than this is a gap.
 const GAP_PERIODS: f64 = 3.0;
+/// A row further ahead than this of both the row before and the row behind has a damaged time, s.
+const FAR_AHEAD_S: f64 = 10.0;
 /// Characters of a row that an error shows.
 const SHOWN: usize = 120;
 /// Why a row is left out.
@@ -68,7 +70,7 @@ pub(super) fn read(
 
     let mut tally = Tally::default();
     let mut numbers = Numbers::new(mapping.decimal);
-    let mut rows: Vec<f64> = Vec::new();
+    let mut rows = Rows::default();
     let mut cells = vec![Cell::Empty; most];
     let mut refused = None;
     let mut index = 0;
@@ -112,25 +114,10 @@ pub(super) fn read(
                     format!("row {} is {shown:?}", number + 1)
                 });
             }
-            Ok(row) => {
-                let last = rows.last().copied().unwrap_or(f64::NEG_INFINITY);
-                let [kept, unordered] = keep(&row, flight);
-                match (kept, unordered) {
-                    (0, 0) if row.time > last => rows.push(row.time),
-                    (0, _) if row.time == last => {
-                        tally.add("row with the time of the row before", 1)
-                    }
-                    (0, _) => tally.add("row with an earlier time than the row before", 1),
-                    (_, unordered) => {
-                        tally.add("sample at or before the time of the one before", unordered);
-                        if row.time > last {
-                            rows.push(row.time);
-                        }
-                    }
-                }
-            }
+            Ok(row) => rows.add(row, flight, &mut tally),
         }
     }
+    let times = rows.finish(flight, &mut tally);
     if let Some(doubt) = numbers.doubt() {
         return Err(TableError::Unmapped(doubt));
     }
@@ -140,8 +127,8 @@ pub(super) fn read(
         Outputs::Fraction => MotorUnit::ThrustFraction,
         Outputs::Newton => MotorUnit::Newton,
     };
-    tally.add("gap of more than 3 periods between rows", gaps(&rows));
-    flight.rows = Some(rows);
+    tally.add("gap of more than 3 periods between rows", gaps(&times));
+    flight.rows = Some(times);
     tally.give(flight);
     Ok(Contents { reason: refused, ..Contents::default() })
 }
@@ -174,6 +161,52 @@ pub(super) fn propose(source: impl Read) -> Result<String, TableError> {
         TableError::Unmapped(message.to_owned())
     })?;
     Ok(mapping::propose(&sheet))
+}
+
+/// Rows on their way into a flight. Each waits for the next: only that shows whether a time far
+/// ahead is damaged, after which all later rows would be too early.
+#[derive(Debug, Default)]
+struct Rows {
+    /// Times of the rows in the flight, s.
+    times: Vec<f64>,
+    waiting: Option<Row>,
+}
+
+impl Rows {
+    fn add(&mut self, row: Row, flight: &mut Flight, tally: &mut Tally) {
+        let Some(before) = self.waiting.replace(row) else { return };
+        let is_damaged = self.times.last().is_some_and(|last| {
+            before.time - last > FAR_AHEAD_S && (0.0..=FAR_AHEAD_S).contains(&(row.time - last))
+        });
+        match is_damaged {
+            true => tally.add("row whose time is far ahead of the rows around it", 1),
+            false => self.put(before, flight, tally),
+        }
+    }
+
+    /// Puts the last row into the flight. Returns the times of all.
+    fn finish(mut self, flight: &mut Flight, tally: &mut Tally) -> Vec<f64> {
+        if let Some(row) = self.waiting.take() {
+            self.put(row, flight, tally);
+        }
+        self.times
+    }
+
+    fn put(&mut self, row: Row, flight: &mut Flight, tally: &mut Tally) {
+        let last = self.times.last().copied().unwrap_or(f64::NEG_INFINITY);
+        let [kept, unordered] = keep(&row, flight);
+        match (kept, unordered) {
+            (0, 0) if row.time > last => self.times.push(row.time),
+            (0, _) if row.time == last => tally.add("row with the time of the row before", 1),
+            (0, _) => tally.add("row with an earlier time than the row before", 1),
+            (_, unordered) => {
+                tally.add("sample at or before the time of the one before", unordered);
+                if row.time > last {
+                    self.times.push(row.time);
+                }
+            }
+        }
+    }
 }
 
 /// Appends a row's samples. Returns how many were kept, and how many were not later than one of
@@ -212,4 +245,40 @@ fn gaps(rows: &[f64]) -> u64 {
     let middle = periods.len() / 2;
     let median = *periods.select_nth_unstable_by(middle, f64::total_cmp).1;
     periods.iter().filter(|period| **period > GAP_PERIODS * median).count() as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::import::flight::{Clock, Origin};
+
+    const MAPPING: &str = "world_frame = \"ned\"\n[time]\ncolumn = \"t\"\nunit = \"s\"\n\
+                           [position]\ncolumns = [\"x\", \"y\", \"z\"]\nunit = \"m\"\n";
+
+    fn flight(times: impl IntoIterator<Item = f64>) -> Flight {
+        let rows = times.into_iter().map(|time| format!("{time},1.5,2.5,3.5\n"));
+        let table = format!("t,x,y,z\n{}", rows.collect::<String>());
+        let origin = Origin {
+            path: "memory".into(),
+            run: String::new(),
+            sha256: String::new(),
+            format: "csv",
+        };
+        let mut flight = Flight::empty(origin, Clock::Single);
+        let mapping = Mapping::parse(MAPPING).expect("a mapping");
+        read(table.as_bytes(), &mapping, &mut flight).expect("a table");
+        flight
+    }
+
+    #[test]
+    fn time_far_ahead_costs_only_its_row() {
+        let sound = |row: u32| 100.0 + 0.01 * f64::from(row);
+        let damaged = flight((0..200).map(|row| if row == 90 { 4.3e9 } else { sound(row) }));
+        assert_eq!(damaged.position.len(), 199);
+        let reason = "row whose time is far ahead of the rows around it";
+        assert_eq!(damaged.left_out, [(reason.to_owned(), 1)]);
+        // A pause of the logger.
+        let paused = flight((0..200).map(|row| sound(row) + if row < 90 { 0.0 } else { 600.0 }));
+        assert_eq!(paused.position.len(), 200);
+    }
 }
