@@ -8,7 +8,7 @@ use vehicle::frame::{Attitude, Frd, Ned};
 use super::clocks::{Arrival, Envelope, shift_onto};
 use super::flight::{Flight, MotorSource, MotorUnit, Stream};
 use super::functions::{self, MOTORS, Movement, OUTPUTS, Stated, numbered};
-use super::ranges;
+use super::{RPM, ranges};
 
 /// Jump of a time stamp against the ground's clock that exceeds delay and skew, s.
 const JUMP: f64 = 0.5;
@@ -16,14 +16,9 @@ const JUMP: f64 = 0.5;
 const SKEW: f64 = 0.02;
 /// How long a minimum delay is kept, s.
 const FLOOR_SPAN: f64 = 5.0;
-/// The second of two sources of a quantity is used only if its rate is higher by this factor.
-const CLEARLY_MORE: f64 = 1.05;
-/// As [`CLEARLY_MORE`], for positions: ODOMETRY is often a copy of LOCAL_POSITION_NED.
+/// ODOMETRY is often a copy of LOCAL_POSITION_NED, and gives the position only if its rate is
+/// higher by this factor.
 const MANY_MORE: f64 = 1.5;
-/// Outputs beyond this are not fractions of the full thrust.
-const FRACTION_MAX: f64 = 2.0;
-/// Radians per second in one revolution per minute.
-const RPM: f64 = std::f64::consts::TAU / 60.0;
 
 /// The supported messages with a vehicle time stamp, as indices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -247,21 +242,26 @@ impl Epoch {
     }
 }
 
+/// The servo outputs that drive motors 1 to 4.
+struct Motors {
+    port: usize,
+    /// Outputs of the port, counted from 0.
+    channels: [usize; MOTORS],
+    /// Source of the mapping, for people.
+    reason: String,
+}
+
 impl Epoch {
-    /// The port and its outputs that drive motors 1 to 4, with the source of this mapping; or why
-    /// there are none.
-    fn motors(
-        &self,
-        parameters: &BTreeMap<String, f64>,
-    ) -> Result<(usize, [usize; MOTORS], String), String> {
+    /// The servo outputs that drive the motors; the error says why there are none.
+    fn motors(&self, parameters: &BTreeMap<String, f64>) -> Result<Motors, String> {
         match functions::ardupilot_motors(parameters) {
             Stated::Motors(outputs) => {
                 let port = outputs[0] / OUTPUTS;
-                let is_one = outputs.iter().all(|output| output / OUTPUTS == port);
+                if outputs.iter().any(|output| output / OUTPUTS != port) {
+                    return Err("motors are on both ports of SERVO_OUTPUT_RAW".to_owned());
+                }
                 let channels = outputs.map(|output| output % OUTPUTS);
-                let reason = "by SERVOn_FUNCTION".to_owned();
-                let split = || "motors are on both ports of SERVO_OUTPUT_RAW".to_owned();
-                is_one.then_some((port, channels, reason)).ok_or_else(split)
+                Ok(Motors { port, channels, reason: "by SERVOn_FUNCTION".to_owned() })
             }
             Stated::Without(missing) => {
                 let missing: Vec<String> = missing.iter().map(usize::to_string).collect();
@@ -276,7 +276,8 @@ impl Epoch {
                 };
                 let logged: Vec<Movement> = self.servo_outputs.iter().map(movement).collect();
                 let drive = functions::px4_drive(parameters, &logged)?;
-                Ok((drive.index, drive.channels, drive.reason()))
+                let reason = drive.reason();
+                Ok(Motors { port: drive.index, channels: drive.channels, reason })
             }
         }
     }
@@ -295,33 +296,31 @@ impl Epoch {
         shifts
     }
 
-    /// Fills the streams of `flight`, each from one source with shifted times.
+    /// Fills the streams of `flight`, each from one source with shifted times, s.
     pub fn fill(
-        self,
+        &self,
         shifts: [f64; SOURCES],
         parameters: &BTreeMap<String, f64>,
         flight: &mut Flight,
     ) {
         let shift = |source: Source| shifts[source as usize];
-        let motors = self.motors(parameters);
-        let quaternion = (self.quaternion, shift(Source::Quaternion));
-        let euler = (self.euler, shift(Source::Euler));
-        let odometry = (&self.odometry, shift(Source::Odometry));
-        let pose_attitude = odometry.0.map(|pose| (pose.attitude, pose.body_rate));
-
-        let mut attitude = quaternion;
-        for (stream, shift) in [(pose_attitude, odometry.1), euler] {
-            if stream.rate() > CLEARLY_MORE * attitude.0.rate() {
-                attitude = (stream, shift);
-            }
+        self.fill_imu(shift, flight);
+        self.fill_attitude(shift, flight);
+        self.fill_position(shift, flight);
+        if self.actuator_outputs.is_empty() {
+            self.fill_servo_outputs(shift, parameters, flight);
+        } else {
+            self.fill_actuator_outputs(shift, parameters, flight);
         }
-        let (attitude, attitude_shift) = attitude;
-        flight.attitude = attitude.map(|(attitude, _)| *attitude).shifted(attitude_shift);
+        let speeds = self.rpm.map(|rpm| rpm.map(|rpm| rpm * RPM));
+        flight.rotor_speed = speeds.shifted(shift(Source::EscStatus));
+    }
 
+    fn fill_imu(&self, shift: impl Fn(Source) -> f64, flight: &mut Flight) {
         let mut chosen = 0;
         for (at, imu) in self.imus.iter().enumerate() {
             let before = &self.imus[chosen];
-            let is_more = at < FIRST_SENSOR && imu.rate() > CLEARLY_MORE * before.rate();
+            let is_more = at < FIRST_SENSOR && imu.is_more_frequent(before);
             if is_more || before.is_empty() && !imu.is_empty() {
                 chosen = at;
             }
@@ -330,68 +329,94 @@ impl Epoch {
         if !imu.is_empty() {
             flight.facts.notes.push(format!("specific force and body rate from {}", source.name()));
         }
-        let imu_shift = shift(source);
-        flight.specific_force = imu.filter_map(|(force, _)| *force).shifted(imu_shift);
-        flight.body_rate = imu.filter_map(|(_, rate)| *rate).shifted(imu_shift);
+        let by = shift(source);
+        flight.specific_force = imu.filter_map(|(force, _)| *force).shifted(by);
+        flight.body_rate = imu.filter_map(|(_, rate)| *rate).shifted(by);
+    }
+
+    /// Fills the attitude, and the body rate if no IMU was logged.
+    fn fill_attitude(&self, shift: impl Fn(Source) -> f64, flight: &mut Flight) {
+        let pose = self.odometry.map(|pose| (pose.attitude, pose.body_rate));
+        let (mut attitude, mut source) = (&self.quaternion, Source::Quaternion);
+        for (other, of) in [(&pose, Source::Odometry), (&self.euler, Source::Euler)] {
+            if other.is_more_frequent(attitude) {
+                (attitude, source) = (other, of);
+            }
+        }
+        let by = shift(source);
+        flight.attitude = attitude.map(|(attitude, _)| *attitude).shifted(by);
         if flight.body_rate.is_empty() {
-            flight.body_rate = attitude.map(|(_, rate)| *rate).shifted(attitude_shift);
+            flight.body_rate = attitude.map(|(_, rate)| *rate).shifted(by);
         }
+    }
 
-        let local = &self.local_position;
-        if odometry.0.rate() > MANY_MORE * local.rate() {
-            flight.position = odometry.0.map(|pose| pose.position).shifted(odometry.1);
-            flight.velocity = odometry.0.map(|pose| pose.velocity).shifted(odometry.1);
+    fn fill_position(&self, shift: impl Fn(Source) -> f64, flight: &mut Flight) {
+        let (local, odometry) = (&self.local_position, &self.odometry);
+        if odometry.rate() > MANY_MORE * local.rate() {
+            let by = shift(Source::Odometry);
+            flight.position = odometry.map(|pose| pose.position).shifted(by);
+            flight.velocity = odometry.map(|pose| pose.velocity).shifted(by);
         } else {
-            let shift = shift(Source::LocalPosition);
-            flight.position = local.map(|(position, _)| *position).shifted(shift);
-            flight.velocity = local.map(|(_, velocity)| *velocity).shifted(shift);
+            let by = shift(Source::LocalPosition);
+            flight.position = local.map(|(position, _)| *position).shifted(by);
+            flight.velocity = local.map(|(_, velocity)| *velocity).shifted(by);
         }
+    }
 
-        if self.actuator_outputs.is_empty() {
-            flight.motor_source = MotorSource::ServoOutputRaw;
-            if self.servo_outputs.iter().any(|outputs| !outputs.is_empty()) {
-                match motors {
-                    Ok((port, channels, reason)) => {
-                        let source = [Source::ServoOutputs, Source::ServoOutputsAux][port];
-                        let of_motors = |all: &[f64; OUTPUTS]| channels.map(|channel| all[channel]);
-                        flight.outputs =
-                            self.servo_outputs[port].map(of_motors).shifted(shift(source));
-                        let numbers = numbered(&channels);
-                        flight.facts.notes.push(format!(
-                            "motors 1 to 4 are outputs {numbers} of {}, {reason}",
-                            source.name()
-                        ));
-                    }
-                    Err(reason) => flight.facts.notes.push(format!("no motor outputs: {reason}")),
-                }
-            }
-            // Without outputs their unit does not matter.
-            if !flight.outputs.is_empty() {
-                flight.motor_unit = MotorUnit::VehicleFile;
-                flight.state_ranges(ranges::ardupilot(parameters));
-            }
-        } else {
-            let drive = functions::px4_drive(parameters, &[]).ok();
-            let of_motors = |all: &[f64; MOTORS]| match &drive {
-                Some(drive) if drive.channels.iter().all(|channel| *channel < MOTORS) => {
-                    drive.channels.map(|channel| all[channel])
-                }
-                _ => *all,
-            };
-            let shifted = self.actuator_outputs.shifted(shift(Source::ActuatorOutputs));
-            flight.outputs = shifted.map(of_motors);
-            flight.motor_source = MotorSource::ActuatorOutputStatus;
-            let is_fraction = |u: &&[f64; 4]| u.iter().all(|u| (0.0..=FRACTION_MAX).contains(u));
-            let fractions = flight.outputs.values().iter().filter(is_fraction).count();
-            let is_fraction = 2 * fractions > flight.outputs.len();
-            flight.motor_unit =
-                if is_fraction { MotorUnit::ThrustFraction } else { MotorUnit::VehicleFile };
-            let most = flight.outputs.values().iter().flatten().copied().fold(0.0, f64::max);
-            if let Some(drive) = drive.filter(|_| !is_fraction) {
-                flight.state_ranges(ranges::px4(parameters, &drive, most));
-            }
+    fn fill_servo_outputs(
+        &self,
+        shift: impl Fn(Source) -> f64,
+        parameters: &BTreeMap<String, f64>,
+        flight: &mut Flight,
+    ) {
+        flight.motor_source = MotorSource::ServoOutputRaw;
+        if self.servo_outputs.iter().all(Stream::is_empty) {
+            return;
         }
-        flight.rotor_speed =
-            self.rpm.map(|rpm| rpm.map(|rpm| rpm * RPM)).shifted(shift(Source::EscStatus));
+        match self.motors(parameters) {
+            Ok(Motors { port, channels, reason }) => {
+                let source = [Source::ServoOutputs, Source::ServoOutputsAux][port];
+                let of_motors = |all: &[f64; OUTPUTS]| channels.map(|channel| all[channel]);
+                flight.outputs = self.servo_outputs[port].map(of_motors).shifted(shift(source));
+                flight.facts.notes.push(format!(
+                    "motors 1 to 4 are outputs {} of {}, {reason}",
+                    numbered(&channels),
+                    source.name()
+                ));
+            }
+            Err(reason) => flight.facts.notes.push(format!("no motor outputs: {reason}")),
+        }
+        // Without outputs their unit does not matter.
+        if !flight.outputs.is_empty() {
+            flight.motor_unit = MotorUnit::VehicleFile;
+            flight.state_ranges(ranges::ardupilot(parameters));
+        }
+    }
+
+    fn fill_actuator_outputs(
+        &self,
+        shift: impl Fn(Source) -> f64,
+        parameters: &BTreeMap<String, f64>,
+        flight: &mut Flight,
+    ) {
+        let drive = functions::px4_drive(parameters, &[]).ok();
+        let of_motors = |all: &[f64; MOTORS]| match &drive {
+            Some(drive) if drive.channels.iter().all(|channel| *channel < MOTORS) => {
+                drive.channels.map(|channel| all[channel])
+            }
+            _ => *all,
+        };
+        let outputs = self.actuator_outputs.map(of_motors);
+        flight.outputs = outputs.shifted(shift(Source::ActuatorOutputs));
+        flight.motor_source = MotorSource::ActuatorOutputStatus;
+        if flight.outputs_are_fractions() {
+            flight.motor_unit = MotorUnit::ThrustFraction;
+            return;
+        }
+        flight.motor_unit = MotorUnit::VehicleFile;
+        if let Some(drive) = drive {
+            let most = flight.largest_output();
+            flight.state_ranges(ranges::px4(parameters, &drive, most));
+        }
     }
 }

@@ -20,12 +20,14 @@ mod read_ahead;
 mod references;
 mod setpoints;
 mod source;
+mod stream;
 mod table;
 mod tally;
 mod tlog;
 mod ulog;
 mod vehicle;
 
+use std::f64::consts::TAU;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
@@ -47,6 +49,11 @@ use mapping::Mapping;
 use source::Format;
 use table::TableError;
 use ulog::UlogError;
+
+/// One revolution per minute, rad/s.
+const RPM: f64 = TAU / 60.0;
+/// The unit g of autopilots and of accelerometers, m/s^2.
+const STANDARD_GRAVITY: f64 = 9.806_65;
 
 /// Options for reading a log.
 #[derive(Clone, Copy, Debug, Default)]

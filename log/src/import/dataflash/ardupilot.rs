@@ -5,16 +5,15 @@ mod outputs;
 use message::parameters::{Parameters, is_of_vehicle};
 use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
-use super::layout::{Access, Layout, RPM};
+use super::layout::{Access, Layout};
 use super::{Contents, Source};
+use crate::import::RPM;
 use crate::import::facts::VehicleFacts;
 use crate::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
 use crate::import::kind::{self, StatedKind};
 use crate::import::onboard::{Row, Sample, Topic, TopicSpec, Topics};
 use crate::import::tally::Tally;
 
-/// Of two messages of one quantity the second is taken only where it is this much more frequent.
-const CLEARLY_MORE: f64 = 1.05;
 /// Outputs of RCOU.
 const CHANNELS: [&str; 14] =
     ["C1", "C2", "C3", "C4", "C5", "C6", "C7", "C8", "C9", "C10", "C11", "C12", "C13", "C14"];
@@ -226,7 +225,7 @@ impl Contents {
                 };
                 Sample::of(stamp(&row), attitude)
             });
-            if stream.rate() > CLEARLY_MORE * chosen.2.rate() || chosen.2.is_empty() {
+            if stream.is_more_frequent(&chosen.2) || chosen.2.is_empty() {
                 chosen = (name, core, stream);
             }
         }
@@ -252,7 +251,7 @@ impl Contents {
                     let stream = self.topics.stream(topic, tally, |row| {
                         Sample::of(sampled(&row), row.finite(*fields).map(Frd::from))
                     });
-                    if stream.rate() > CLEARLY_MORE * chosen.1.rate() || chosen.1.is_empty() {
+                    if stream.is_more_frequent(&chosen.1) || chosen.1.is_empty() {
                         chosen = (*name, stream);
                     }
                 }

@@ -3,6 +3,8 @@
 
 use std::collections::BTreeMap;
 
+use crate::import::RPM;
+
 /// Length of a message's head: two marks and its type.
 pub(super) const HEAD: usize = 3;
 /// Type of the message that defines the others, and itself.
@@ -188,9 +190,6 @@ impl Units {
         stated().unwrap_or(default_factor)
     }
 }
-
-/// Radians per second in one revolution per minute.
-pub(super) const RPM: f64 = std::f64::consts::TAU / 60.0;
 
 /// Multipliers are written in single precision; those of ten are meant exactly.
 fn decimal(multiplier: f64) -> f64 {

@@ -6,12 +6,12 @@ use super::heading::Heading;
 use super::row::{
     AttitudeReader, Columns, MotorReader, Outputs, Rotation, RowReader, TimeReader, VectorReader,
 };
-use super::unit_word::STANDARD_GRAVITY;
 use super::{
     AccelerationUnit, AngleUnit, AttitudeMap, Axes, Column, ForceMeaning, LengthText, LengthUnit,
     Mapping, MotorMap, MotorMeaning, Place, RateMap, RateUnit, Rotates, RotorUnit, SpeedUnit,
     TimeUnit, VoltageUnit,
 };
+use crate::import::{RPM, STANDARD_GRAVITY};
 
 /// Error message for a missing key.
 fn missing(field: &str, expected: &str) -> String {
@@ -244,7 +244,7 @@ impl Binder<'_> {
 fn rad_per_s(unit: RotorUnit) -> f64 {
     match unit {
         RotorUnit::Radians => 1.0,
-        RotorUnit::Rpm => std::f64::consts::TAU / 60.0,
+        RotorUnit::Rpm => RPM,
     }
 }
 

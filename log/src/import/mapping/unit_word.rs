@@ -1,10 +1,9 @@
 //! Units as tables write them: at the end of a name, or in a line below the names.
 
+use crate::import::{RPM, STANDARD_GRAVITY};
+
 /// Replaces every sequence of separators between the words of a name.
 pub(super) const UNDERSCORE: char = '_';
-
-/// Standard gravity, m/s^2: the value of the unit `g`.
-pub(super) const STANDARD_GRAVITY: f64 = 9.806_65;
 
 /// Spellings of units in tables, and the spelling in a mapping file. Those that a mapping file
 /// cannot state are known so that they are not taken for another.
@@ -133,7 +132,7 @@ pub(super) fn in_si(unit: &str) -> Option<f64> {
         "us" => 1e-6,
         "ns" => 1e-9,
         "deg" | "deg/s" => 1f64.to_radians(),
-        "rpm" => std::f64::consts::TAU / 60.0,
+        "rpm" => RPM,
         "rev/s" => std::f64::consts::TAU,
         "mrad" | "mrad/s" => 1e-3,
         "cdeg" | "cdeg/s" => 0.01 * 1f64.to_radians(),

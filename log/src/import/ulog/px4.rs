@@ -15,8 +15,6 @@ use crate::import::kind::{self, StatedKind, VehicleKind};
 use crate::import::onboard::{Row, Sample, TopicSpec, Topics};
 use crate::import::tally::Tally;
 
-/// The second of two topics of a quantity is used only if its rate is higher by this factor.
-const CLEARLY_MORE: f64 = 1.05;
 /// Largest number of notes; a damaged log may have any number of changes.
 const NOTES_MAX: usize = 60;
 /// Value that marks a missing accelerometer time stamp.
@@ -311,7 +309,7 @@ fn fill_sensors(topics: &Topics, flight: &mut Flight, facts: &mut VehicleFacts, 
         });
     }
     let mut choose = |filtered: Stream<Frd>, raw: Stream<Frd>, of: &str, topic: &str| {
-        let is_raw = raw.rate() > CLEARLY_MORE * filtered.rate();
+        let is_raw = raw.is_more_frequent(&filtered);
         let chosen = if is_raw { raw } else { filtered };
         if !chosen.is_empty() {
             let topic = if is_raw { "sensor_combined" } else { topic };

@@ -6,11 +6,10 @@ use wire::dialect::*;
 use wire::{Frame, message_name};
 
 use super::VehicleLog;
+use crate::import::STANDARD_GRAVITY;
 use crate::import::clocks::FrameTime;
 use crate::import::epoch::{ImuSample, Source};
 
-/// The unit G in autopilots and MAVLink, m/s^2.
-const STANDARD_GRAVITY: f64 = 9.806_65;
 /// Servo outputs that wait at most for another message with the vehicle's time; a log may have none.
 const OUTPUTS_WAITING_MAX: usize = 200;
 

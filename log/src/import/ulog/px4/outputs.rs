@@ -1,6 +1,7 @@
 //! Reads the motor commands and the rotor speeds from a PX4 log, and the unit of the commands.
 
 use super::stamp;
+use crate::import::RPM;
 use crate::import::facts::VehicleFacts;
 use crate::import::flight::{Flight, MotorSource, MotorUnit};
 use crate::import::functions::{MOTORS, Movement, OUTPUTS, PX4_MOTOR_1, numbered, px4_drive};
@@ -9,10 +10,6 @@ use crate::import::ranges;
 use crate::import::tally::Tally;
 use crate::import::ulog::Contents;
 
-/// Largest output that can be a fraction. Larger values are pulses.
-const FRACTION_MAX: f64 = 2.0;
-/// Radians per second in one revolution per minute.
-const RPM: f64 = std::f64::consts::TAU / 60.0;
 const ESC_RPM: [&str; 8] = [
     "esc[0].esc_rpm",
     "esc[1].esc_rpm",
@@ -150,14 +147,11 @@ impl Contents {
             numbered(&drive.channels),
             drive.reason()
         ));
-        let is_fraction = |u: &&[f64; 4]| u.iter().all(|u| (0.0..=FRACTION_MAX).contains(u));
-        let fractions = flight.outputs.values().iter().filter(is_fraction).count();
-        if 2 * fractions > flight.outputs.len() {
+        if flight.outputs_are_fractions() {
             flight.motor_unit = MotorUnit::ThrustFraction;
             return;
         }
-        let most = flight.outputs.values().iter().flatten().copied().fold(0.0, f64::max);
-        match ranges::px4(&self.parameters, &drive, most) {
+        match ranges::px4(&self.parameters, &drive, flight.largest_output()) {
             Some((ranges, basis)) => {
                 flight.scale_outputs(ranges);
                 facts.notes.push(format!("outputs over the range {basis}"));
