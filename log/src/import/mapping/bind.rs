@@ -4,14 +4,18 @@ use super::axes::{AttitudeTurn, BodyFrame, WorldFrame};
 use super::contradiction;
 use super::heading::Heading;
 use super::row::{
-    AttitudeReader, Columns, MotorReader, Outputs, Rotation, RowReader, TimeReader, VectorReader,
+    AttitudeReader, Columns, ForceReader, MotorReader, Outputs, Rotation, RowReader, TimeReader,
+    VectorReader,
 };
 use super::{
-    AccelerationUnit, AngleUnit, AttitudeMap, Axes, Column, ForceMeaning, LengthText, LengthUnit,
-    Mapping, MotorMap, MotorMeaning, Place, RateMap, RateUnit, Rotates, RotorUnit, SpeedUnit,
-    TimeUnit, VoltageUnit,
+    AccelerationUnit, AngleUnit, AttitudeMap, Axes, Column, ForceMap, ForceMeaning, LengthText,
+    LengthUnit, Mapping, MotorMap, MotorMeaning, Place, PositionMap, RateMap, RateUnit, Rotates,
+    RotorUnit, SpeedMap, SpeedUnit, TimeMap, TimeUnit, VelocityMap, VoltageMap, VoltageUnit,
 };
 use crate::import::{RPM, STANDARD_GRAVITY};
+
+/// What a mapping states of the time.
+const TIME: &str = "[time] with column and unit, or with rate_hz";
 
 /// Error message for a missing key.
 fn missing(field: &str, expected: &str) -> String {
@@ -173,32 +177,88 @@ impl Binder<'_> {
         Ok(VectorReader { columns: self.columns(field, &map.columns, factor)?, axes })
     }
 
-    fn motors(&mut self, map: &MotorMap) -> Result<(MotorReader, Outputs, Option<f64>), String> {
+    fn time(&mut self, map: &TimeMap) -> Result<TimeReader, String> {
+        match (&map.column, map.rate_hz, map.unit) {
+            (Some(column), None, Some(TimeUnit::Iso8601)) => {
+                let columns = std::array::from_ref(column);
+                Ok(TimeReader::Date(self.raw("time.column", columns, 1.0)?))
+            }
+            (Some(column), None, Some(unit)) => {
+                let factor = match unit {
+                    TimeUnit::S | TimeUnit::Iso8601 => 1.0,
+                    TimeUnit::Ms => 1e-3,
+                    TimeUnit::Us => 1e-6,
+                    TimeUnit::Ns => 1e-9,
+                };
+                let columns = std::array::from_ref(column);
+                Ok(TimeReader::Column(self.columns("time.column", columns, factor)?))
+            }
+            (Some(_), None, None) => {
+                Err(missing("time.unit", r#""s", "ms", "us", "ns" or "iso8601""#))
+            }
+            (None, Some(rate), None) if rate.is_finite() && rate > 0.0 => {
+                Ok(TimeReader::Rate(rate))
+            }
+            _ => Err(format!("expected {TIME}, and a rate above 0")),
+        }
+    }
+
+    fn position(&mut self, map: &PositionMap) -> Result<Columns<3>, String> {
+        self.world()?;
+        let unit = match &map.unit {
+            Some(LengthText::Unit(unit)) => *unit,
+            Some(LengthText::Above { above }) => {
+                let unit_text = self.heading.after(above);
+                unit_text.and_then(LengthUnit::named).ok_or_else(|| {
+                    let found = unit_text.map_or("no such cell".to_owned(), |s| format!("{s:?}"));
+                    format!(
+                        "position.unit: expected a unit after {above:?}, found {found}: write it"
+                    )
+                })?
+            }
+            None => return Err(missing("position.unit", r#""m", "cm" or "mm""#)),
+        };
+        self.columns("position.columns", &map.columns, unit.in_m())
+    }
+
+    fn velocity(&mut self, map: &VelocityMap) -> Result<VectorReader, String> {
+        let expected = r#""m/s", "cm/s" or "mm/s""#;
+        let factor = match map.unit.ok_or_else(|| missing("velocity.unit", expected))? {
+            SpeedUnit::Metres => 1.0,
+            SpeedUnit::Centimetres => 0.01,
+            SpeedUnit::Millimetres => 1e-3,
+        };
+        let axes = self.axes("velocity", map.axes)?;
+        Ok(VectorReader { columns: self.columns("velocity.columns", &map.columns, factor)?, axes })
+    }
+
+    fn specific_force(&mut self, map: &ForceMap) -> Result<ForceReader, String> {
+        let expected = r#""m/s2" or "g""#;
+        let factor = match map.unit.ok_or_else(|| missing("specific_force.unit", expected))? {
+            AccelerationUnit::MetresPerSecondSquared => 1.0,
+            AccelerationUnit::Gravity => STANDARD_GRAVITY,
+        };
+        let expected = r#""specific_force" (what an accelerometer shows: 1 g upwards at rest) or "acceleration" (nothing at rest)"#;
+        let meaning = map.meaning.ok_or_else(|| missing("specific_force.meaning", expected))?;
+        let gravity_mps2 = map.gravity_mps2.unwrap_or(STANDARD_GRAVITY);
+        if !(gravity_mps2.is_finite() && gravity_mps2 > 0.0) {
+            return Err("specific_force.gravity_mps2: expected a number above 0".to_owned());
+        }
+        let axes = self.axes("specific_force", map.axes)?;
+        let columns = self.columns("specific_force.columns", &map.columns, factor)?;
+        Ok(ForceReader { vector: VectorReader { columns, axes }, meaning, gravity_mps2 })
+    }
+
+    fn motors(&mut self, map: &MotorMap) -> Result<Motors, String> {
         let expected = r#""thrust_fraction", "thrust_N", "pwm" or "rotor_speed""#;
         let meaning = map.meaning.ok_or_else(|| missing("motors.meaning", expected))?;
-        let is_pwm = matches!(meaning, MotorMeaning::Pwm);
-        let is_speed = matches!(meaning, MotorMeaning::RotorSpeed);
-        let stray = [
-            (map.range.is_some() && !is_pwm, "range", "pwm"),
-            (map.polynomial_n.is_some() && !is_pwm, "polynomial_N", "pwm"),
-            (map.unit.is_some() && !is_speed, "unit", "rotor_speed"),
-            (
-                map.thrust_coefficient_n_s2.is_some() && !is_speed,
-                "thrust_coefficient_N_s2",
-                "rotor_speed",
-            ),
-        ];
-        if let Some((_, key, meaning)) = stray.into_iter().find(|(is_stray, ..)| *is_stray) {
-            return Err(format!(
-                "motors.{key} belongs to meaning = {meaning:?}; take one of them out"
-            ));
-        }
+        refuse_stray(map, meaning)?;
         let mut reader = MotorReader {
             columns: self.raw("motors.columns", &map.columns, 1.0)?,
             range: [0.0, 1.0],
             polynomial: None,
         };
-        let (outputs, speed) = match meaning {
+        let (outputs, speed_factor) = match meaning {
             MotorMeaning::ThrustFraction => (Outputs::Fraction, None),
             MotorMeaning::ThrustN => (Outputs::Newton, None),
             MotorMeaning::Pwm => {
@@ -237,8 +297,52 @@ impl Binder<'_> {
                 (Outputs::Newton, Some(factor))
             }
         };
-        Ok((reader, outputs, speed))
+        Ok(Motors { reader, outputs, speed_factor })
     }
+
+    fn rotor_speed(&mut self, map: &SpeedMap) -> Result<Columns<4>, String> {
+        let expected = r#""rad/s" or "rpm""#;
+        let unit = map.unit.ok_or_else(|| missing("rotor_speed.unit", expected))?;
+        self.columns("rotor_speed.columns", &map.columns, rad_per_s(unit))
+    }
+
+    fn voltage(&mut self, map: &VoltageMap) -> Result<Columns<1>, String> {
+        let factor = match map.unit.ok_or_else(|| missing("voltage.unit", r#""V" or "mV""#))? {
+            VoltageUnit::V => 1.0,
+            VoltageUnit::Millivolt => 1e-3,
+        };
+        self.columns("voltage.column", std::array::from_ref(&map.column), factor)
+    }
+}
+
+/// Refuses keys of `[motors]` that have no meaning for columns of this meaning.
+fn refuse_stray(map: &MotorMap, meaning: MotorMeaning) -> Result<(), String> {
+    let is_pwm = matches!(meaning, MotorMeaning::Pwm);
+    let is_speed = matches!(meaning, MotorMeaning::RotorSpeed);
+    let stray = [
+        (map.range.is_some() && !is_pwm, "range", "pwm"),
+        (map.polynomial_n.is_some() && !is_pwm, "polynomial_N", "pwm"),
+        (map.unit.is_some() && !is_speed, "unit", "rotor_speed"),
+        (
+            map.thrust_coefficient_n_s2.is_some() && !is_speed,
+            "thrust_coefficient_N_s2",
+            "rotor_speed",
+        ),
+    ];
+    match stray.into_iter().find(|(is_stray, ..)| *is_stray) {
+        Some((_, key, meaning)) => {
+            Err(format!("motors.{key} belongs to meaning = {meaning:?}; take one of them out"))
+        }
+        None => Ok(()),
+    }
+}
+
+/// The motor commands of a table.
+struct Motors {
+    reader: MotorReader,
+    outputs: Outputs,
+    /// If the columns are rotor speeds, their factor to rad/s.
+    speed_factor: Option<f64>,
 }
 
 fn rad_per_s(unit: RotorUnit) -> f64 {
@@ -259,113 +363,26 @@ impl RowReader {
             world: mapping.world_frame,
             body: mapping.body_frame,
         };
-        let expected = "[time] with column and unit, or with rate_hz";
-        let time = mapping.time.as_ref().ok_or_else(|| format!("expected {expected}"))?;
-        let time = match (&time.column, time.rate_hz, time.unit) {
-            (Some(column), None, Some(TimeUnit::Iso8601)) => {
-                let columns = std::array::from_ref(column);
-                TimeReader::Date(binder.raw("time.column", columns, 1.0)?)
-            }
-            (Some(column), None, Some(unit)) => {
-                let factor = match unit {
-                    TimeUnit::S | TimeUnit::Iso8601 => 1.0,
-                    TimeUnit::Ms => 1e-3,
-                    TimeUnit::Us => 1e-6,
-                    TimeUnit::Ns => 1e-9,
-                };
-                let columns = std::array::from_ref(column);
-                TimeReader::Column(binder.columns("time.column", columns, factor)?)
-            }
-            (Some(_), None, None) => {
-                return Err(missing("time.unit", r#""s", "ms", "us", "ns" or "iso8601""#));
-            }
-            (None, Some(rate), None) if rate.is_finite() && rate > 0.0 => TimeReader::Rate(rate),
-            _ => return Err(format!("expected {expected}, and a rate above 0")),
-        };
-        let position = mapping.position.as_ref().map(|map| {
-            binder.world()?;
-            let expected = r#""m", "cm" or "mm""#;
-            let unit = match &map.unit {
-                Some(LengthText::Unit(unit)) => *unit,
-                Some(LengthText::Above { above }) => {
-                    let unit_text = binder.heading.after(above);
-                    unit_text.and_then(LengthUnit::named).ok_or_else(|| {
-                        let found = unit_text.map_or("no such cell".to_owned(), |s| format!("{s:?}"));
-                        format!("position.unit: expected a unit after {above:?}, found {found}: write it")
-                    })?
-                }
-                None => return Err(missing("position.unit", expected)),
-            };
-            binder.columns("position.columns", &map.columns, unit.in_m())
-        });
-        let position = position.transpose()?;
-        let velocity = mapping.velocity.as_ref().map(|map| {
-            let expected = r#""m/s", "cm/s" or "mm/s""#;
-            let factor = match map.unit.ok_or_else(|| missing("velocity.unit", expected))? {
-                SpeedUnit::Metres => 1.0,
-                SpeedUnit::Centimetres => 0.01,
-                SpeedUnit::Millimetres => 1e-3,
-            };
-            let axes = binder.axes("velocity", map.axes)?;
-            let columns = binder.columns("velocity.columns", &map.columns, factor)?;
-            Ok::<_, String>(VectorReader { columns, axes })
-        });
-        let velocity = velocity.transpose()?;
+        let time = mapping.time.as_ref().ok_or_else(|| format!("expected {TIME}"))?;
+        let time = binder.time(time)?;
+        let position = mapping.position.as_ref().map(|map| binder.position(map)).transpose()?;
+        let velocity = mapping.velocity.as_ref().map(|map| binder.velocity(map)).transpose()?;
         let attitude =
             mapping.attitude.as_ref().map(|map| binder.attitude("attitude", map)).transpose()?;
         let body_rate =
             mapping.body_rate.as_ref().map(|map| binder.rate("body_rate", map)).transpose()?;
-        let specific_force = mapping.specific_force.as_ref().map(|map| {
-            let expected = r#""m/s2" or "g""#;
-            let factor = match map.unit.ok_or_else(|| missing("specific_force.unit", expected))? {
-                AccelerationUnit::MetresPerSecondSquared => 1.0,
-                AccelerationUnit::Gravity => STANDARD_GRAVITY,
-            };
-            let expected = r#""specific_force" (what an accelerometer shows: 1 g upwards at rest) or "acceleration" (nothing at rest)"#;
-            let meaning = map.meaning.ok_or_else(|| missing("specific_force.meaning", expected))?;
-            let gravity = map.gravity_mps2.unwrap_or(STANDARD_GRAVITY);
-            if !(gravity.is_finite() && gravity > 0.0) {
-                return Err("specific_force.gravity_mps2: expected a number above 0".to_owned());
-            }
-            let axes = binder.axes("specific_force", map.axes)?;
-            let columns = binder.columns("specific_force.columns", &map.columns, factor)?;
-            Ok((VectorReader { columns, axes }, meaning, gravity))
-        });
-        let specific_force = specific_force.transpose()?;
-        let turned = [
-            ("velocity.axes = \"body\"", velocity.is_some_and(|v| v.axes == Axes::Body)),
-            ("body_rate.axes = \"world\"", body_rate.is_some_and(|v| v.axes == Axes::World)),
-            (
-                "specific_force in world axes or without gravity",
-                specific_force.is_some_and(|(v, meaning, _)| {
-                    v.axes == Axes::World || meaning == ForceMeaning::Acceleration
-                }),
-            ),
-        ];
-        if let Some((what, _)) = turned.iter().find(|(_, needs)| *needs && attitude.is_none()) {
-            return Err(format!("{what} needs the attitude: write [attitude]"));
-        }
+        let force = mapping.specific_force.as_ref();
+        let specific_force = force.map(|map| binder.specific_force(map)).transpose()?;
         let motors = mapping.motors.as_ref().map(|map| binder.motors(map)).transpose()?;
         let rotor_speed = match (&mapping.rotor_speed, &motors) {
-            (Some(map), _) => {
-                let expected = r#""rad/s" or "rpm""#;
-                let unit = map.unit.ok_or_else(|| missing("rotor_speed.unit", expected))?;
-                Some(binder.columns("rotor_speed.columns", &map.columns, rad_per_s(unit))?)
-            }
-            (None, Some((reader, _, Some(factor)))) => {
+            (Some(map), _) => Some(binder.rotor_speed(map)?),
+            (None, Some(Motors { reader, speed_factor: Some(factor), .. })) => {
                 let Columns { at, factors } = reader.columns;
                 Some(Columns { at, factors: factors.map(|sign| sign * factor) })
             }
             (None, _) => None,
         };
-        let voltage = mapping.voltage.as_ref().map(|map| {
-            let factor = match map.unit.ok_or_else(|| missing("voltage.unit", r#""V" or "mV""#))? {
-                VoltageUnit::V => 1.0,
-                VoltageUnit::Millivolt => 1e-3,
-            };
-            binder.columns("voltage.column", std::array::from_ref(&map.column), factor)
-        });
-        let voltage = voltage.transpose()?;
+        let voltage = mapping.voltage.as_ref().map(|map| binder.voltage(map)).transpose()?;
         let (mut setpoint_attitude, mut setpoint_rate, mut setpoint_thrust) = (None, None, None);
         if let Some(map) = &mapping.setpoint {
             let of = |attitude: &AttitudeMap| binder.attitude("setpoint.attitude", attitude);
@@ -377,6 +394,23 @@ impl RowReader {
                 setpoint_thrust = Some(binder.raw("setpoint.thrust_fraction", columns, 1.0)?);
             }
         }
+        let is_in = |reader: Option<VectorReader>, axes: Axes| {
+            reader.is_some_and(|reader| reader.axes == axes)
+        };
+        let turned = [
+            ("velocity.axes = \"body\"", is_in(velocity, Axes::Body)),
+            ("body_rate.axes = \"world\"", is_in(body_rate, Axes::World)),
+            (
+                "specific_force in world axes or without gravity",
+                specific_force.is_some_and(|force| {
+                    force.vector.axes == Axes::World || force.meaning == ForceMeaning::Acceleration
+                }),
+            ),
+            ("setpoint.body_rate.axes = \"world\"", is_in(setpoint_rate, Axes::World)),
+        ];
+        if let Some((what, _)) = turned.iter().find(|(_, needs)| *needs && attitude.is_none()) {
+            return Err(format!("{what} needs the attitude: write [attitude]"));
+        }
         Ok(Self {
             // A missing frame is not needed: everything that needs it has checked it above.
             world: mapping.world_frame.unwrap_or(WorldFrame::NED),
@@ -387,8 +421,8 @@ impl RowReader {
             attitude,
             body_rate,
             specific_force,
-            outputs: motors.as_ref().map_or(Outputs::Fraction, |(_, outputs, _)| *outputs),
-            motors: motors.map(|(reader, ..)| reader),
+            outputs: motors.as_ref().map_or(Outputs::Fraction, |motors| motors.outputs),
+            motors: motors.map(|motors| motors.reader),
             rotor_speed,
             voltage,
             setpoint_attitude,

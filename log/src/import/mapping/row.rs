@@ -98,6 +98,14 @@ pub(super) struct VectorReader {
     pub(super) axes: Axes,
 }
 
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ForceReader {
+    pub(super) vector: VectorReader,
+    pub(super) meaning: ForceMeaning,
+    /// Gravity to take off an acceleration, m/s^2.
+    pub(super) gravity_mps2: f64,
+}
+
 #[derive(Clone, Debug)]
 pub(super) struct MotorReader {
     pub(super) columns: Columns<4>,
@@ -115,7 +123,7 @@ pub struct RowReader {
     pub(super) velocity: Option<VectorReader>,
     pub(super) attitude: Option<AttitudeReader>,
     pub(super) body_rate: Option<VectorReader>,
-    pub(super) specific_force: Option<(VectorReader, ForceMeaning, f64)>,
+    pub(super) specific_force: Option<ForceReader>,
     pub(super) motors: Option<MotorReader>,
     pub(super) rotor_speed: Option<Columns<4>>,
     pub(super) voltage: Option<Columns<1>>,
@@ -186,21 +194,23 @@ impl RowReader {
         };
         let body_rate = turning(self.body_rate)?;
         let specific_force = match self.specific_force {
-            Some((reader, meaning, gravity)) => match vector(Some(reader))? {
-                Some((force, axes)) => {
-                    let force = match axes {
-                        Axes::Body => self.body.to_frd(force),
-                        Axes::World => turn()?.to_body(self.world.to_ned(force)),
-                    };
-                    Some(match meaning {
-                        ForceMeaning::SpecificForce => force,
-                        ForceMeaning::Acceleration => {
-                            force - turn()?.to_body(Ned::new(0.0, 0.0, gravity))
-                        }
-                    })
+            Some(ForceReader { vector: reader, meaning, gravity_mps2 }) => {
+                match vector(Some(reader))? {
+                    Some((force, axes)) => {
+                        let force = match axes {
+                            Axes::Body => self.body.to_frd(force),
+                            Axes::World => turn()?.to_body(self.world.to_ned(force)),
+                        };
+                        Some(match meaning {
+                            ForceMeaning::SpecificForce => force,
+                            ForceMeaning::Acceleration => {
+                                force - turn()?.to_body(Ned::new(0.0, 0.0, gravity_mps2))
+                            }
+                        })
+                    }
+                    None => None,
                 }
-                None => None,
-            },
+            }
             None => None,
         };
         let outputs = self.motors.as_ref().map(|reader| reader.read(cells)).transpose()?.flatten();
