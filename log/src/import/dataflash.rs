@@ -1,7 +1,7 @@
-//! ArduPilot logs (DataFlash, .bin) into flights.
+//! Reads ArduPilot logs (DataFlash, .bin) into flights.
 //!
-//! The file defines its own messages and their units. The stamps are the vehicle's clock, in us
-//! since its start.
+//! The file defines its messages and their units. Time stamps are on the vehicle's clock, in us
+//! since boot (before ArduPilot 3.3 in ms).
 
 mod ardupilot;
 mod layout;
@@ -18,15 +18,15 @@ use layout::{Access, Layout, Units};
 pub(super) use reader::MARKS;
 use reader::{Message, Reader};
 
-/// The field of a row that has its stamp, whatever the log calls it.
+/// The time stamp of a row, under the name that every row has here.
 const STAMP: &str = "TimeUS";
-/// Texts that are kept.
+/// Largest number of texts kept.
 const TEXTS_MAX: usize = 40;
-/// Fields that tell several sensors, cores or packs of one message apart.
+/// Fields with the number of the sensor, core or pack.
 const INSTANCES: [&str; 4] = ["I", "C", "Instance", "Inst"];
 
-/// What is read of one message: its fields, and what a number of each is in SI where the log does
-/// not say.
+/// A message to read: its fields, and the SI value of each field's unit, for logs that do not
+/// state units.
 #[derive(Clone, Copy, Debug)]
 struct Source {
     spec: TopicSpec,
@@ -43,13 +43,14 @@ enum Instance {
     Only(u8),
 }
 
-/// A message that rows are kept of.
+/// A message whose rows are kept.
 #[derive(Clone, Debug)]
 struct Kept {
     source: Source,
-    /// The stamp, and what it is in s.
+    /// The time stamp and the value of its unit, s.
     stamp: (Access, f64),
     instance: Instance,
+    /// The fields and the SI values of their units; `None` where the log lacks a field.
     fields: Vec<Option<(Access, f64)>>,
 }
 
@@ -79,7 +80,7 @@ impl Kept {
     }
 }
 
-/// What is read of a file, before it is a flight.
+/// The content of a file before conversion to a flight.
 #[derive(Debug, Default)]
 struct Contents {
     topics: Topics,
@@ -88,23 +89,23 @@ struct Contents {
     texts: Vec<String>,
     /// Notes on the boots.
     notes: Vec<String>,
-    /// Number of the build, by the message VER.
+    /// Number of the build, from the message VER.
     build: Option<f64>,
     units: Units,
     tally: Tally,
 }
 
-/// Whether bytes begin with a message that DataFlash logs begin with, its own definition.
+/// Whether bytes begin as DataFlash logs do, with the definition of the message FMT.
 pub(super) fn begins(head: &[u8]) -> bool {
     head.strip_prefix(&MARKS)
         .is_some_and(|rest| rest.first().is_none_or(|kind| *kind == layout::FMT))
 }
 
-/// Reads a whole log into `flight`. Returns what it holds.
+/// Reads a whole log into `flight`. Returns its messages.
 ///
 /// # Errors
-/// Those of `source`, a log of another program, and a boot that the log does not have. Damage
-/// within the file is counted, and is no error.
+/// Errors of `source`, the log of another program, or the log does not have the chosen boot.
+/// Damage within the file is counted and is not an error.
 pub(super) fn read(
     source: impl Read,
     boot: Option<usize>,
@@ -172,7 +173,7 @@ pub(super) fn read(
 }
 
 impl Contents {
-    /// Takes in what says something about other messages or the vehicle.
+    /// Stores a parameter, a text, the build, or the units of other messages.
     fn add_definition(&mut self, message: &Message<'_>) {
         let Message { layout, body, .. } = message;
         let number = |name: &str| layout.field(&[name]).and_then(|f| f.number(body));

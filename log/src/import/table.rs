@@ -1,4 +1,4 @@
-//! Tables (CSV) into flights, by a mapping file.
+//! Reads tables (CSV) into flights, with a mapping file.
 
 pub(super) mod dates;
 mod head;
@@ -20,9 +20,9 @@ pub(super) use text::decoded;
 const GAP_PERIODS: f64 = 3.0;
 /// A row further ahead than this of both the row before and the row behind has a damaged time, s.
 const FAR_AHEAD_S: f64 = 10.0;
-/// Characters of a row that an error shows.
+/// Number of characters of a row in an error.
 const SHOWN: usize = 120;
-/// Why a row is left out.
+/// Reason to leave out a row.
 const OTHER_WIDTH: &str = "row with more or fewer cells than the header";
 
 /// Why a table could not be read.
@@ -30,7 +30,7 @@ const OTHER_WIDTH: &str = "row with more or fewer cells than the header";
 pub(super) enum TableError {
     /// Reading failed.
     Io(io::Error),
-    /// The mapping does not fit the table, or the table has no header; in words.
+    /// The mapping does not fit the table, or the table has no header; the text says why.
     Unmapped(String),
 }
 
@@ -49,10 +49,10 @@ impl From<csv::Error> for TableError {
     }
 }
 
-/// Reads the table into `flight`. Returns what its first row is like that cannot be used.
+/// Reads the table into `flight`. Returns a description of the first unusable row.
 ///
 /// # Errors
-/// [`TableError`]. Rows that cannot be used are counted, and are no error.
+/// [`TableError`]. Unusable rows are counted and are not an error.
 pub(super) fn read(
     source: impl Read,
     mapping: &Mapping,
@@ -82,7 +82,7 @@ pub(super) fn read(
             continue;
         }
         if record.len() < least || filled > most {
-            // A quotation mark that nothing closes takes in all lines behind it.
+            // An unclosed quotation mark makes one record of all lines behind it.
             let lines = 1 + record.as_slice().iter().filter(|byte| **byte == b'\n').count();
             tally.add(OTHER_WIDTH, lines as u64);
             refused.get_or_insert_with(|| {
@@ -133,20 +133,20 @@ pub(super) fn read(
     Ok(Contents { reason: refused, ..Contents::default() })
 }
 
-/// Whether a text may be a table: some line of its beginning is one of numbers.
+/// Whether a text may be a table: one of its first lines consists of numbers.
 pub(super) fn looks_like_one(text: &str) -> bool {
     Head::read(&mut text.as_bytes(), 0).is_ok_and(|head| head.has_numbers())
 }
 
-/// A mapping file to start from for the table that `source` begins with.
+/// Proposes a mapping file for the table at the start of `source`.
 ///
 /// # Errors
-/// Those of `source`, and a file that looks like no table, in words.
+/// Errors of `source`, or it does not look like a table.
 pub(super) fn propose(source: impl Read) -> Result<String, TableError> {
     let mut source = decoded(source)?;
     let head = Head::read(&mut source, 0)?;
     for (name, text) in mapping::SHIPPED {
-        // Those of one program's exports say what they expect of them.
+        // A mapping for one program's exports has expectations of them.
         let fits =
             Mapping::parse(text).is_ok_and(|m| !m.expect.is_empty() && head.layout(&m).is_ok());
         if fits {
@@ -209,8 +209,8 @@ impl Rows {
     }
 }
 
-/// Appends a row's samples. Returns how many were kept, and how many were not later than one of
-/// theirs before.
+/// Appends a row's samples. Returns how many were kept, and how many were not later than the last
+/// of their stream.
 fn keep(row: &Row, flight: &mut Flight) -> [u64; 2] {
     fn push<T>(stream: &mut Stream<T>, time: f64, value: Option<T>, count: &mut [u64; 2]) {
         if let Some(value) = value {

@@ -1,4 +1,4 @@
-//! Messages of ArduCopter as the streams of a flight.
+//! Maps ArduCopter's messages to the streams of a flight.
 
 mod outputs;
 
@@ -14,10 +14,10 @@ use crate::import::kind::{self, StatedKind};
 use crate::import::onboard::{Row, Sample, Topic, TopicSpec, Topics};
 use crate::import::tally::Tally;
 
-/// Outputs of RCOU.
+/// Names of RCOU's outputs.
 const CHANNELS: [&str; 14] =
     ["C1", "C2", "C3", "C4", "C5", "C6", "C7", "C8", "C9", "C10", "C11", "C12", "C13", "C14"];
-/// What they were called before, in the same order.
+/// Their older names, in the same order.
 const CHANNELS_BEFORE: [[&str; 2]; 14] = [
     ["Ch1", "Chan1"],
     ["Ch2", "Chan2"],
@@ -57,14 +57,14 @@ struct Estimator {
 const EKF2: Estimator = Estimator { state: "NKF1", quaternion: "NKQ", status: "NKF4" };
 const EKF3: Estimator = Estimator { state: "XKF1", quaternion: "XKQ", status: "XKF4" };
 
-/// V in one of the whole numbers that a voltage was before ArduPilot 3.4.
+/// Unit of CURR's integer voltage before ArduPilot 3.4, V.
 const CENTIVOLT: f64 = 0.01;
-/// Degrees in SI.
+/// One degree, rad.
 const DEG: f64 = std::f64::consts::PI / 180.0;
 
 macro_rules! sources {
     ($($topic:literal $has_instances:ident: [$($field:literal = $default_factor:expr),* $(,)?]),* $(,)?) => {
-        /// What is read of a log.
+        /// The messages that are read, with the fields and their units.
         pub(super) const SOURCES: &[Source] = &[$(Source {
             spec: TopicSpec { topic: $topic, fields: &["TimeUS", $($field),*] },
             default_factors: &[1e-6, $($default_factor),*],
@@ -111,7 +111,7 @@ pub(super) fn names(field: &'static str) -> Vec<&'static str> {
     std::iter::once(field).chain(before).collect()
 }
 
-/// What a number of a field is in SI where its format tells that it is an old one.
+/// The SI value of a field's unit, if its format shows that the log is an old one.
 pub(super) fn older_unit(layout: &Layout, access: Access) -> Option<f64> {
     (layout.name == "CURR" && access.is_integer()).then_some(CENTIVOLT)
 }
@@ -120,7 +120,7 @@ fn stamp(row: &Row<'_>) -> f64 {
     row.get("TimeUS")
 }
 
-/// When a raw sample was taken, s.
+/// Sample time of a row, s; without a `SampleUS`, its time stamp.
 fn sampled(row: &Row<'_>) -> f64 {
     let sampled = row.get("SampleUS");
     if sampled > 0.0 { sampled } else { stamp(row) }
@@ -238,7 +238,7 @@ impl Contents {
         flight.attitude = stream;
     }
 
-    /// Body rate and specific force, of the most frequent message that has each.
+    /// Fills body rate and specific force, each from the message with the highest rate.
     fn fill_sensors(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
         const GYRO: [&str; 3] = ["GyrX", "GyrY", "GyrZ"];
         const ACCELEROMETER: [&str; 3] = ["AccX", "AccY", "AccZ"];
@@ -262,7 +262,7 @@ impl Contents {
             };
         flight.body_rate =
             most("body rate", &[("IMU", GYRO), ("GYR", GYRO), ("RATE", RATE)], tally);
-        // Counted once: the same instances were left out above.
+        // The tally above has counted these instances.
         let mut again = Tally::default();
         flight.specific_force =
             most("specific force", &[("IMU", ACCELEROMETER), ("ACC", ACCELEROMETER)], &mut again);
@@ -285,8 +285,8 @@ impl Contents {
         }
     }
 
-    /// What the attitude loop was to follow: the ground's own where GUIDED logs it, else the
-    /// autopilot's target, which it shapes from that.
+    /// Fills the setpoint of the attitude loop: the ground's if GUIDED logged it, else the target
+    /// that the autopilot shaped.
     fn fill_setpoint(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
         if let Some(topic) = self.topics.primary("GUIA", 0, tally) {
             flight.setpoint = self.topics.stream(topic, tally, |row| {
@@ -361,7 +361,7 @@ fn in_air(row: &Row<'_>) -> Option<bool> {
     match row.get("Id") {
         // Not landed.
         28.0 => Some(true),
-        // Disarmed, perhaps landed, landed.
+        // Disarmed, possibly landed, landed.
         11.0 | 17.0 | 18.0 => Some(false),
         _ => None,
     }
@@ -372,7 +372,7 @@ pub(super) fn flown(topics: &Topics) -> f64 {
     topics.time_in_air("EV", |row| Some((stamp(&row), in_air(&row)?)))
 }
 
-/// A damaged log may state any number of modes.
+/// Largest number of notes; a damaged log may have any number of modes.
 const NOTES_MAX: usize = 60;
 
 /// Name of a mode of ArduCopter.

@@ -1,15 +1,15 @@
-//! What DataFlash says about itself: the bytes of each message (FMT), and the units of its fields
+//! The definitions in a DataFlash log: the bytes of each message (FMT), and the units of its fields
 //! (FMTU, UNIT, MULT).
 
 use std::collections::BTreeMap;
 
 use crate::import::RPM;
 
-/// Length of a message's head: two marks and its type.
+/// Length of a message's header: two marks and its type.
 pub(super) const HEAD: usize = 3;
-/// Type of the message that defines the others, and itself.
+/// Type of the message that defines all messages, including itself.
 pub(super) const FMT: u8 = 128;
-/// Length of that message, with its head.
+/// Length of that message, header included.
 pub(super) const FMT_LENGTH: usize = HEAD + 86;
 
 /// A field of a message.
@@ -24,14 +24,14 @@ struct Field {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Layout {
     pub name: String,
-    /// Bytes of a message, with its head.
+    /// Length of a message, header included.
     pub length: usize,
     fields: Vec<Field>,
 }
 
 impl Layout {
-    /// The definition in the body of a FMT message: the type it is for, and its layout. `None`
-    /// where it contradicts itself.
+    /// Parses the body of a FMT message: the type that it defines, and the layout. `None` if it
+    /// contradicts itself.
     pub fn parse(body: &[u8]) -> Option<(u8, Self)> {
         let (&[kind, length], rest) = body.split_first_chunk()?;
         let (name, rest) = rest.split_at_checked(4)?;
@@ -52,7 +52,7 @@ impl Layout {
         fits.then(|| (kind, Self { name: name.to_owned(), length, fields }))
     }
 
-    /// A field, by the first of several names that it had over the years.
+    /// Finds a field by the first of several names that it had over the years.
     pub fn field(&self, names: &[&str]) -> Option<Access> {
         let at = names.iter().find_map(|name| self.fields.iter().position(|f| f.name == *name))?;
         let Field { format, offset, .. } = self.fields[at];
@@ -60,7 +60,7 @@ impl Layout {
     }
 }
 
-/// A field of a layout, found.
+/// Place and format of a field in a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Access {
     at: usize,
@@ -69,12 +69,12 @@ pub(super) struct Access {
 }
 
 impl Access {
-    /// Whether the field is a whole number that its format does not scale.
+    /// Whether the format is an integer without a scale.
     pub fn is_integer(self) -> bool {
         matches!(self.format, b'b' | b'B' | b'h' | b'H' | b'i' | b'I')
     }
 
-    /// The field's number, in the unit that its layout is labelled with, before multipliers.
+    /// The field's number in the unit of its label, before multipliers.
     pub fn number(self, body: &[u8]) -> Option<f64> {
         let bytes = body.get(self.offset..)?;
         macro_rules! number {
@@ -115,7 +115,7 @@ impl Access {
     }
 }
 
-/// Bytes of a field.
+/// Length of a field in bytes.
 fn size(format: u8) -> Option<usize> {
     Some(match format {
         b'b' | b'B' | b'M' => 1,
@@ -128,14 +128,14 @@ fn size(format: u8) -> Option<usize> {
     })
 }
 
-/// A text that zeros fill up.
+/// A zero-terminated text; a text that fills its field has no zero.
 fn text(bytes: &[u8]) -> Option<&str> {
     let end = bytes.iter().position(|byte| *byte == 0).unwrap_or(bytes.len());
     let text = std::str::from_utf8(&bytes[..end]).ok()?;
     (!text.chars().any(char::is_control)).then_some(text)
 }
 
-/// A number of IEEE 754's half precision.
+/// A number in IEEE 754 half precision.
 fn half(bits: u16) -> f64 {
     let sign = if bits & 0x8000 == 0 { 1.0 } else { -1.0 };
     let (exponent, fraction) = (i32::from(bits >> 10 & 0x1F), f64::from(bits & 0x3FF));
@@ -147,12 +147,12 @@ fn half(bits: u16) -> f64 {
     }
 }
 
-/// Units of the fields, as the log says.
+/// The units of the fields that a log states.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Units {
     labels: BTreeMap<u8, String>,
     multipliers: BTreeMap<u8, f64>,
-    /// By type of message: the id of each field's unit and multiplier.
+    /// The ids of each field's unit and multiplier, by type of message.
     fields: BTreeMap<u8, (Vec<u8>, Vec<u8>)>,
 }
 
@@ -170,8 +170,8 @@ impl Units {
         self.fields.insert(kind as u8, entry);
     }
 
-    /// What a field's number must be multiplied with to be in SI, if the log says; else, as in
-    /// logs of before 2018, `default_factor`.
+    /// The factor from a field's number to SI, if the log states it; else `default_factor`, as in
+    /// logs before 2018.
     pub fn factor(&self, kind: u8, access: Access, default_factor: f64) -> f64 {
         let stated = || {
             let (units, multipliers) = self.fields.get(&kind)?;
@@ -181,7 +181,7 @@ impl Units {
                 "rpm" => RPM,
                 _ => return None,
             };
-            // The formats with two decimals have their multiplier in themselves.
+            // These formats include their multiplier.
             let has_own = matches!(access.format, b'c' | b'C' | b'e' | b'E' | b'L');
             let multiplier = self.multipliers.get(multipliers.get(access.at)?);
             let multiplier = multiplier.copied().filter(|m| *m != 0.0 && m.is_finite() && !has_own);
@@ -191,7 +191,7 @@ impl Units {
     }
 }
 
-/// Multipliers are written in single precision; those of ten are meant exactly.
+/// The exact power of ten that a multiplier in single precision stands for, if it is one.
 fn decimal(multiplier: f64) -> f64 {
     let power = 10f64.powi(multiplier.abs().log10().round() as i32).copysign(multiplier);
     if (multiplier - power).abs() < 1e-6 * power.abs() { power } else { multiplier }

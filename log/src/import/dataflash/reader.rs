@@ -1,35 +1,34 @@
-//! Messages of a DataFlash log, in their order, past any damage.
+//! Reads the messages of a DataFlash log in order and skips damage.
 //!
-//! Each message begins with two marks and its type, whose length the log has defined; what does
-//! not is passed over. A message in whose place the next does not begin is damaged too, so that a
-//! mark within other data is not taken for one.
+//! Each message begins with two marks and its type, whose length the log defines. A message that
+//! neither another message nor the end follows is damaged: its marks may belong to other data.
 
 use std::io::{self, Read};
 
 use super::super::read_ahead::read_ahead;
 use super::layout::{FMT, FMT_LENGTH, HEAD, Layout};
 
-/// How every message begins.
+/// The first two bytes of every message.
 pub(in crate::import) const MARKS: [u8; 2] = [0xA3, 0x95];
-/// Longest message: its length is one byte.
+/// Length limit of a message: a definition has one byte for it.
 const MESSAGE_MAX: usize = u8::MAX as usize;
-/// Bytes that are read at once.
+/// Bytes read at once.
 const CHUNK: usize = 1 << 16;
 
-/// What was passed over.
+/// Skipped data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Damage {
-    /// Bytes that belong to no message.
+    /// Number of bytes between messages.
     pub bytes: u64,
-    /// Definitions that contradict themselves or an earlier one.
+    /// Number of definitions that contradict themselves or an earlier one.
     pub definitions: u64,
-    /// Where the first such byte is.
+    /// Offset of the first skipped byte.
     pub first: Option<u64>,
-    /// Where the message begins that the file ends within.
+    /// Offset of a message cut off by the end of the file.
     pub cut: Option<u64>,
 }
 
-/// A message, without its head.
+/// A message without its header.
 #[derive(Debug)]
 pub(super) struct Message<'a> {
     pub kind: u8,
@@ -46,7 +45,7 @@ pub(super) struct Reader<R> {
     before: u64,
     ended: bool,
     layouts: Vec<Option<Layout>>,
-    /// Messages that were sound so far.
+    /// Number of valid messages so far.
     pub messages: u64,
     pub damage: Damage,
 }
@@ -72,10 +71,10 @@ impl<R: Read> Reader<R> {
         layouts.any(|layout| layout.name == name && layout.field(&[field]).is_some())
     }
 
-    /// The next message of a defined type that is no definition; `None` at the end.
+    /// Returns the next message that is not a definition, or `None` at the end.
     ///
     /// # Errors
-    /// Those of the source.
+    /// Errors of the source.
     pub fn next(&mut self) -> io::Result<Option<Message<'_>>> {
         let (kind, from, to) = loop {
             self.fill(2 * MESSAGE_MAX)?;
@@ -85,7 +84,7 @@ impl<R: Read> Reader<R> {
             }
             let Some(length) = self.length(rest).filter(|length| self.continues(rest, *length))
             else {
-                // The marks at the earliest, of the next message.
+                // The next message begins at its first mark at the earliest.
                 let next = rest[1..].iter().position(|byte| *byte == MARKS[0]);
                 let passed = 1 + next.unwrap_or(rest.len() - 1);
                 let at = self.before + self.start as u64;
@@ -119,13 +118,13 @@ impl<R: Read> Reader<R> {
             return;
         };
         match &mut self.layouts[usize::from(kind)] {
-            // Loggers define all types anew now and then.
+            // Loggers repeat the definitions from time to time.
             Some(known) => self.damage.definitions += u64::from(*known != layout),
             unknown => *unknown = Some(layout),
         }
     }
 
-    /// Length of the message that begins with `bytes`, if one does.
+    /// Length of the message at the start of `bytes`, if its type is defined.
     fn length(&self, bytes: &[u8]) -> Option<usize> {
         let kind = *bytes.strip_prefix(&MARKS)?.first()?;
         match kind {
@@ -134,12 +133,12 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// Whether another message, or the end, follows one of this length.
+    /// Whether another message or the end follows a message of this length.
     fn continues(&self, bytes: &[u8], length: usize) -> bool {
         match bytes.get(length..) {
             None => false,
             Some([]) => true,
-            // The end may lie within the next one's head.
+            // The file may end within the next header.
             Some(next) => MARKS.starts_with(&next[..next.len().min(2)]),
         }
     }

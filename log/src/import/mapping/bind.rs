@@ -58,7 +58,7 @@ impl Binder<'_> {
         }
     }
 
-    /// Columns of a quantity, in the unit of this factor to SI.
+    /// Columns of a quantity whose unit has this factor to SI.
     fn columns<const N: usize>(
         &mut self,
         field: &str,
@@ -72,7 +72,7 @@ impl Binder<'_> {
         Ok(columns)
     }
 
-    /// Columns whose unit the mapping does not say.
+    /// Columns without a unit to compare with the table's labels.
     fn raw<const N: usize>(
         &mut self,
         field: &str,

@@ -1,16 +1,16 @@
-//! Where a table itself says otherwise than the mapping: the factor between would be silently wrong.
+//! Contradictions between a table's own labels and the mapping, which would give wrong numbers.
 
 use super::QuaternionOrder;
 use super::heading::Heading;
 use super::unit_word;
 
-/// Share by which factors of one unit may differ.
+/// Accepted relative difference between two factors of the same unit.
 const ALIKE: f64 = 1e-9;
 /// Axes of a quaternion.
 const AXES: [char; 4] = ['w', 'x', 'y', 'z'];
 
-/// Holds the factor to SI that the mapping gives a column against the unit below the column's
-/// name, or in brackets in it.
+/// Compares the factor to SI that the mapping gives a column with the unit below the column's name,
+/// or in brackets in it.
 pub(super) fn unit(
     heading: &Heading<'_>,
     field: &str,
@@ -33,8 +33,8 @@ pub(super) fn unit(
     ))
 }
 
-/// Holds the order of a quaternion against the last letters of its columns' names, where these
-/// are its axes.
+/// Compares the order of a quaternion with the last letters of its columns' names, if these are its
+/// axes.
 pub(super) fn order(
     heading: &Heading<'_>,
     field: &str,

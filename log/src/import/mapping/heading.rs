@@ -1,22 +1,22 @@
-//! What stands above the rows of a table: the names of its columns, and what points one out.
+//! The lines above the rows of a table, which name and identify its columns.
 
 use super::Place;
 
-/// Columns that an error names.
+/// Number of columns listed in an error.
 const OFFERED: usize = 60;
-/// So many lines above the names point a column out.
+/// Number of lines above the names that describe a column.
 const NEAR: usize = 4;
 
-/// What stands above the rows of a table.
+/// The lines above the rows of a table.
 #[derive(Clone, Copy, Debug)]
 pub struct Heading<'a> {
     /// The lines above the names.
     pub above: &'a [Vec<String>],
-    /// The names of the columns, `None` where no line names them.
+    /// The names of the columns; `None` if no line names them.
     pub names: Option<&'a [String]>,
     /// The units in a line below the names.
     pub units: Option<&'a [String]>,
-    /// Columns of a row.
+    /// Number of columns.
     pub width: usize,
 }
 
@@ -30,7 +30,7 @@ impl Heading<'_> {
         self.above.iter().any(|line| line.get(column).is_some_and(|cell| cell == word))
     }
 
-    /// Columns that are called so.
+    /// The columns that `column` identifies.
     pub(super) fn called(&self, column: &Place) -> Vec<usize> {
         let is_called = |at: &usize| match column {
             Place::Name(name) => self.names.is_some() && self.name(*at) == name,
@@ -42,7 +42,7 @@ impl Heading<'_> {
         (0..self.width).filter(is_called).collect()
     }
 
-    /// A column as one would point it out: its number and all that stands above it.
+    /// Describes a column for people: its number and the words above it.
     pub(super) fn pointed_out(&self, column: usize) -> String {
         let near = &self.above[self.above.len().saturating_sub(NEAR)..];
         let mut words: Vec<&str> =
@@ -53,7 +53,7 @@ impl Heading<'_> {
         format!("{} ({})", column + 1, words.join(", "))
     }
 
-    /// The cell that follows one of this content above the table.
+    /// The cell after the first one with this content above the table.
     pub fn after(&self, cell: &str) -> Option<&str> {
         self.above.iter().find_map(|line| {
             let at = line.iter().position(|known| known == cell)?;
@@ -61,7 +61,7 @@ impl Heading<'_> {
         })
     }
 
-    /// What the table has in place of a column that it lacks.
+    /// Describes the table's columns, for an error about one that it lacks.
     pub(super) fn offers(&self) -> String {
         match self.names {
             Some(names) => {

@@ -9,11 +9,11 @@ mod values;
 
 use columns::{AttitudeColumns, Found};
 
-/// Lengths beyond this are none in m: rooms and fields are smaller.
+/// Larger positions are not in m: rooms and fields are smaller.
 const ROOM_M: f64 = 100.0;
-/// Body rates beyond this are none in rad/s.
+/// Larger body rates are not in rad/s.
 const FAST_RAD_S: f64 = 35.0;
-/// Larger motor outputs are no pulses in us but numbers of 16 bits, as Crazyflies log them.
+/// Larger motor outputs are not pulse widths in us but 16-bit numbers, as Crazyflies log them.
 const PULSE_MAX_US: f64 = 3000.0;
 
 /// A column's name in lower case with joined words, and its unit if the name has one.
@@ -24,7 +24,7 @@ struct Named {
 }
 
 impl Named {
-    /// By the name itself, else with the unit that stands below it.
+    /// Splits a name into words and unit; `below` is the cell below it, which may have the unit.
     fn new(name: &str, below: Option<&str>) -> Self {
         let (words, unit) = unit_word::split(&unit_word::words(name));
         Self { words, unit: unit.or_else(|| unit_word::of_cell(below?)) }

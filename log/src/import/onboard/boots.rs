@@ -6,9 +6,9 @@ use super::{NEIGHBOURS, Row, Topic, Topics, middle};
 use crate::import::LogFault;
 use crate::import::tally::Tally;
 
-/// A clock that falls back by more than this, s, was restarted: by the median of so many rows on
-/// each side.
+/// A clock that falls back by more than this was restarted, s.
 const RESTART: f64 = 1.0;
+/// Number of rows on each side whose medians must agree on a restart.
 const RESTART_ROWS: usize = 50;
 /// Largest number of boots listed; a damaged log may have any number.
 const BOOTS_NAMED: usize = 20;
@@ -16,7 +16,8 @@ const BOOTS_NAMED: usize = 20;
 const BOOT_ROWS: usize = 10;
 
 impl Topics {
-    /// The rows of each boot of the vehicle: at a restart its clock starts anew.
+    /// The rows of each boot of the vehicle; `starts` are the indices of all but the first boot's
+    /// first rows.
     fn boots(self, starts: &[usize]) -> Vec<Self> {
         let mut boots = Vec::with_capacity(starts.len() + 1);
         let ends = starts.iter().copied().chain([self.clock.len()]);
@@ -59,8 +60,9 @@ impl Topics {
         starts
     }
 
-    /// Of several boots in one file the chosen one, counted from 1, or else the one that flew
-    /// longest by `flown`, s, or lasted longest. Notes all, and counts the rows of the others.
+    /// The chosen boot of several in one file, counted from 1; by default the one that flew
+    /// longest according to `flown`, s, or lasted longest. Notes all boots and counts the rows of
+    /// the others.
     ///
     /// # Errors
     /// The file does not have the chosen boot.
@@ -102,7 +104,7 @@ impl Topics {
         Ok(boots.swap_remove(chosen))
     }
 
-    /// First and last time of the clock, damaged stamps left out as far as they are few, s.
+    /// First and last time of the clock, s; medians, which a few damaged stamps do not change.
     fn span(&self) -> [f64; 2] {
         let ends = self.clock.len().min(NEIGHBOURS);
         let first = middle(&self.clock[..ends]).unwrap_or_default();
@@ -110,8 +112,8 @@ impl Topics {
         [first, last]
     }
 
-    /// Time in the air by the rows of a topic, s; `in_air` says of a row whether it is, and `None`
-    /// if it does not say.
+    /// Time in the air according to the rows of a topic, s. `in_air` returns a row's time and
+    /// state, or `None` if the row does not state it.
     pub fn time_in_air(
         &self,
         topic: &'static str,

@@ -1,12 +1,12 @@
-//! Times written as dates, in the manner of ISO 8601.
+//! Reads times written as dates, as in ISO 8601.
 
 use super::super::mapping::Cell;
 use crate::calendar;
 
 const DAY_S: f64 = 86400.0;
 
-/// Seconds since 1970 of a date with a time of day, as `2024-03-01T23:59:50.25Z`, or since midnight
-/// of a time of day alone, as `23:59:50.25`. Without an offset from UTC the time counts as UTC.
+/// Seconds since 1970 for a date with a time of day, such as `2024-03-01T23:59:50.25Z`; seconds
+/// since midnight for a time of day alone, such as `23:59:50.25`. A time without an offset is UTC.
 pub(in crate::import) fn read(cell: &[u8]) -> Cell {
     let Ok(text) = std::str::from_utf8(cell) else { return Cell::Other };
     let text = text.trim().trim_matches('"').trim();
@@ -46,7 +46,7 @@ fn time_of_day(text: &str) -> Option<f64> {
     is_time.then_some(3600.0 * hour as f64 + 60.0 * minute as f64 + second)
 }
 
-/// Seconds ahead of UTC, from `+01:00`, `+0100` or `+01`.
+/// Offset from UTC in s, from `+01:00`, `+0100` or `+01`.
 fn offset(text: &str) -> Option<f64> {
     let (sign, text) = match text.strip_prefix('-') {
         Some(text) => (-1.0, text),
@@ -58,7 +58,7 @@ fn offset(text: &str) -> Option<f64> {
     Some(sign * (3600.0 * hours as f64 + 60.0 * minutes as f64))
 }
 
-/// A whole number of one to `most` digits.
+/// An unsigned integer of one to `most` digits.
 fn digits(text: &str, most: usize) -> Option<i64> {
     let is_number = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     (is_number && text.len() <= most).then(|| text.parse().ok()).flatten()

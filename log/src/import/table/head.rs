@@ -1,4 +1,5 @@
-//! The first lines of a table: what separates its cells, and which line names its columns.
+//! The first lines of a table: detects the separator of its cells and the line that names its
+//! columns.
 
 use std::io::{self, BufRead};
 
@@ -8,38 +9,38 @@ use super::dates;
 use super::numbers::Numbers;
 use super::text;
 
-/// So much of a table is read for its head.
+/// Number of bytes read as the head.
 const SIZE: usize = 64 * 1024;
-/// The names of the columns are in one of so many lines.
+/// Number of lines in which the column names are searched for.
 const LINES: usize = 100;
-/// What separates cells, in the order in which it is tried.
+/// Separators of cells, in the order in which they are tried.
 const SEPARATORS: [u8; 5] = *b",;\t| ";
-/// Least numbers of a line of a table whose cells are separated by spaces: sentences have some.
+/// Fewest numbers in a line whose cells are separated by spaces: sentences contain some too.
 const SPACED: usize = 4;
 
 /// The first lines of a table, and its bytes from there on.
 #[derive(Debug)]
 pub(in crate::import) struct Head {
-    /// Lines that were skipped.
+    /// The skipped lines above.
     skipped: Vec<String>,
-    /// By a line `sep=`.
+    /// The separator from a line `sep=`.
     separator: Option<u8>,
-    /// The bytes behind them: whole lines, unless there is only one.
+    /// The bytes behind the skipped lines.
     pub bytes: Vec<u8>,
 }
 
-/// How a table is laid out.
+/// Layout of a table.
 #[derive(Debug)]
 pub(super) struct Layout {
     pub separator: u8,
-    /// Records before the first row.
+    /// Number of records before the first row.
     pub records_above: usize,
-    /// Least and most cells of a row, empty ones at its end left out of the most.
+    /// Fewest and most cells of a row; the most does not count empty cells at its end.
     pub cells: [usize; 2],
     pub reader: RowReader,
 }
 
-/// A reader of records as tables have them.
+/// Creates a reader of a table's records.
 pub(super) fn records<R: io::Read>(separator: u8, source: R) -> csv::Reader<R> {
     csv::ReaderBuilder::new()
         .delimiter(separator)
@@ -50,13 +51,13 @@ pub(super) fn records<R: io::Read>(separator: u8, source: R) -> csv::Reader<R> {
 }
 
 impl Head {
-    /// Reads the first lines of `source`, and skips so many.
+    /// Reads the first lines of `source` after `skip_lines` lines.
     ///
     /// # Errors
-    /// Those of `source`.
+    /// Errors of `source`.
     pub fn read(source: &mut impl BufRead, skip_lines: u64) -> io::Result<Self> {
         let mut head = Self { skipped: Vec::new(), separator: None, bytes: Vec::new() };
-        // A spreadsheet's line that says what separates cells.
+        // Some spreadsheets state the separator in a first line.
         let first = source.fill_buf()?.to_ascii_lowercase();
         if first.strip_prefix(b"\"").unwrap_or(&first).starts_with(b"sep=") {
             let line = text::line(source)?.unwrap_or_default();
@@ -72,7 +73,7 @@ impl Head {
         Ok(head)
     }
 
-    /// The whole records of the head.
+    /// The complete records of the head.
     fn cut(&self, separator: u8) -> Vec<Vec<String>> {
         let is_last_cut = self.bytes.len() == SIZE;
         let end = self.bytes.iter().rposition(|byte| *byte == b'\n').filter(|_| is_last_cut);
@@ -82,7 +83,7 @@ impl Head {
         all.map_while(Result::ok).take(LINES).map(|r| r.iter().map(text).collect()).collect()
     }
 
-    /// The lines that were skipped, in cells.
+    /// The cells of the skipped lines.
     fn above(&self, separator: u8) -> Vec<Vec<String>> {
         let cells = |line: &String| {
             let record = records(separator, line.as_bytes()).into_records().next();
@@ -92,7 +93,7 @@ impl Head {
         self.skipped.iter().map(cells).collect()
     }
 
-    /// What separates cells, in the order in which it is tried; only one where it is said.
+    /// The separators to try, in order; only one if the mapping or the table states it.
     fn separators(&self, stated: Option<char>) -> Result<Vec<u8>, String> {
         if let Some(stated) = stated {
             let byte = u8::try_from(stated).ok().filter(u8::is_ascii);
@@ -104,10 +105,10 @@ impl Head {
         Ok(self.separator.map_or(SEPARATORS.to_vec(), |separator| vec![separator]))
     }
 
-    /// Where the columns are that `mapping` names, or whose numbers it gives.
+    /// Finds the columns of `mapping`, by name or by number.
     ///
     /// # Errors
-    /// What the table lacks, or the mapping does not say.
+    /// The table lacks a column, or the mapping lacks a key; the text says which.
     pub(super) fn layout(&self, mapping: &Mapping) -> Result<Layout, String> {
         let mut refusal = None;
         for separator in self.separators(mapping.separator)? {
@@ -119,7 +120,7 @@ impl Head {
                 return Err("the table has no header line that names its columns".to_owned());
             }
             expected(mapping, &lines)?;
-            // Where every column is given by its number, no line need name them.
+            // A mapping that gives every column by number needs no line of names.
             let numbered = (offset..lines.len()).find_map(|at| {
                 let (above, rest) = lines.split_at(at);
                 let found = by_number(mapping, above, &rest[0])?;
@@ -148,7 +149,7 @@ impl Head {
         Err(refusal.map_or_else(String::new, |(_, error)| error))
     }
 
-    /// Whether any line is one of several numbers.
+    /// Whether any line has several numbers.
     pub fn has_numbers(&self) -> bool {
         let separators = self.separators(None).unwrap_or_default();
         separators.into_iter().any(|separator| {
@@ -164,7 +165,8 @@ impl Head {
         })
     }
 
-    /// What separates the cells and where the line is that names the columns, without a mapping.
+    /// Finds the separator and the line of names without a mapping; `None` if the head does not look
+    /// like a table.
     pub fn table(&self) -> Option<Sheet> {
         let separators = self.separators(None).ok()?;
         let sheets = separators.into_iter().filter_map(|separator| {
@@ -185,22 +187,22 @@ impl Head {
     }
 }
 
-/// A table as it looks without a mapping.
+/// A table's head without a mapping.
 #[derive(Debug)]
 pub(in crate::import) struct Sheet {
     pub separator: u8,
     /// The lines above the names.
     pub above: Vec<Vec<String>>,
     pub names: Vec<String>,
-    /// What stands below the names, where it is units.
+    /// The units in the line below the names; empty without such a line.
     pub units: Vec<String>,
     /// The first rows.
     pub rows: Vec<Vec<String>>,
 }
 
 impl Sheet {
-    /// The word above a column in the nearest line that tells columns of one name apart, as
-    /// "Position" above X.
+    /// The word above a column in the nearest line that distinguishes columns of the same name, such
+    /// as "Position" above X.
     pub fn group(&self, column: usize) -> &str {
         let is_twice = |at: &usize| {
             let name = &self.names[*at];
@@ -215,7 +217,7 @@ impl Sheet {
     }
 }
 
-/// The names of a line; some tools mark it as a comment.
+/// The names in a line, without the comment mark that some tools put before them.
 fn names(line: &[String]) -> Vec<String> {
     let mut names = line.to_vec();
     let Some(first) = names.first_mut() else { return names };
@@ -229,7 +231,7 @@ fn names(line: &[String]) -> Vec<String> {
     names
 }
 
-/// The first line of words above a line of numbers, units between them passed over.
+/// The first line of words above a line of numbers; a line of units may be in between.
 fn header(lines: &[Vec<String>]) -> Option<usize> {
     let mut numbers = Numbers::new(None);
     let mut is_numeric = |line: &[String]| {
@@ -241,7 +243,7 @@ fn header(lines: &[Vec<String>]) -> Option<usize> {
                 Cell::Empty => {}
             }
         }
-        // A number alone is none of a table: some tools have their rate above it.
+        // A single number is not a row: some tools write their rate above the table.
         count[0] > count[1].max(1)
     };
     let is_numeric: Vec<bool> = lines.iter().map(|line| is_numeric(line)).collect();
@@ -251,7 +253,7 @@ fn header(lines: &[Vec<String>]) -> Option<usize> {
     if is_units { named().or(at) } else { at }
 }
 
-/// Where the columns are that the mapping names, by the names of line `at`.
+/// Finds the mapping's columns by the names in line `at`, with the fewest and most cells of a row.
 fn by_name(
     mapping: &Mapping,
     lines: &[Vec<String>],
@@ -265,7 +267,8 @@ fn by_name(
     Ok((RowReader::new(mapping, heading)?, [least, names.len()]))
 }
 
-/// Where every column is given by its number: the first line whose cells are what they should be.
+/// As [`by_name`], for a mapping that gives every column by number; `None` unless `line` is a valid
+/// row.
 fn by_number(
     mapping: &Mapping,
     above: &[Vec<String>],
@@ -283,7 +286,7 @@ fn by_number(
     reader.read(0, &cells).is_ok().then_some((reader, [least, line.len()]))
 }
 
-/// Holds what the first lines say against what the mapping expects of them.
+/// Compares the first lines with the mapping's expectations.
 fn expected(mapping: &Mapping, above: &[Vec<String>]) -> Result<(), String> {
     let heading = Heading { above, names: None, units: None, width: 0 };
     for (name, expected) in &mapping.expect {

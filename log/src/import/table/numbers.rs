@@ -1,11 +1,12 @@
-//! Cells as numbers.
+//! Reads cells as numbers.
 
 use super::super::mapping::{Cell, DecimalMark};
 
-/// Words for nothing.
+/// Words for an empty cell.
 const NOTHING: [&str; 8] = ["", "-", "nan", "na", "n/a", "#n/a", "null", "none"];
 
-/// Reads numbers with the stated mark of decimals, or with either, which must not change.
+/// Reads numbers with the stated decimal mark, or with either, which must then be the same in all
+/// cells.
 #[derive(Clone, Debug, Default)]
 pub(in crate::import) struct Numbers {
     stated: Option<DecimalMark>,
@@ -47,7 +48,7 @@ impl Numbers {
         Cell::Number(number)
     }
 
-    /// Why the numbers cannot be told from their marks, if that is so.
+    /// Why the decimal mark is ambiguous, if it is.
     pub fn doubt(&self) -> Option<String> {
         let (None, Some(point), Some(comma)) = (self.stated, &self.point, &self.comma) else {
             return None;

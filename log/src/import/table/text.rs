@@ -1,4 +1,4 @@
-//! The text of a table, whatever its encoding.
+//! Decodes the text of a table, in any encoding.
 
 use std::io::{self, BufRead, BufReader, Cursor, Read};
 
@@ -7,18 +7,18 @@ use encoding_rs_io::DecodeReaderBytesBuilder;
 
 use super::super::read_ahead::read_ahead;
 
-/// So much of a file tells its encoding.
+/// Number of bytes that determine the encoding.
 const HEAD: usize = 4096;
-/// Bytes of text that can be peeked at before they are read.
+/// Number of bytes that [`BufRead::fill_buf`] returns at least at the start.
 const FIRST: usize = 16;
-/// Longest line before the table; a file whose lines are longer is no table.
+/// Length limit of a line above the table; a file with longer lines is not a table.
 const LINE_MAX: u64 = 1 << 20;
 
-/// The bytes as UTF-8: by their mark, or as UTF-16 where every second byte is zero. What is no
-/// UTF-8 without a mark stays as it is.
+/// Decodes bytes to UTF-8: by their byte order mark, or as UTF-16 if every second byte is zero.
+/// Other bytes without a mark stay unchanged.
 ///
 /// # Errors
-/// Those of `source`.
+/// Errors of `source`.
 pub(in crate::import) fn decoded(mut source: impl Read) -> io::Result<impl BufRead> {
     let mut head = Vec::new();
     read_ahead(&mut source, &mut head, HEAD)?;
@@ -26,13 +26,13 @@ pub(in crate::import) fn decoded(mut source: impl Read) -> io::Result<impl BufRe
     let bytes = Cursor::new(head).chain(source);
     let mut decoder =
         DecodeReaderBytesBuilder::new().encoding(encoding).strip_bom(true).build(bytes);
-    // The decoder gives its first bytes one by one; a line begins with more.
+    // The decoder returns its first bytes one by one, too few to recognise a line.
     let mut first = Vec::new();
     read_ahead(&mut decoder, &mut first, FIRST)?;
     Ok(Cursor::new(first).chain(BufReader::with_capacity(1 << 16, decoder)))
 }
 
-/// UTF-16 without a mark: text of the languages of tables has a zero in every second byte.
+/// Detects UTF-16 without a mark: text in Latin script has a zero in every second byte.
 fn unmarked(head: &[u8]) -> Option<&'static Encoding> {
     let zeros = |from: usize| head.iter().skip(from).step_by(2).filter(|b| **b == 0).count();
     let is_most = |count: usize| head.len() >= 8 && 2 * count > head.len() / 2;
@@ -43,10 +43,10 @@ fn unmarked(head: &[u8]) -> Option<&'static Encoding> {
     }
 }
 
-/// Reads a line without its end; bytes that are no UTF-8 are replaced. `None` at the end.
+/// Reads a line without its end and replaces bytes that are not UTF-8; `None` at the end.
 ///
 /// # Errors
-/// Those of `source`.
+/// Errors of `source`.
 pub(super) fn line(source: &mut impl BufRead) -> io::Result<Option<String>> {
     let mut bytes = Vec::new();
     if Read::take(&mut *source, LINE_MAX).read_until(b'\n', &mut bytes)? == 0 {

@@ -1,4 +1,5 @@
-//! What an ArduPilot log says of the motors: which outputs drive them, and what those mean.
+//! Reads the motor commands and the rotor speeds from an ArduPilot log, and the unit of the
+//! commands.
 
 use super::{CHANNELS, Contents, stamp};
 use crate::import::facts::VehicleFacts;
@@ -8,11 +9,11 @@ use crate::import::onboard::Sample;
 use crate::import::ranges;
 use crate::import::tally::Tally;
 
-/// A pulse of 0 is no pulse.
+/// Valid pulse widths, us; 0 means no pulse.
 const PULSES: std::ops::RangeInclusive<f64> = 500.0..=2500.0;
-/// Outputs less often than this do not show how the rotors answer, Hz.
+/// Rate below which outputs do not show the rotors' response, Hz.
 const SLOW_HZ: f64 = 50.0;
-/// Speeds of the rotors of one round lie within this time, s.
+/// Longest time between the speeds of two rotors in one sample, s.
 const ROUND: f64 = 0.5;
 
 impl Contents {
@@ -76,7 +77,8 @@ impl Contents {
         }
     }
 
-    /// Rotor speeds come one by one: a sample is a round of all four.
+    /// Fills the rotor speeds. The log has one message for each rotor; a sample combines the
+    /// nearest of all four.
     pub(super) fn fill_rotor_speed(&self, flight: &mut Flight, tally: &mut Tally) {
         let channels = match functions::ardupilot_motors(&self.parameters) {
             Stated::Motors(channels) => channels,

@@ -1,4 +1,4 @@
-//! Which columns of a table have each quantity, by their names.
+//! Finds the columns of each quantity by their names.
 
 use super::{Group, Named, Proposal};
 use crate::import::mapping::unit_word::UNDERSCORE;
@@ -7,8 +7,8 @@ use crate::import::mapping::unit_word::UNDERSCORE;
 const XYZ: [&[&str]; 3] = [&["x", "y", "z"], &["0", "1", "2"], &["1", "2", "3"]];
 /// Axes that point north, east and down.
 const NED: &[&str] = &["n", "e", "d"];
-/// Words in the names of what was wanted, `ctrltarget`, `controller` and `posctl` on a Crazyflie.
-const WANTED: [&str; 10] = [
+/// Words in the names of setpoints; `ctrltarget`, `controller` and `posctl` are a Crazyflie's.
+const SETPOINT_WORDS: [&str; 10] = [
     "setpoint",
     "sp",
     "desired",
@@ -52,7 +52,7 @@ impl Proposal<'_> {
             let at = self.names.iter().position(|name| name.words.contains("time"))?;
             Some(self.take(vec![at]))
         });
-        let wanted = self.set_wanted_aside();
+        let setpoints = self.reserve_setpoints();
         let north = self.find(&["p", "pos", "position", ""], &[NED, &["north", "east", "down"]]);
         let is_ned = north.is_some();
         let matrix = self.find(
@@ -133,7 +133,7 @@ impl Proposal<'_> {
             euler.map(AttitudeColumns::Euler)
         });
         // Commands of motors have such names too.
-        wanted.iter().for_each(|at| self.used[*at] = false);
+        setpoints.iter().for_each(|at| self.used[*at] = false);
         let four: [&[&str]; 2] = [&["1", "2", "3", "4"], &["0", "1", "2", "3"]];
         let rotor_speed =
             self.find(&["rpm", "erpm", "rotor_speed", "motor_speed", "rotor", "motor_rpm"], &four);
@@ -172,7 +172,8 @@ impl Proposal<'_> {
         }
     }
 
-    /// The columns with the first of these names that all exist and are not yet used.
+    /// Finds the columns of the first stem and axes that all exist and are not yet used, and marks
+    /// them as used.
     fn find(&mut self, stems: &[&str], axes: &[&[&str]]) -> Option<Group> {
         for axes in axes {
             for stem in stems {
@@ -201,7 +202,7 @@ impl Proposal<'_> {
         None
     }
 
-    /// Columns x, y, z of which only the first has the name of the body before it, as in Qualisys'
+    /// Finds columns x, y, z of which only the first has the body's name before it, as in Qualisys'
     /// exports.
     fn find_body(&mut self) -> Option<Group> {
         let words = |at: usize| self.names.get(at).map_or("", |name| name.words.as_str());
@@ -213,15 +214,16 @@ impl Proposal<'_> {
         Some(self.take(vec![first, first + 1, first + 2]))
     }
 
-    /// Marks columns of what was wanted as used, which are none of what was measured. Returns them.
-    fn set_wanted_aside(&mut self) -> Vec<usize> {
-        let is_wanted =
-            |name: &Named| name.words.split(UNDERSCORE).any(|word| WANTED.contains(&word));
+    /// Marks the columns of setpoints as used, so that none is taken for a measurement. Returns
+    /// them.
+    fn reserve_setpoints(&mut self) -> Vec<usize> {
+        let is_setpoint =
+            |name: &Named| name.words.split(UNDERSCORE).any(|word| SETPOINT_WORDS.contains(&word));
         let all = 0..self.names.len();
-        let wanted: Vec<usize> =
-            all.filter(|at| !self.used[*at] && is_wanted(&self.names[*at])).collect();
-        wanted.iter().for_each(|at| self.used[*at] = true);
-        wanted
+        let setpoints: Vec<usize> =
+            all.filter(|at| !self.used[*at] && is_setpoint(&self.names[*at])).collect();
+        setpoints.iter().for_each(|at| self.used[*at] = true);
+        setpoints
     }
 
     fn take(&mut self, at: Vec<usize>) -> Group {

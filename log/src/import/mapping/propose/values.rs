@@ -1,4 +1,4 @@
-//! What the first rows of a table say of the meaning of its columns.
+//! Infers units and meanings of columns from the first rows of a table.
 
 use super::super::super::table::{Numbers, dates};
 use super::super::Cell;
