@@ -24,19 +24,19 @@ pub(super) struct Gate {
     /// The host part of the requested address.
     host: String,
     /// Number of clients that the front currently relays, if viewers may set something.
-    led: Option<Arc<AtomicUsize>>,
+    relayed: Option<Arc<AtomicUsize>>,
 }
 
 /// A relayed client; dropping it decrements the count.
-struct Led(Option<Arc<AtomicUsize>>);
+struct Relayed(Option<Arc<AtomicUsize>>);
 
 impl Gate {
-    pub fn new(address: &str, led: Option<Arc<AtomicUsize>>) -> Self {
-        Self { host: host_of(address).to_owned(), led }
+    pub fn new(address: &str, relayed: Option<Arc<AtomicUsize>>) -> Self {
+        Self { host: host_of(address).to_owned(), relayed }
     }
 
     fn admits(&self, request: &Request) -> bool {
-        let Some(origin) = request.header("origin").filter(|_| self.led.is_some()) else {
+        let Some(origin) = request.header("origin").filter(|_| self.relayed.is_some()) else {
             return true;
         };
         let Some(host) = request.header("host") else { return false };
@@ -46,18 +46,19 @@ impl Gate {
         origin == FOXGLOVE || is_own && origin.strip_prefix("http://") == Some(host)
     }
 
-    fn lead(&self) -> Led {
-        if let Some(led) = &self.led {
-            led.fetch_add(1, Ordering::AcqRel);
+    /// Counts a client while the result lives.
+    fn count_relayed(&self) -> Relayed {
+        if let Some(relayed) = &self.relayed {
+            relayed.fetch_add(1, Ordering::AcqRel);
         }
-        Led(self.led.clone())
+        Relayed(self.relayed.clone())
     }
 }
 
-impl Drop for Led {
+impl Drop for Relayed {
     fn drop(&mut self) {
-        if let Some(led) = &self.0 {
-            led.fetch_sub(1, Ordering::AcqRel);
+        if let Some(relayed) = &self.0 {
+            relayed.fetch_sub(1, Ordering::AcqRel);
         }
     }
 }
@@ -82,7 +83,7 @@ async fn answer(mut stream: TcpStream, inner: SocketAddr, gate: Gate) -> io::Res
             respond(&mut stream, "403 Forbidden", "text/plain", text).await
         }
         Some(Request { is_get: true, is_upgrade: true, head, .. }) => {
-            let _led = gate.lead();
+            let _relayed = gate.count_relayed();
             let socket = TcpSocket::new_v4()?;
             socket.set_recv_buffer_size(http::SOCKET_BUFFER)?;
             let mut server = socket.connect(inner).await?;

@@ -29,7 +29,7 @@ const SPEED: std::ops::RangeInclusive<f32> = 0.01..=100.0;
 
 /// The state of the playback.
 #[derive(Debug)]
-struct Stand {
+struct Progress {
     status: PlaybackStatus,
     speed: f32,
     /// The log's time at `since`.
@@ -39,7 +39,7 @@ struct Stand {
     span: (HostTime, HostTime),
 }
 
-impl Stand {
+impl Progress {
     /// The log's time now.
     fn now(&self, wall: Instant) -> HostTime {
         if self.status != PlaybackStatus::Playing {
@@ -88,14 +88,14 @@ impl Stand {
 /// State shared by the player's thread and the server's.
 #[derive(Debug)]
 struct Player {
-    stand: Mutex<Stand>,
+    progress: Mutex<Progress>,
     changed: Condvar,
     is_over: AtomicBool,
 }
 
 impl Player {
-    fn lock(&self) -> MutexGuard<'_, Stand> {
-        self.stand.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Progress> {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -118,7 +118,7 @@ impl Playback {
     ) -> Result<Self, ViewError> {
         let span = recording.span().unwrap_or_default();
         let status = if is_paused { PlaybackStatus::Paused } else { PlaybackStatus::Playing };
-        let stand = Stand {
+        let progress = Progress {
             status,
             speed: 1.0,
             time: span.0,
@@ -127,18 +127,18 @@ impl Playback {
             span,
         };
         let player = Arc::new(Player {
-            stand: Mutex::new(stand),
+            progress: Mutex::new(progress),
             changed: Condvar::new(),
             is_over: AtomicBool::new(false),
         });
         let shared = Arc::clone(&player);
         let answer = move |request: PlaybackControlRequest| {
             let wall = Instant::now();
-            let mut stand = shared.lock();
-            stand.take(&request, wall);
-            let did_seek = stand.has_sought;
+            let mut progress = shared.lock();
+            progress.take(&request, wall);
+            let did_seek = progress.has_sought;
             shared.changed.notify_one();
-            stand.state(wall, did_seek, Some(request.request_id))
+            progress.state(wall, did_seek, Some(request.request_id))
         };
         let mut settings = settings;
         settings.playback = Some((span.0.as_ns(), span.1.as_ns()));
@@ -203,16 +203,16 @@ impl Stage {
     fn play(mut self, player: &Player) {
         while !player.is_over.load(Ordering::Acquire) {
             let wall = Instant::now();
-            let mut stand = player.lock();
-            let has_sought = std::mem::take(&mut stand.has_sought);
-            let now = stand.now(wall);
-            let has_ended = stand.status == PlaybackStatus::Playing && now >= stand.span.1;
+            let mut progress = player.lock();
+            let has_sought = std::mem::take(&mut progress.has_sought);
+            let now = progress.now(wall);
+            let has_ended = progress.status == PlaybackStatus::Playing && now >= progress.span.1;
             if has_ended {
-                stand.status = PlaybackStatus::Ended;
-                stand.time = now;
+                progress.status = PlaybackStatus::Ended;
+                progress.time = now;
             }
-            let state = (has_sought || has_ended).then(|| stand.state(wall, has_sought, None));
-            drop(stand);
+            let state = (has_sought || has_ended).then(|| progress.state(wall, has_sought, None));
+            drop(progress);
             if let Some(state) = state {
                 self.server.send_playback(state);
             }
@@ -224,11 +224,11 @@ impl Stage {
             self.greet();
             self.give(now);
             self.send_positions(wall, now);
-            let stand = player.lock();
-            // Who comes to a playback that stands still is greeted within this time.
-            let wait = if stand.status == PlaybackStatus::Playing { STEP } else { TIME_PERIOD };
-            if !stand.has_sought && !player.is_over.load(Ordering::Acquire) {
-                drop(player.changed.wait_timeout(stand, wait));
+            let progress = player.lock();
+            // A viewer that joins a paused playback receives what it missed within this time.
+            let wait = if progress.status == PlaybackStatus::Playing { STEP } else { TIME_PERIOD };
+            if !progress.has_sought && !player.is_over.load(Ordering::Acquire) {
+                drop(player.changed.wait_timeout(progress, wait));
             }
         }
     }
@@ -302,12 +302,12 @@ impl Stage {
 mod tests {
     use super::*;
 
-    fn stand() -> (Stand, Instant) {
+    fn progress() -> (Progress, Instant) {
         let wall = Instant::now();
         let span = (HostTime::from_ns(10_000_000_000), HostTime::from_ns(20_000_000_000));
         let status = PlaybackStatus::Paused;
         let (speed, has_sought) = (1.0, false);
-        (Stand { status, speed, time: span.0, since: wall, has_sought, span }, wall)
+        (Progress { status, speed, time: span.0, since: wall, has_sought, span }, wall)
     }
 
     fn request(command: PlaybackCommand, speed: f32, seek: Option<f64>) -> PlaybackControlRequest {
@@ -321,30 +321,33 @@ mod tests {
 
     #[test]
     fn playback_runs_at_its_speed_and_ends_with_the_log() {
-        let (mut stand, wall) = stand();
-        let at = |stand: &Stand, s: u64| {
-            stand.now(wall + Duration::from_secs(s)).as_ns() / 1_000_000_000
+        let (mut progress, wall) = progress();
+        let at = |progress: &Progress, s: u64| {
+            progress.now(wall + Duration::from_secs(s)).as_ns() / 1_000_000_000
         };
-        assert_eq!(at(&stand, 5), 10);
-        stand.take(&request(PlaybackCommand::Play, 2.0, None), wall);
-        assert_eq!((at(&stand, 3), at(&stand, 30)), (16, 20));
-        stand.take(&request(PlaybackCommand::Pause, 2.0, None), wall + Duration::from_secs(3));
-        assert_eq!(at(&stand, 9), 16);
-        stand.take(&request(PlaybackCommand::Pause, 2.0, Some(12.5)), wall);
-        assert_eq!((at(&stand, 9), stand.has_sought), (12, true));
+        assert_eq!(at(&progress, 5), 10);
+        progress.take(&request(PlaybackCommand::Play, 2.0, None), wall);
+        assert_eq!((at(&progress, 3), at(&progress, 30)), (16, 20));
+        progress.take(&request(PlaybackCommand::Pause, 2.0, None), wall + Duration::from_secs(3));
+        assert_eq!(at(&progress, 9), 16);
+        progress.take(&request(PlaybackCommand::Pause, 2.0, Some(12.5)), wall);
+        assert_eq!((at(&progress, 9), progress.has_sought), (12, true));
     }
 
     #[test]
     fn out_of_range_seek_is_clamped_and_invalid_speed_ignored() {
-        let (mut stand, wall) = stand();
+        let (mut progress, wall) = progress();
         for (seek, expected) in [(0.0, 10), (1e9, 20)] {
             for speed in [f32::NAN, -1.0, 0.0, f32::INFINITY, 1e9] {
-                stand.take(&request(PlaybackCommand::Pause, speed, Some(seek)), wall);
-                assert_eq!(stand.now(wall).as_ns(), expected * 1_000_000_000);
-                assert_eq!(stand.speed, 1.0);
+                progress.take(&request(PlaybackCommand::Pause, speed, Some(seek)), wall);
+                assert_eq!(progress.now(wall).as_ns(), expected * 1_000_000_000);
+                assert_eq!(progress.speed, 1.0);
             }
         }
-        stand.take(&request(PlaybackCommand::Play, 1.0, None), wall);
-        assert_eq!(stand.time, stand.span.0, "playing at the end restarts from the beginning");
+        progress.take(&request(PlaybackCommand::Play, 1.0, None), wall);
+        assert_eq!(
+            progress.time, progress.span.0,
+            "playing at the end restarts from the beginning"
+        );
     }
 }

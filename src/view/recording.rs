@@ -24,8 +24,8 @@ pub struct Recording {
     bodies: Vec<u8>,
     /// Facts about the run.
     pub(super) run: BTreeMap<String, String>,
-    /// Thinned, with times.
-    pub(super) way: Vec<(HostTime, Ned)>,
+    /// The vehicle's path, thinned, with its times.
+    pub(super) path: Vec<(HostTime, Ned)>,
     pub(super) plan: Vec<Ned>,
     /// The unreadable parts of the log, in words.
     pub damages: Vec<String>,
@@ -47,9 +47,9 @@ impl Recording {
     /// [`ReadError`], if the source cannot be read; damaged parts are left out.
     pub fn read(mut reader: LogReader<impl Read>) -> Result<Self, ReadError> {
         let mut log = Self::default();
-        let mut way = Way::default();
+        let mut paths = Paths::default();
         while let Some(message) = reader.next_message()? {
-            way.take(&message);
+            paths.take(&message);
             let known = log.channels.iter().position(|known| *known == message.channel);
             let channel = known.unwrap_or_else(|| {
                 log.channels.push(Arc::clone(&message.channel));
@@ -63,7 +63,7 @@ impl Recording {
         log.messages.sort_by_key(|message| message.time);
         log.run.clone_from(reader.run());
         log.damages.clone_from(&reader.ending().damages);
-        (log.way, log.plan) = way.drawn();
+        (log.path, log.plan) = paths.drawn();
         Ok(log)
     }
 
@@ -84,19 +84,19 @@ impl Recording {
 
     /// The last two minutes of the path before `time`.
     pub(super) fn trail(&self, time: HostTime) -> &[(HostTime, Ned)] {
-        let end = self.way.partition_point(|(at, _)| *at <= time);
-        self.way.get(end.saturating_sub(Trail::POINTS)..end).unwrap_or_default()
+        let end = self.path.partition_point(|(at, _)| *at <= time);
+        self.path.get(end.saturating_sub(Trail::POINTS)..end).unwrap_or_default()
     }
 }
 
 /// The vehicle's path according to each topic with a position; the first one with data is used.
 #[derive(Default)]
-struct Way {
-    ways: [Vec<(HostTime, Ned)>; 3],
+struct Paths {
+    by_topic: [Vec<(HostTime, Ned)>; 3],
     plan: Vec<Ned>,
 }
 
-impl Way {
+impl Paths {
     fn take(&mut self, message: &Message<'_>) {
         let time = message.log_time;
         let (topic, position) = match message.channel.schema.as_str() {
@@ -122,17 +122,17 @@ impl Way {
             }
             _ => return,
         };
-        let way = &mut self.ways[topic];
-        let is_due = way.last().is_none_or(|(last, _)| time.since(*last) >= Trail::PERIOD);
+        let path = &mut self.by_topic[topic];
+        let is_due = path.last().is_none_or(|(last, _)| time.since(*last) >= Trail::PERIOD);
         if is_due && position.to_array().iter().all(|x| x.is_finite()) {
-            way.push((time, position));
+            path.push((time, position));
         }
     }
 
     fn drawn(self) -> (Vec<(HostTime, Ned)>, Vec<Ned>) {
-        let mut way = self.ways.into_iter().find(|way| !way.is_empty()).unwrap_or_default();
-        way.sort_by_key(|(time, _)| *time);
+        let mut path = self.by_topic.into_iter().find(|path| !path.is_empty()).unwrap_or_default();
+        path.sort_by_key(|(time, _)| *time);
         let every = self.plan.len().div_ceil(PLAN_POINTS).max(1);
-        (way, self.plan.into_iter().step_by(every).collect())
+        (path, self.plan.into_iter().step_by(every).collect())
     }
 }

@@ -32,17 +32,17 @@ where
     let mut from_server_buffer = Vec::with_capacity(AT_ONCE);
     let mut from_client_buffer = [0; AT_ONCE];
     let (mut splitter, mut backlog) = (Splitter::default(), Backlog::default());
-    let mut leaving = Leaving::default();
+    let mut outgoing = Outgoing::default();
     loop {
-        leaving.refill(&mut backlog);
+        outgoing.refill(&mut backlog);
         tokio::select! {
             length = from_server.read_buf(&mut from_server_buffer) => {
                 if length? == 0 {
                     // The last messages include the reason for closing.
                     let last = async {
-                        while leaving.refill(&mut backlog) {
-                            to_client.write_all(leaving.rest()).await?;
-                            leaving.left(usize::MAX);
+                        while outgoing.refill(&mut backlog) {
+                            to_client.write_all(outgoing.rest()).await?;
+                            outgoing.advance(usize::MAX);
                         }
                         to_client.shutdown().await
                     };
@@ -51,8 +51,8 @@ where
                 splitter.push(&from_server_buffer, &mut backlog)?;
                 from_server_buffer.clear();
             }
-            length = to_client.write(leaving.rest()), if !leaving.rest().is_empty() => {
-                leaving.left(length?);
+            length = to_client.write(outgoing.rest()), if !outgoing.rest().is_empty() => {
+                outgoing.advance(length?);
             }
             length = from_client.read(&mut from_client_buffer) => match length? {
                 0 => return Ok(()),
@@ -64,17 +64,17 @@ where
 
 /// Bytes on their way out.
 #[derive(Default)]
-struct Leaving {
+struct Outgoing {
     bytes: Vec<u8>,
     sent: usize,
 }
 
-impl Leaving {
+impl Outgoing {
     fn rest(&self) -> &[u8] {
         self.bytes.get(self.sent..).unwrap_or_default()
     }
 
-    fn left(&mut self, length: usize) {
+    fn advance(&mut self, length: usize) {
         self.sent = self.sent.saturating_add(length).min(self.bytes.len());
     }
 

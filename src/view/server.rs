@@ -103,7 +103,7 @@ impl Server {
         let context = Context::new();
         let mut parameters = settings.parameters;
         let (writer, changes) = settings.is_writable.then(Writer::new).unzip();
-        let gate = Gate::new(&settings.address, writer.as_ref().map(Writer::led));
+        let gate = Gate::new(&settings.address, writer.as_ref().map(Writer::relayed));
         let mut info = HashMap::new();
         if writer.is_some() {
             parameters.extend(shown_as(&Adjusted::default()));

@@ -31,19 +31,19 @@ pub(super) struct Writer {
     queue: SyncSender<Adjustment>,
     /// Number of viewers that connected through the front, which checks the origin of their page,
     /// and of all viewers.
-    led: Arc<AtomicUsize>,
+    relayed: Arc<AtomicUsize>,
     all: AtomicUsize,
 }
 
 impl Writer {
     pub fn new() -> (Self, Changes) {
         let (queue, changes) = sync_channel(QUEUE);
-        (Self { queue, led: Arc::default(), all: AtomicUsize::new(0) }, Changes(changes))
+        (Self { queue, relayed: Arc::default(), all: AtomicUsize::new(0) }, Changes(changes))
     }
 
     /// The count of viewers that connected through the front.
-    pub fn led(&self) -> Arc<AtomicUsize> {
-        Arc::clone(&self.led)
+    pub fn relayed(&self) -> Arc<AtomicUsize> {
+        Arc::clone(&self.relayed)
     }
 
     /// Counts a connected viewer.
@@ -60,7 +60,7 @@ impl Writer {
     /// the queue's length are dropped.
     pub fn offer(&self, requested: &[Parameter]) {
         // A viewer bypassed the front, and may be the sender.
-        if self.all.load(Ordering::Acquire) > self.led.load(Ordering::Acquire) {
+        if self.all.load(Ordering::Acquire) > self.relayed.load(Ordering::Acquire) {
             tracing::warn!("a viewer's change is dropped: a viewer bypassed the access check");
             return;
         }
@@ -105,7 +105,7 @@ mod tests {
     fn changes_are_ignored_while_a_viewer_bypasses_the_front() {
         let (writer, changes) = Writer::new();
         let requested = [Parameter::float64(WRITABLE[0], 0.5)];
-        writer.led().fetch_add(1, Ordering::AcqRel);
+        writer.relayed().fetch_add(1, Ordering::AcqRel);
         writer.viewer_connected();
         writer.offer(&requested);
         assert!(changes.take().is_some());
