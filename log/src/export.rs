@@ -1,6 +1,6 @@
 //! Exports topics as CSV or JSON Lines.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -88,13 +88,13 @@ pub fn export_topic<R: Read>(
     format: Format,
     out: &mut impl Write,
 ) -> Result<u64, ExportError> {
-    let mut known = BTreeMap::new();
+    let mut known = BTreeSet::new();
     let mut table = None;
     let mut rows = 0;
     while let Some(message) = reader.next_message()? {
         if message.channel.topic != topic {
-            if !known.contains_key(&message.channel.topic) {
-                known.insert(message.channel.topic.clone(), ());
+            if !known.contains(&message.channel.topic) {
+                known.insert(message.channel.topic.clone());
             }
             continue;
         }
@@ -107,7 +107,7 @@ pub fn export_topic<R: Read>(
     }
     out.flush()?;
     if table.is_none() {
-        let known = known.into_keys().collect();
+        let known = known.into_iter().collect();
         return Err(ExportError::NoTopic { topic: topic.into(), known });
     }
     Ok(rows)
@@ -126,31 +126,52 @@ pub fn export_all<R: Read>(
 ) -> Result<Vec<(PathBuf, u64)>, ExportError> {
     fs::create_dir_all(directory)
         .map_err(|source| ExportError::Create { path: directory.into(), source })?;
-    let mut tables: BTreeMap<String, (PathBuf, PartialFile, Table, u64)> = BTreeMap::new();
+    let mut outputs: BTreeMap<String, Output> = BTreeMap::new();
+    let mut names = BTreeSet::new();
     while let Some(message) = reader.next_message()? {
         let channel = &message.channel;
         if channel.message_encoding != "protobuf" {
             continue;
         }
-        if !tables.contains_key(&channel.topic) {
-            let stem = sanitised(&channel.topic);
-            let path = directory.join(format!("{stem}.{}", format.extension()));
-            let mut out = PartialFile::create(&path)
+        if !outputs.contains_key(&channel.topic) {
+            let name = file_name(&channel.topic, &mut names);
+            let path = directory.join(format!("{name}.{}", format.extension()));
+            let mut file = PartialFile::create(&path)
                 .map_err(|source| ExportError::Create { path: path.clone(), source })?;
-            let table = Table::new(channel, format, &mut out)?;
-            tables.insert(channel.topic.clone(), (path, out, table, 0));
+            let table = Table::new(channel, format, &mut file)?;
+            outputs.insert(channel.topic.clone(), Output { path, file, table, rows: 0 });
         }
-        if let Some((_, out, table, rows)) = tables.get_mut(&channel.topic) {
-            table.write(&message, out)?;
+        if let Some(Output { file, table, rows, .. }) = outputs.get_mut(&channel.topic) {
+            table.write(&message, file)?;
             *rows += 1;
         }
     }
     let mut written = Vec::new();
-    for (path, out, _, rows) in tables.into_values() {
-        out.finish().map_err(|source| ExportError::Create { path: path.clone(), source })?;
+    for Output { path, file, rows, .. } in outputs.into_values() {
+        file.finish().map_err(|source| ExportError::Create { path: path.clone(), source })?;
         written.push((path, rows));
     }
     Ok(written)
+}
+
+/// A file name for a topic that differs from those in `taken`, also where case does not count, and
+/// is added to them.
+fn file_name(topic: &str, taken: &mut BTreeSet<String>) -> String {
+    let stem = sanitised(topic);
+    let (mut name, mut number) = (stem.clone(), 1_u64);
+    while !taken.insert(name.to_lowercase()) {
+        number += 1;
+        name = format!("{stem}-{number}");
+    }
+    name
+}
+
+/// The file of one topic.
+struct Output {
+    path: PathBuf,
+    file: PartialFile,
+    table: Table,
+    rows: u64,
 }
 
 /// The output of one topic.
@@ -227,5 +248,18 @@ impl Table {
         }
         map.end()?;
         writeln!(out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn topics_with_similar_names_get_different_files() {
+        let mut taken = BTreeSet::new();
+        let topics = ["/imu/data", "/imu_data", "/IMU/data", "/imu-data-2", "/state"];
+        let names = topics.map(|topic| file_name(topic, &mut taken));
+        assert_eq!(names, ["imu-data", "imu-data-2", "IMU-data-3", "imu-data-2-2", "state"]);
     }
 }
