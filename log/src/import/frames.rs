@@ -23,8 +23,8 @@ const SENDERS_MAX: usize = 32;
 const REPEATED_WITHIN: u64 = 128;
 /// A larger gap does not mean missing frames: the sender restarted, or frames are out of order.
 const MISSING_MAX: u8 = 64;
-/// Largest number of open TIMESYNC requests.
-const OPEN_REQUESTS: usize = 16;
+/// Number of TIMESYNC requests that replies can match.
+const REQUESTS_KEPT: usize = 16;
 
 /// System id and component id.
 type Sender = (u32, u8);
@@ -91,7 +91,7 @@ pub(super) struct Frames {
     vehicles: BTreeMap<Sender, VehicleLog>,
     /// Setpoints by sender and target system, 0 for all.
     setpoints: BTreeMap<(Sender, u8), Vec<Sent>>,
-    /// `ts1` and ground time of open TIMESYNC requests.
+    /// `ts1` and ground time of the newest TIMESYNC requests; several vehicles may answer one.
     requests: VecDeque<(i64, f64)>,
     /// Names of the messages received, by id.
     seen: BTreeMap<u32, String>,
@@ -160,14 +160,13 @@ impl Frames {
     fn add_timesync(&mut self, frame_time: FrameTime, sender: Sender, frame: &Frame) {
         let Ok(MavMessage::TIMESYNC(data)) = frame.message() else { return };
         if data.tc1 == 0 {
-            if self.requests.len() == OPEN_REQUESTS {
+            if self.requests.len() == REQUESTS_KEPT {
                 self.requests.pop_front();
             }
             self.requests.push_back((data.ts1, frame_time.ground));
-        } else if let Some(at) = self.requests.iter().position(|(ts1, _)| *ts1 == data.ts1)
-            && let Some((_, requested)) = self.requests.remove(at)
+        } else if let Some((_, requested)) = self.requests.iter().find(|(ts1, _)| *ts1 == data.ts1)
         {
-            let vehicle = data.tc1 as f64 * 1e-9;
+            let (requested, vehicle) = (*requested, data.tc1 as f64 * 1e-9);
             let log = self.vehicles.entry(sender).or_default();
             log.synchronise(Exchange { requested, answered: frame_time, vehicle });
         }
