@@ -18,8 +18,8 @@ pub(super) use text::decoded;
 
 /// A pause of more periods than this is a gap.
 const GAP_PERIODS: f64 = 3.0;
-/// A row further ahead than this of both the row before and the row behind has a damaged time, s.
-const FAR_AHEAD_S: f64 = 10.0;
+/// Longest step to the next row that is neither a damaged time nor a pause, s.
+const STEP_MAX_S: f64 = 10.0;
 /// Number of characters of a row in an error.
 const SHOWN: usize = 120;
 /// Reason to leave out a row.
@@ -70,7 +70,7 @@ pub(super) fn read(
 
     let mut tally = Tally::default();
     let mut numbers = Numbers::new(mapping.decimal);
-    let mut rows = Rows::default();
+    let mut rows = Rows { period: reader.clock_period(), ..Rows::default() };
     let mut cells = vec![Cell::Empty; most];
     let mut refused = None;
     let mut index = 0;
@@ -170,14 +170,32 @@ struct Rows {
     /// Times of the rows in the flight, s.
     times: Vec<f64>,
     waiting: Option<Row>,
+    /// Time after which the clock starts again at 0, s.
+    period: Option<f64>,
+    /// Time that its restarts add, s.
+    restarts: f64,
 }
 
 impl Rows {
-    fn add(&mut self, row: Row, flight: &mut Flight, tally: &mut Tally) {
-        let Some(before) = self.waiting.replace(row) else { return };
-        let is_damaged = self.times.last().is_some_and(|last| {
-            before.time - last > FAR_AHEAD_S && (0.0..=FAR_AHEAD_S).contains(&(row.time - last))
-        });
+    fn add(&mut self, mut row: Row, flight: &mut Flight, tally: &mut Tally) {
+        row.time += self.restarts;
+        let Some(before) = self.waiting else {
+            self.waiting = Some(row);
+            return;
+        };
+        let continues = |from: f64, to: f64| (0.0..=STEP_MAX_S).contains(&(to - from));
+        let last = self.times.last().copied();
+        if let (Some(last), Some(period)) = (last, self.period)
+            && row.time < before.time
+            && continues(last, before.time)
+            && continues(before.time, row.time + period)
+        {
+            self.restarts += period;
+            row.time += period;
+        }
+        self.waiting = Some(row);
+        let is_damaged =
+            last.is_some_and(|last| before.time - last > STEP_MAX_S && continues(last, row.time));
         match is_damaged {
             true => tally.add("row whose time is far ahead of the rows around it", 1),
             false => self.put(before, flight, tally),
@@ -256,6 +274,10 @@ mod tests {
                            [position]\ncolumns = [\"x\", \"y\", \"z\"]\nunit = \"m\"\n";
 
     fn flight(times: impl IntoIterator<Item = f64>) -> Flight {
+        flight_in("s", times)
+    }
+
+    fn flight_in(unit: &str, times: impl IntoIterator<Item = f64>) -> Flight {
         let rows = times.into_iter().map(|time| format!("{time},1.5,2.5,3.5\n"));
         let table = format!("t,x,y,z\n{}", rows.collect::<String>());
         let origin = Origin {
@@ -265,7 +287,8 @@ mod tests {
             format: "csv",
         };
         let mut flight = Flight::empty(origin, Clock::Single);
-        let mapping = Mapping::parse(MAPPING).expect("a mapping");
+        let mapping = MAPPING.replace("unit = \"s\"", &format!("unit = {unit:?}"));
+        let mapping = Mapping::parse(&mapping).expect("a mapping");
         read(table.as_bytes(), &mapping, &mut flight).expect("a table");
         flight
     }
@@ -277,8 +300,20 @@ mod tests {
         assert_eq!(damaged.position.len(), 199);
         let reason = "row whose time is far ahead of the rows around it";
         assert_eq!(damaged.left_out, [(reason.to_owned(), 1)]);
+        let counter = |row: u32| if row == 9 { f64::from(u32::MAX) } else { 1e4 * f64::from(row) };
+        let first = flight_in("us", (0..200).map(counter));
+        assert!((first.position.times()[198] - 1.99).abs() < 1e-9);
         // A pause of the logger.
         let paused = flight((0..200).map(|row| sound(row) + if row < 90 { 0.0 } else { 600.0 }));
         assert_eq!(paused.position.len(), 200);
+    }
+
+    #[test]
+    fn counter_of_32_bits_continues_after_its_end() {
+        let wrapped = |row: u32| 4_294_900_000_u32.wrapping_add(10_000 * row);
+        let flight = flight_in("us", (0..200).map(|row| f64::from(wrapped(row))));
+        assert_eq!((flight.position.len(), flight.left_out.len()), (200, 0));
+        let times = flight.position.times();
+        assert!((times[199] - times[0] - 1.99).abs() < 1e-9, "{} {}", times[0], times[199]);
     }
 }

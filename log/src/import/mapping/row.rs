@@ -164,6 +164,18 @@ impl RowReader {
         matches!(self.time, TimeReader::Date(Columns { at: [at], .. }) if at == column)
     }
 
+    /// Time after which the clock of the rows starts again at 0, s: a time of day at midnight, a
+    /// counter of ms, us or ns after 32 bits. `None` for other times.
+    pub fn clock_period(&self) -> Option<f64> {
+        match self.time {
+            TimeReader::Date(_) => Some(86_400.0),
+            TimeReader::Column(Columns { factors: [unit], .. }) if (0.0..1.0).contains(&unit) => {
+                Some(unit * 2f64.powi(32))
+            }
+            TimeReader::Column(_) | TimeReader::Rate(_) => None,
+        }
+    }
+
     /// Converts row number `index` from its cells. The error says why the row is dropped.
     pub fn read(&self, index: u64, cells: &[Cell]) -> Result<Row, &'static str> {
         let time = match self.time {
