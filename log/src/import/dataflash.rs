@@ -56,7 +56,7 @@ struct Kept {
 
 impl Kept {
     fn new(kind: u8, layout: &Layout, units: &Units) -> Option<Self> {
-        let core = ardupilot::core(&layout.name);
+        let core = ardupilot::core_of(&layout.name);
         let name = core.map_or(layout.name.as_str(), |(name, _)| name);
         let source = ardupilot::SOURCES.iter().find(|s| s.spec.topic == name)?;
         // Before ArduPilot 3.3 in ms.

@@ -99,7 +99,7 @@ sources! {
 }
 
 /// The message that has all cores, and the core, for the name of an older message of one core.
-pub(super) fn core(message: &str) -> Option<(&'static str, u8)> {
+pub(super) fn core_of(message: &str) -> Option<(&'static str, u8)> {
     let known = CORES.iter().find(|(name, ..)| *name == message);
     known.map(|(_, all, core)| (*all, *core))
 }
@@ -452,9 +452,9 @@ mod tests {
 
     #[test]
     fn older_messages_are_of_one_core() {
-        assert_eq!(core("NKF6"), Some(("NKF1", 1)));
-        assert_eq!(core("XKQ1"), Some(("XKQ", 0)));
-        assert_eq!(core("NKF1"), None);
+        assert_eq!(core_of("NKF6"), Some(("NKF1", 1)));
+        assert_eq!(core_of("XKQ1"), Some(("XKQ", 0)));
+        assert_eq!(core_of("NKF1"), None);
         assert!(CORES.iter().all(|(_, all, _)| SOURCES.iter().any(|s| s.spec.topic == *all)));
     }
 }
