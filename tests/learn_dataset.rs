@@ -147,9 +147,9 @@ fn missing_outputs_are_computed_by_the_onboard_law() {
     let onboard = Onboard::new(&vehicle()).expect("a mixer");
     for flight in flights(&SHORT) {
         let logged = flight.outputs.clone();
-        assert!(!onboard.complete_outputs(&mut flight.clone()), "logged outputs are kept");
+        assert!(!onboard.complete_outputs(&mut flight.clone(), 0.0), "logged outputs are kept");
         let mut without = Flight { outputs: Stream::default(), ..flight.clone() };
-        assert!(onboard.complete_outputs(&mut without));
+        assert!(onboard.complete_outputs(&mut without, 0.0));
         assert_eq!(without.motor_source, MotorSource::OnboardLaw);
         let off = without.outputs.iter().filter_map(|(time, made)| {
             let index = logged.index_at(time)?;

@@ -333,7 +333,7 @@ pub(super) fn audited(
     let _patience = Patience::with("reading and auditing the logs".to_owned());
     let open = |path: &PathBuf| {
         let mut flight = open_for(path, mapping, vehicle)?;
-        if Onboard::new(vehicle)?.complete_outputs(&mut flight) {
+        if Onboard::new(vehicle)?.complete_outputs(&mut flight, vehicle.command_delay_s) {
             print_status(format_args!(
                 "{}: motor outputs are not logged; computing them from the setpoints with the \
                  vehicle file's attitude_pd",

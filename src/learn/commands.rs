@@ -168,15 +168,16 @@ impl Onboard {
     }
 
     /// For a flight that logs neither motor outputs nor rotor speeds, computes outputs from its
-    /// setpoints with the on-board law, at the reported attitude and rate. Returns whether it did.
-    pub fn complete_outputs(&self, flight: &mut Flight) -> bool {
+    /// setpoints with the on-board law, at the reported attitude and rate; a setpoint acts `delay_s`
+    /// seconds after it was sent. Returns whether it did.
+    pub fn complete_outputs(&self, flight: &mut Flight, delay_s: f64) -> bool {
         let is_logged = !(flight.outputs.is_empty() && flight.rotor_speed.is_empty());
         if is_logged || !self.is_commanded(flight) {
             return false;
         }
         let source = CommandSource::OnboardLaw;
         let led = intersection(&source.unbroken(flight), &source.traced(flight));
-        flight.outputs = OutputTrace::new(self, flight, source, 0.0, 0.0, &led).outputs();
+        flight.outputs = OutputTrace::new(self, flight, source, delay_s, 0.0, &led).outputs();
         flight.motor_unit = MotorUnit::ThrustFraction;
         flight.motor_source = MotorSource::OnboardLaw;
         !flight.outputs.is_empty()

@@ -183,10 +183,7 @@ pub fn survey(
         file,
         seconds: input.fitted.iter().map(|flight| flight.seconds()).sum(),
         voltage_differs: voltages_differ(input.fitted),
-        outputs_logged: input
-            .fitted
-            .iter()
-            .all(|flight| flight.channels.outputs || flight.channels.rotor_speed),
+        outputs_logged: input.fitted.iter().all(|flight| flight.channels.shows_rotors()),
     };
     let keyed = |key: &String| {
         (0..catalogue.hypotheses.len())

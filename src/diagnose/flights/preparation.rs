@@ -78,6 +78,14 @@ pub struct Channels {
     pub rotor_speed: bool,
 }
 
+impl Channels {
+    /// Whether the log holds what the rotors were sent, or did. Outputs that were computed from the
+    /// setpoints show nothing of the way from setpoint to output.
+    pub fn shows_rotors(&self) -> bool {
+        self.outputs || self.rotor_speed
+    }
+}
+
 /// A flight that is ready for the diagnosis.
 #[derive(Clone, Debug)]
 pub struct PreparedFlight {

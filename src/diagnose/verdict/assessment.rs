@@ -212,11 +212,7 @@ impl DiagnosisContext<'_> {
             learned: None,
             structure: [0.0; 2],
             voltage_differs: voltages_differ(self.input.fitted),
-            outputs_logged: self
-                .input
-                .fitted
-                .iter()
-                .all(|flight| flight.channels.outputs || flight.channels.rotor_speed),
+            outputs_logged: self.input.fitted.iter().all(|flight| flight.channels.shows_rotors()),
             force: None,
             gusts_m_s: None,
         };
