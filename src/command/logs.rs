@@ -118,11 +118,14 @@ pub(super) fn check_own(log: &Path, choice: Choice<'_>) -> Result<(), ImportErro
 }
 
 fn check_opens(log: &Path) -> anyhow::Result<()> {
-    // Opening a pipe would wait for its writer.
-    if !fs::metadata(log)?.is_file() {
-        bail!("expected a file, found a folder or a device");
+    let kind = fs::metadata(log)?.file_type();
+    if kind.is_dir() {
+        bail!("expected a file, found a folder");
     }
-    File::open(log)?;
+    // Opening a pipe would wait for its writer, and read its first bytes in vain.
+    if kind.is_file() {
+        File::open(log)?;
+    }
     Ok(())
 }
 

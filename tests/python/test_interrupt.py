@@ -2,6 +2,7 @@
 without a partial file; one that flies reports within a second how it ends.
 """
 
+import errno
 import json
 import os
 import subprocess
@@ -9,7 +10,7 @@ import time
 
 import pytest
 
-from conftest import CRAZYFLIE, MOTION_CAPTURE, SIGNALS, SIGNALS_TERM_LONG, fly_arguments, hover_for, run
+from conftest import CRAZYFLIE, MOTION_CAPTURE, SIGNALS, SIGNALS_TERM_LONG, fly_arguments, hover_for, run, until
 
 
 @pytest.fixture(scope="module")
@@ -17,6 +18,21 @@ def flights(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flights")
     run("collect", "--out", folder, "--seconds", 40)
     return sorted(folder.glob("*.mcap"))
+
+
+def written(pipe, reader):
+    """The writing end of a pipe, once `reader` reads it."""
+    ends = []
+
+    def has_reader():
+        try:
+            ends.append(os.open(pipe, os.O_WRONLY | os.O_NONBLOCK))
+        except OSError as error:
+            assert error.errno == errno.ENXIO
+        return ends
+
+    until(has_reader, f"{reader} reads")
+    return ends[0]
 
 
 def ends_after(one, number):
@@ -130,13 +146,14 @@ READERS = {
 @SIGNALS
 @pytest.mark.parametrize("command", READERS)
 def test_interrupted_while_reading_a_file(program, tmp_path, number, command):
-    # A pipe that nobody writes to. Opening it waits until the command reads.
+    # A pipe that nobody writes to.
     pipe = tmp_path / "input"
     os.mkfifo(pipe)
     places = {"INPUT": pipe, "LOG": pipe, "OUT": tmp_path / "out"}
     one = program(*(places.get(word, word) for word in READERS[command]))
-    with pipe.open("wb"):
-        ends_after(one, number)
+    end = written(pipe, command)
+    ends_after(one, number)
+    os.close(end)
     assert list(tmp_path.iterdir()) == [pipe]
 
 
