@@ -177,7 +177,7 @@ pub struct DiagnoseArgs {
     )]
     pub fleet: Option<PathBuf>,
     /// Folder for the finished work on each vehicle of a fleet; the same command resumes from it.
-    #[arg(long, value_name = "DIR", default_value = "fleet-rows", requires = "fleet")]
+    #[arg(long, value_name = "DIR", default_value = "fleet-rows", conflicts_with = "logs")]
     pub rows: PathBuf,
     /// A log to hold out of the fit and to report the gap on; may be repeated [default: the last
     /// log, or the second half of a single one].

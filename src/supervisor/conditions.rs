@@ -15,9 +15,11 @@ impl Supervisor {
         let mode = seen.status.mode;
         let offboard = mode == Some(self.modes.offboard);
         let released = self.is_released(now, seen.status);
+        // Only time in which the vehicle was heard counts.
         let released_s = self
             .other_mode_since
-            .map_or(0.0, |since| now.since(since.max(self.since)).as_secs_f64());
+            .zip(seen.status.last_received)
+            .map_or(0.0, |(since, heard)| heard.since(since.max(self.since)).as_secs_f64());
         let in_state_s = self.seconds_in_state(now);
         let armed = seen.status.armed;
         let by_command = self.policy == EngagePolicy::Command;
@@ -86,7 +88,10 @@ impl Supervisor {
     /// Notes since when the vehicle has been released. A doubt or a silence may hide OFFBOARD: what
     /// was read before it does not count.
     pub(super) fn note_release(&mut self, now: HostTime, status: &VehicleStatus) {
-        if self.is_released(now, status) && status.is_mode_known(now) {
+        if self.is_released(now, status)
+            && self.is_linked(now, status)
+            && status.is_mode_newer_than_silence()
+        {
             self.other_mode_since.get_or_insert(now);
         } else {
             self.other_mode_since = None;

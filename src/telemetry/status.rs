@@ -170,10 +170,15 @@ impl VehicleStatus {
     /// Whether the present mode is known: reported recently, and since the last silence ended. The
     /// pilot may have changed an older one.
     pub fn is_mode_known(&self, now: HostTime) -> bool {
-        self.mode_reported.is_some_and(|reported| {
-            now.since(reported) <= MODE_AGE_MAX
-                && self.silence_ended.is_none_or(|end| reported >= end)
-        }) && self.is_live(now)
+        self.mode_reported.is_some_and(|reported| now.since(reported) <= MODE_AGE_MAX)
+            && self.is_mode_newer_than_silence()
+            && self.is_live(now)
+    }
+
+    /// Whether the mode was reported since the last silence ended.
+    pub fn is_mode_newer_than_silence(&self) -> bool {
+        self.mode_reported
+            .is_some_and(|reported| self.silence_ended.is_none_or(|end| reported >= end))
     }
 
     /// Whether a message arrived within the last half second.

@@ -185,7 +185,7 @@ def test_options_without_effect_are_refused(program, hover, tmp_path):
     refused(program, ["compare", log, "--mapping", tmp_path / "none.toml", "--", log], 2, "none.toml")
     fit = ["tube", "fit", log, "-o", tmp_path / "tube.json"]
     refused(program, [*fit, "--effect", "mass:mass_kg=0.04"], 2, "--along")
-    refused(program, ["diagnose", log, "--vehicle", CRAZYFLIE, "--rows", tmp_path], 2, "--fleet")
+    refused(program, ["diagnose", log, "--vehicle", CRAZYFLIE, "--rows", tmp_path], 2, "--rows")
     assert not list(tmp_path.glob("*.html"))
 
 
