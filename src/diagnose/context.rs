@@ -32,9 +32,9 @@ impl Preliminaries {
         let has_setpoints = |flight: &PreparedFlight| flight.channels.setpoint;
         let is_loop_known = input.fitted.iter().chain(input.held_out).all(has_setpoints);
         let onboard = evaluator.onboard().filter(|_| is_loop_known);
-        let shows_outputs = input.fitted.iter().all(|flight| flight.channels.shows_rotors());
+        let is_shown = input.fitted.iter().all(|flight| flight.channels.shows_loop());
         let measured_delay =
-            onboard.filter(|_| shows_outputs).and_then(|law| MeasuredDelay::of(input.fitted, law));
+            onboard.filter(|_| is_shown).and_then(|law| MeasuredDelay::of(input.fitted, law));
         // The stamp of an output is accurate to half a period of the reports.
         let rates = input.fitted.iter().map(|flight| flight.outputs.rate());
         let half_period_s = 0.5 / rates.fold(f64::INFINITY, f64::min);

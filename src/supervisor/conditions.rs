@@ -122,7 +122,9 @@ impl Supervisor {
         let offboard = mode == self.modes.offboard;
         match self.state {
             FlightState::Standby => !offboard && self.was_offboard,
-            FlightState::Engage => !offboard && self.mode_at_entry.is_some_and(|at| at != mode),
+            FlightState::Engage => {
+                !offboard && (self.was_offboard || self.mode_at_entry.is_some_and(|at| at != mode))
+            }
             FlightState::Land => !offboard && mode != self.modes.land,
             _ => !offboard,
         }

@@ -347,6 +347,7 @@ mod tests {
             [limit, 1.25 * limit, 1.5 * limit, 9.0 * limit].map(waits),
             [time_s, 0.5 * time_s, 0.0, 0.0]
         );
+        assert_eq!(waits(f64::NAN), NO_REFERENCE_SHARE * time_s);
         assert!(waits(f64::NAN) < 0.2, "before an autopilot without setpoints acts by itself");
     }
 }

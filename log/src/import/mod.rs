@@ -1,5 +1,6 @@
 //! Imports flight logs of any origin into one representation, [`Flight`].
 
+mod boot;
 mod clocks;
 mod collected;
 mod dataflash;

@@ -185,7 +185,9 @@ impl Rows {
         };
         let continues = |from: f64, to: f64| (0.0..=STEP_MAX_S).contains(&(to - from));
         let last = self.times.last().copied();
+        // A clock that reads more than its period, as a date does, never starts again.
         if let (Some(last), Some(period)) = (last, self.period)
+            && before.time - self.restarts < period
             && row.time < before.time
             && continues(last, before.time)
             && continues(before.time, row.time + period)

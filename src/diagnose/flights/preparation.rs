@@ -79,10 +79,15 @@ pub struct Channels {
 }
 
 impl Channels {
-    /// Whether the log holds what the rotors were sent, or did. Outputs that were computed from the
-    /// setpoints show nothing of the way from setpoint to output.
+    /// Whether the log holds what the rotors were sent, or did.
     pub fn shows_rotors(&self) -> bool {
         self.outputs || self.rotor_speed
+    }
+
+    /// Whether the log shows the way from setpoint to output. Outputs that were computed from the
+    /// setpoints show nothing of it.
+    pub fn shows_loop(&self) -> bool {
+        self.setpoint && self.shows_rotors()
     }
 }
 

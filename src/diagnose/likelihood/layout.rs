@@ -95,7 +95,7 @@ impl Layout {
             let rates = [flight.attitude.rate(), flight.body_rate.rate()];
             group(ATTITUDE, 3, rates[0].min(rates[1]) * RATE_SHARE);
         }
-        if channels.setpoint && channels.shows_rotors() {
+        if channels.shows_loop() {
             let rates = [flight.attitude.rate(), flight.body_rate.rate()];
             group(COMMAND, 4, limit(&rates).min(COMMAND_MAX_HZ));
         }

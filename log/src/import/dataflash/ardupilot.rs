@@ -52,10 +52,14 @@ struct Estimator {
     quaternion: &'static str,
     /// Has the core that flies.
     status: &'static str,
+    /// The parameter with that core, where there is one.
+    primary: Option<&'static str>,
 }
 
-const EKF2: Estimator = Estimator { state: "NKF1", quaternion: "NKQ", status: "NKF4" };
-const EKF3: Estimator = Estimator { state: "XKF1", quaternion: "XKQ", status: "XKF4" };
+const EKF2: Estimator =
+    Estimator { state: "NKF1", quaternion: "NKQ", status: "NKF4", primary: None };
+const EKF3: Estimator =
+    Estimator { state: "XKF1", quaternion: "XKQ", status: "XKF4", primary: Some("EK3_PRIMARY") };
 
 /// Unit of CURR's integer voltage before ArduPilot 3.4, V.
 const CENTIVOLT: f64 = 0.01;
@@ -208,7 +212,8 @@ impl Contents {
     fn core(&self, estimator: &Estimator) -> u8 {
         let mut status = self.topics.instances(estimator.status);
         let primary = status.next().and_then(|(_, topic)| topic.most_frequent("PI"));
-        primary.or(self.parameter("EK3_PRIMARY")).map_or(0, |core| core as u8)
+        let stated = || self.parameter(estimator.primary?);
+        primary.or_else(stated).map_or(0, |core| core as u8)
     }
 
     fn fill_attitude(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {

@@ -4,14 +4,13 @@ use std::collections::BTreeMap;
 
 use super::{NEIGHBOURS, Row, Topic, Topics, middle};
 use crate::import::LogFault;
+use crate::import::boot::Boot;
 use crate::import::tally::Tally;
 
 /// A clock that falls back by more than this was restarted, s.
 const RESTART: f64 = 1.0;
 /// Number of rows on each side whose medians must agree on a restart.
 const RESTART_ROWS: usize = 50;
-/// Largest number of boots listed; a damaged log may have any number.
-const BOOTS_NAMED: usize = 20;
 /// Fewest rows of a boot.
 const BOOT_ROWS: usize = 10;
 
@@ -82,24 +81,17 @@ impl Topics {
         if let Some(boot) = boot.filter(|boot| !(1..=count).contains(boot)) {
             return Err(LogFault::NoBoot { boot, boots: count });
         }
-        let spans: Vec<[f64; 2]> = boots.iter().map(Self::span).collect();
-        let flown: Vec<f64> = boots.iter().map(flown).collect();
-        let weight = |at: usize| (flown[at] as u64, (spans[at][1] - spans[at][0]) as u64);
+        let known: Vec<Boot> =
+            boots.iter().map(|boot| Boot { span: boot.span(), flown: flown(boot) }).collect();
+        let weight = |at: usize| {
+            let Boot { span: [from, to], flown } = known[at];
+            (flown as u64, (to - from) as u64)
+        };
         let longest = (0..count).rev().max_by_key(|at| weight(*at)).unwrap_or(0);
         let chosen = boot.map_or(longest, |boot| boot - 1);
-        for (at, ([from, to], flown)) in spans.iter().zip(flown).enumerate() {
-            if at < BOOTS_NAMED || at == chosen {
-                let used = if at == chosen { ", used" } else { "" };
-                let boot = at + 1;
-                notes.push(format!(
-                    "boot {boot} of {count} (--boot {boot}): {from:.2} to {to:.2} s, {flown:.1} s \
-                     of it flown{used}"
-                ));
-            }
-            if at != chosen {
-                let rows = boots[at].clock.len() as u64;
-                tally.add("row of another boot of the vehicle", rows);
-            }
+        notes.extend(Boot::notes(&known, chosen));
+        for (_, boot) in boots.iter().enumerate().filter(|(at, _)| *at != chosen) {
+            tally.add("row of another boot of the vehicle", boot.clock.len() as u64);
         }
         Ok(boots.swap_remove(chosen))
     }

@@ -2,11 +2,10 @@
 
 use super::VehicleLog;
 use crate::import::LogFault;
+use crate::import::boot::Boot;
 use crate::import::epoch::Epoch;
 use crate::import::tally::Tally;
 
-/// Largest number of boots listed; a damaged log may have any number.
-const BOOTS_NAMED: usize = 20;
 /// Longest time that a state holds without a new report, s.
 const STATE_LASTS: f64 = 10.0;
 
@@ -64,23 +63,17 @@ impl VehicleLog {
         notes: &mut Vec<String>,
         tally: &mut Tally,
     ) {
-        let boots = self.epochs.len();
-        for (at, (epoch, flown)) in self.epochs.iter().zip(flown).enumerate() {
+        let boot = |(epoch, flown): (&Epoch, &f64)| {
             let (from, to) = epoch.span();
-            if boots > 1 && (at < BOOTS_NAMED || at == chosen) {
-                let used = if at == chosen { ", used" } else { "" };
-                let boot = at + 1;
-                notes.push(format!(
-                    "boot {boot} of {boots} (--boot {boot}): {from:.2} to {to:.2} s, {flown:.1} s \
-                     of it flown{used}"
-                ));
-            }
-            if at != chosen {
-                let reason = format!(
-                    "message of another run of the vehicle's clock ({from:.2} to {to:.2} s)"
-                );
-                tally.add(&reason, epoch.messages() as u64);
-            }
+            Boot { span: [from, to], flown: *flown }
+        };
+        let boots: Vec<Boot> = self.epochs.iter().zip(flown).map(boot).collect();
+        notes.extend(Boot::notes(&boots, chosen));
+        for (at, epoch) in self.epochs.iter().enumerate().filter(|(at, _)| *at != chosen) {
+            let [from, to] = boots[at].span;
+            let reason =
+                format!("message of another run of the vehicle's clock ({from:.2} to {to:.2} s)");
+            tally.add(&reason, epoch.messages() as u64);
         }
     }
 }
