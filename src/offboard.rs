@@ -134,11 +134,10 @@ impl OffboardController {
     ) -> Self {
         let supervisor =
             Supervisor::new(policy, airframe.modes, settings.supervisor, settings.safety, now);
-        let hover_thrust_n = airframe.hover.hover_thrust_n();
         Self {
             telemetry: Telemetry::new(settings.telemetry),
             supervisor,
-            guidance: Guidance::new(settings.guidance, hover_thrust_n, trajectory),
+            guidance: Guidance::new(settings.guidance, airframe.hover, trajectory),
             guard: Guard::new(settings.limits, airframe.thrust_full_n, now),
             stall_reported_at: None,
             settings,

@@ -57,8 +57,10 @@ use crate::telemetry::VehicleStatus;
 /// failsafe may act this early.
 const STATE_STOPPED_S: f64 = 0.2;
 
-/// A vehicle no faster than this, m/s, stops within a hand's breadth.
+/// A vehicle no faster than this, m/s, for [`BRAKED_FOR_S`] stops within a hand's breadth.
 const BRAKED_M_S: f64 = 0.3;
+/// In this time, s, a vehicle that is still tilted to brake leaves that speed again.
+const BRAKED_FOR_S: f64 = 0.3;
 
 /// Who decides that the controller takes control.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -117,7 +119,8 @@ pub struct Supervisor {
     streamed: bool,
     /// The first mode read in the present state.
     mode_at_entry: Option<u32>,
-    /// Whether the mode read OFFBOARD at some time in the present state.
+    /// Whether the mode read OFFBOARD at some time in the present state, or may have while it was
+    /// offered.
     was_offboard: bool,
     /// Since when mode and intended mode have read something other than OFFBOARD.
     other_mode_since: Option<HostTime>,
@@ -135,6 +138,8 @@ pub struct Supervisor {
     control_since: HostTime,
     /// The mode change that ended control.
     taken: Option<ModeTaken>,
+    /// Since when the vehicle has been slow enough for a landing.
+    slow_since: Option<HostTime>,
     /// Since when a landing vehicle has been at rest.
     rest_since: Option<HostTime>,
     /// The unhealthy parts that an event of this flight has named.
@@ -172,6 +177,7 @@ impl Supervisor {
             faults: BTreeMap::new(),
             control_since: now,
             taken: None,
+            slow_since: None,
             rest_since: None,
             reported_unhealthy: 0,
             actions: Vec::new(),
@@ -276,11 +282,22 @@ impl Supervisor {
             }
         }
         self.mode_at_entry = self.mode_at_entry.or(seen.status.mode);
-        self.was_offboard |= seen.status.mode == Some(self.modes.offboard);
+        let may_be_obeyed = match self.state {
+            FlightState::Standby => self.policy == EngagePolicy::PilotSwitch,
+            FlightState::Engage => self.requested_at.is_some(),
+            _ => false,
+        };
+        self.was_offboard |= seen.status.mode == Some(self.modes.offboard)
+            || may_be_obeyed && seen.status.is_mode_doubtful();
         if !seen.at_rest || self.state != FlightState::Land {
             self.rest_since = None;
         } else {
             self.rest_since.get_or_insert(now);
+        }
+        if seen.speed_m_s <= BRAKED_M_S {
+            self.slow_since.get_or_insert(now);
+        } else {
+            self.slow_since = None;
         }
         self.report_takeover(now, seen.status);
         self.report_unhealthy(now, seen.status);
@@ -290,7 +307,7 @@ impl Supervisor {
 
     /// Checks only whether the mode ends control, for messages read after a pause.
     pub fn check_mode(&mut self, now: HostTime, status: &VehicleStatus) {
-        if self.mode_changed(status.mode) {
+        if self.mode_changed(status) {
             let why = self.control_ends(status);
             self.fire(now, Trigger::ModeChanged, &why);
         }
@@ -444,7 +461,7 @@ impl Supervisor {
     fn brakes(&self, now: HostTime, seen: &Observation) -> bool {
         self.landing_requested_at.is_none()
             && seen.condition.sample_age_s <= STATE_STOPPED_S
-            && seen.speed_m_s > BRAKED_M_S
+            && self.slow_since.is_none_or(|at| now.since(at).as_secs_f64() < BRAKED_FOR_S)
             && self.seconds_in_state(now) < self.brake_share * self.settings.land_brake_s
     }
 }

@@ -32,6 +32,7 @@ mod diagnose_linearised;
 mod diagnose_next_flight;
 mod diagnose_reflight;
 mod diagnose_round_trip;
+mod diagnose_setpoints;
 mod diagnose_twins;
 mod effects_everywhere;
 mod exam;

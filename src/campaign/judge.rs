@@ -155,7 +155,8 @@ impl Judge {
         self.reached_us = None;
     }
 
-    /// Notes that the vehicle restarted: earlier reports expire with its first new one.
+    /// Notes that the vehicle restarted: earlier reports expire with its first state or mode. The
+    /// controller need not read any other message.
     pub fn rebooted(&mut self, now_us: u64) {
         self.rebooted_us = Some(now_us);
     }
@@ -173,7 +174,8 @@ impl Judge {
             return;
         }
         if *origin == Origin::Vehicle {
-            if self.rebooted_us.is_some_and(|rebooted| sent_us >= rebooted) {
+            let shows_it = frame_content::is_state(frame) || frame_content::is_mode(frame);
+            if shows_it && self.rebooted_us.is_some_and(|rebooted| sent_us >= rebooted) {
                 (self.mode, self.rebooted_us) = (None, None);
             }
             if self.received_us.is_none_or(|received| {
@@ -184,6 +186,7 @@ impl Judge {
             self.received_us = Some(now_us);
         }
         let Some((custom_mode, armed)) = frame_content::reported_mode(frame) else { return };
+        tracing::trace!(now_us, sent_us, ?origin, ?armed, "mode {custom_mode:#x}");
         if self.mode.is_some_and(|mode| {
             mode.sent_us >= sent_us && *origin == Origin::Copy || mode.sent_us > sent_us
         }) {
@@ -210,6 +213,7 @@ impl Judge {
         let Some(MavMessage::SET_ATTITUDE_TARGET(target)) = frame_content::message(frame) else {
             return;
         };
+        tracing::trace!(now_us, "setpoint");
         self.setpoints += 1;
         self.check_limits(now_us, &target);
         self.check_fresh(now_us);
@@ -331,6 +335,7 @@ impl Judge {
         if !sets_mode && !arms {
             return;
         }
+        tracing::trace!(now_us, "{:?} {} {}", data.command, data.param2, data.param3);
         let is_landing = sets_mode && {
             let [main, sub] = [data.param2 as u32, data.param3 as u32];
             main << 16 | sub << 24 == self.bounds.lands || main == self.bounds.lands

@@ -14,8 +14,12 @@ const FENCE_M: f64 = 30.0;
 const TILT_MAX_RAD: f64 = 1.2;
 /// Largest speed, m/s.
 const SPEED_MAX_M_S: f64 = 6.0;
-/// Deceleration with which any vehicle here brakes, turning included, m/s^2.
+/// Deceleration with which any vehicle here brakes in still air, turning included, m/s^2.
 const BRAKE_M_S2: f64 = 3.0;
+/// The same in any wind that it can be flown in, m/s^2.
+const BRAKE_LEAST_M_S2: f64 = 0.5;
+/// Acceleration of a wind whose force is the vehicle's weight, m/s^2.
+const WEIGHT_M_S2: f64 = 9.81;
 /// Loss of thrust beyond which a rotor makes the vehicle impossible to fly.
 const FLYABLE_LOSS: f64 = 0.35;
 /// Time within which setpoints to such a vehicle must end, s: the tilt's dwell time, and the
@@ -64,6 +68,8 @@ pub(super) struct Envelope {
     low: [f64; 3],
     high: [f64; 3],
     is_possible: bool,
+    /// Deceleration with which the vehicle brakes in the strongest wind of the script, m/s^2.
+    brake_m_s2: f64,
     lost_us: Option<u64>,
     /// Whether it left the envelope while no setpoints reached it, or was then too fast to stop
     /// within it, and has not been back since.
@@ -91,7 +97,14 @@ impl Envelope {
             _ => false,
         };
         let is_possible = !script.faults.iter().any(|timed| breaks(&timed.fault));
-        Self { origin: [0.0; 2], low, high, is_possible, lost_us: None, is_astray: false }
+        let wind = |fault: &Fault| match fault {
+            Fault::Wind { share, .. } => *share,
+            _ => 0.0,
+        };
+        let wind = script.faults.iter().map(|timed| wind(&timed.fault)).fold(0.0, f64::max);
+        let brake_m_s2 = (BRAKE_M_S2 - wind * WEIGHT_M_S2).max(BRAKE_LEAST_M_S2);
+        let origin = [0.0; 2];
+        Self { origin, low, high, is_possible, brake_m_s2, lost_us: None, is_astray: false }
     }
 
     /// The broken rule, if any, while the vehicle obeys and setpoints reach it.
@@ -102,7 +115,7 @@ impl Envelope {
         }
         let place = [north - self.origin[0], east - self.origin[1], down];
         let speed = seen.velocity.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let stop_s = speed / (2.0 * BRAKE_M_S2);
+        let stop_s = speed / (2.0 * self.brake_m_s2);
         let is_near_in = |time_s: f64| {
             (0..3).all(|axis| {
                 let there = place[axis] + seen.velocity[axis] * time_s;

@@ -82,14 +82,11 @@ impl OffboardController {
         if after.is_over() {
             self.end_adjustment(now);
         }
-        // A reaction led here: stay near the vehicle's position, not at the reference.
-        let stopped = after != before && before != FlightState::Hold;
-        if matches!(after, FlightState::Hold | FlightState::Land) && (stopped || jumped) {
-            if jumped {
-                self.guidance.hold_here();
-            } else {
-                self.guidance.stop_ahead();
-            }
+        if matches!(after, FlightState::Hold | FlightState::Land) && jumped {
+            self.guidance.hold_here();
+        } else if after == FlightState::Hold && after != before {
+            // A reaction led here: stop near the vehicle's position, not at the reference.
+            self.guidance.stop_ahead();
         }
         let silence_s = self.telemetry.status().silence_s(now);
         if silence_s.is_finite() && silence_s > self.settings.supervisor.link_lost_after_s {

@@ -1,6 +1,7 @@
 //! The reference that the vehicle follows in each state of the flight.
 
 mod segment;
+mod stop;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,8 +9,11 @@ use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 use vehicle::rigid_body::State;
 
 use self::segment::{Segment, Speeds, Waypoint};
+use self::stop::Stop;
 use super::goal::GoalOffset;
 use crate::clock::VehicleTime;
+use crate::control::HoverVehicle;
+use crate::plan::desire::Weight;
 use crate::plan::reference::ReferenceSource;
 use crate::setpoint::{Expected, Reference, Setpoint};
 use crate::supervisor::{FlightState, Trigger};
@@ -100,11 +104,8 @@ pub const TRAJECTORY_DONE: &str = "the trajectory is done";
 
 /// Depth below the take-off point that counts as estimator noise, m.
 const FLOOR_NOISE_M: f64 = 0.05;
-/// A vehicle that is to stop comes to rest about this far ahead, in seconds of its velocity: at 3
-/// m/s with a tilt of 0.4 rad that takes a quarter of a second to build up.
-const STOPPING_S: f64 = 0.6;
-/// The greatest stopping distance, m, whatever velocity the vehicle reports.
-const STOPPING_MAX_M: f64 = 2.0;
+/// Largest tilt of a stop, rad; its deceleration needs less.
+const STOPPING_TILT_RAD: f64 = 0.5;
 /// Thrust beyond hover thrust, as a share of it, at which the vehicle counts as off the ground.
 const LIFTING_EXCESS: f64 = 0.1;
 /// Number of steps at which a trajectory's extent is sampled.
@@ -122,9 +123,8 @@ enum Latch {
 /// the world.
 pub(super) struct Guidance {
     settings: GuidanceSettings,
-    /// From the vehicle file, and from the trajectory's model, the latter within 25 % of the
-    /// former.
-    weight_n: f64,
+    vehicle: HoverVehicle,
+    /// From the trajectory's model, within 25 % of the vehicle file's.
     hover_thrust_n: f64,
     trajectory: Box<dyn ReferenceSource + Send>,
     /// The trajectory's start, as it last was a number: a planner may fail before the take-off.
@@ -147,6 +147,8 @@ pub(super) struct Guidance {
     held_at: Ned,
     /// How the next sample sets the hold, if it does.
     latch: Option<Latch>,
+    /// The present stop, and its start.
+    stop: Option<(Stop, VehicleTime)>,
     last: Option<Reference>,
     settled_since: Option<VehicleTime>,
 }
@@ -154,15 +156,15 @@ pub(super) struct Guidance {
 impl Guidance {
     pub fn new(
         settings: GuidanceSettings,
-        hover_thrust_n: f64,
+        vehicle: HoverVehicle,
         trajectory: Box<dyn ReferenceSource + Send>,
     ) -> Self {
-        let weight_n = hover_thrust_n;
+        let weight_n = vehicle.hover_thrust_n();
         let hover_thrust_n = trajectory.start_thrust_n().clamp(0.75 * weight_n, 1.25 * weight_n);
         let start = trajectory.sample(0.0);
         Self {
             settings,
-            weight_n,
+            vehicle,
             hover_thrust_n,
             trajectory,
             start,
@@ -177,6 +179,7 @@ impl Guidance {
             goal: GoalOffset::default(),
             held_at: Ned::zero(),
             latch: None,
+            stop: None,
             last: None,
             settled_since: None,
         }
@@ -228,7 +231,7 @@ impl Guidance {
 
     /// The expectation at rest: hover thrust beyond weight, as an acceleration of `mass_kg`.
     pub fn expected_at_rest(&self, mass_kg: f64) -> Expected {
-        let more = (self.hover_thrust_n - self.weight_n) / mass_kg;
+        let more = (self.hover_thrust_n - self.vehicle.hover_thrust_n()) / mass_kg;
         Expected { acceleration: Ned::new(0.0, 0.0, more), ..Expected::default() }
     }
 
@@ -265,7 +268,7 @@ impl Guidance {
             FlightState::TakeOff => self.take_off(t, here, last_thrust_n),
             FlightState::Approach => self.approach(t, sample),
             FlightState::Track => self.track(t, here),
-            FlightState::Hold | FlightState::Land => Guided::fly(self.hold(here)),
+            FlightState::Hold | FlightState::Land => Guided::fly(self.hold(sample)),
             _ if airborne != Some(false) => Guided::fly(self.stay(here)),
             _ => self.idle(self.settings.idle_thrust, here),
         };
@@ -282,8 +285,7 @@ impl Guidance {
         self.latch = Some(Latch::Here);
     }
 
-    /// Holds where the vehicle can come to rest, counted from the next sample. A nearer place would
-    /// pull the vehicle back as fast as it came.
+    /// Brings the vehicle to rest from the next sample on, and holds there.
     pub fn stop_ahead(&mut self) {
         self.latch = Some(Latch::Ahead);
     }
@@ -323,10 +325,17 @@ impl Guidance {
             }
             FlightState::Hold if self.latch.is_none() => {
                 self.held = self.last.map(|end| self.level(end.position, end.attitude.yaw));
-                self.held_at = self.goal.at();
+                (self.held_at, self.stop) = (self.goal.at(), None);
             }
-            FlightState::Land => self.goal.stay(),
-            FlightState::Standby => (self.anchor, self.held, self.latch) = (None, None, None),
+            FlightState::Land => {
+                if self.state != FlightState::Hold {
+                    self.latch.get_or_insert(Latch::Ahead);
+                }
+                self.goal.stay();
+            }
+            FlightState::Standby => {
+                (self.anchor, self.held, self.latch, self.stop) = (None, None, None, None);
+            }
             _ => {}
         }
         (self.state, self.entered, self.settled_since) = (state, sample.vehicle, None);
@@ -340,17 +349,30 @@ impl Guidance {
         self.start
     }
 
-    fn hold(&mut self, here: &State) -> Reference {
+    fn hold(&mut self, sample: &Sample) -> Reference {
+        let here = &sample.state;
         if let Some(latch) = self.latch.take() {
-            let ahead_s = if latch == Latch::Ahead { STOPPING_S } else { 0.0 };
-            let [north, east, _] = (here.velocity * ahead_s).to_array();
-            let share = (STOPPING_MAX_M / north.hypot(east)).min(1.0);
-            let position = here.position + Ned::new(north, east, 0.0) * share;
+            self.stop = (latch == Latch::Ahead).then_some((Stop::new(here), sample.vehicle));
             self.held = None;
             self.goal.stay();
-            return self.hold_at(&State { position, ..*here });
         }
-        self.hold_at(here)
+        let Some((stop, since)) = self.stop else { return self.hold_at(here) };
+        let t = sample.vehicle.seconds_since(since);
+        let point = stop.at(t);
+        let end = self.level(point.position, point.yaw);
+        if stop.is_over(t) {
+            self.stop = None;
+            self.held = Some(end);
+            self.held_at = self.goal.at();
+            return end;
+        }
+        let HoverVehicle { mass_kg, gravity, .. } = self.vehicle;
+        let weight = Weight { mass_kg, gravity, tilt_max_rad: STOPPING_TILT_RAD };
+        let (thrust_n, attitude) = weight.carry(&point);
+        let thrust_n = thrust_n / self.vehicle.hover_thrust_n() * self.hover_thrust_n;
+        let body_rate = Frd::new(0.0, 0.0, point.yaw_rate);
+        let feedforward = Setpoint { thrust_n, attitude, body_rate };
+        Reference { velocity: point.velocity, attitude, body_rate, feedforward, ..end }
     }
 
     /// What is held, moved with the goal; `here` where nothing is held yet.

@@ -85,7 +85,7 @@ impl Desire {
 
 impl Weight {
     /// Thrust (N) and attitude that produce a point's acceleration.
-    pub(super) fn carry(&self, point: &DesiredPoint) -> (f64, Euler<f64>) {
+    pub(crate) fn carry(&self, point: &DesiredPoint) -> (f64, Euler<f64>) {
         let carried = Ned::new(0.0, 0.0, self.gravity) - point.acceleration;
         let [ahead, right, down] = Heading::new(point.yaw).to_level(carried);
         // Beyond the largest tilt, the direction is kept and the tilt cut.

@@ -31,7 +31,7 @@ impl Supervisor {
             (Trigger::LinkLost, !linked),
             (Trigger::VehicleHeard, linked && mode.is_some()),
             (Trigger::EngageAsked, linked && !by_command),
-            (Trigger::ModeChanged, self.mode_changed(mode)),
+            (Trigger::ModeChanged, self.mode_changed(seen.status)),
             (Trigger::Disarmed, armed == Some(false)),
             (
                 Trigger::OffboardFound,
@@ -117,13 +117,14 @@ impl Supervisor {
 
     /// Whether the mode is one that the controller did not request and that was not there before.
     /// An offer ends when the pilot leaves OFFBOARD before it counts as the pilot's switch.
-    pub(super) fn mode_changed(&self, mode: Option<u32>) -> bool {
-        let Some(mode) = mode else { return false };
+    pub(super) fn mode_changed(&self, status: &VehicleStatus) -> bool {
+        let Some(mode) = status.mode else { return false };
         let offboard = mode == self.modes.offboard;
+        let has_left = !offboard && self.was_offboard && !status.is_mode_doubtful();
         match self.state {
-            FlightState::Standby => !offboard && self.was_offboard,
+            FlightState::Standby => has_left,
             FlightState::Engage => {
-                !offboard && (self.was_offboard || self.mode_at_entry.is_some_and(|at| at != mode))
+                has_left || !offboard && self.mode_at_entry.is_some_and(|at| at != mode)
             }
             FlightState::Land => !offboard && mode != self.modes.land,
             _ => !offboard,

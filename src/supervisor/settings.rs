@@ -60,7 +60,7 @@ impl Default for SupervisorSettings {
             take_over: false,
             take_off_timeout_s: 30.0,
             land_timeout_s: 60.0,
-            land_brake_s: 1.0,
+            land_brake_s: 2.0,
             land_handover_s: 2.0,
             hold_s: 2.0,
             disarm_after_s: 4.0,

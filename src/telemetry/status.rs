@@ -181,6 +181,11 @@ impl VehicleStatus {
             .is_some_and(|reported| self.silence_ended.is_none_or(|end| reported >= end))
     }
 
+    /// Whether the last reported mode may be outdated, and none has been reported since.
+    pub fn is_mode_doubtful(&self) -> bool {
+        self.mode.is_some() && self.mode_reported.is_none()
+    }
+
     /// Whether a message arrived within the last half second.
     pub fn is_live(&self, now: HostTime) -> bool {
         self.last_received.is_some_and(|at| now.since(at) <= SILENCE)

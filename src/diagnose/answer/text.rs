@@ -16,14 +16,33 @@ use crate::diagnose::verdict::evidence::FileNumber;
 /// The finding of an answer in a sentence or two.
 pub fn finding(answer: &Answer) -> String {
     match answer.verdict {
-        Verdict::None => none(answer),
-        Verdict::Effect => effect(answer),
+        Verdict::None => none(answer) + &wander(answer),
+        Verdict::Effect => effect(answer) + &wander(answer),
         Verdict::Unknown => unknown(answer),
     }
 }
 
+/// What the floor holds beyond white noise, where that is much: residuals that no effect, number or
+/// learner predicts, and which therefore count as the estimator's.
+fn wander(answer: &Answer) -> String {
+    let Some(floor) = answer.gap.as_ref().map(|gap| gap.floor) else { return String::new() };
+    if floor < REPORTED_FLOOR_MIN {
+        return String::new();
+    }
+    let more = match answer.unmodelled_force {
+        Some(_) => "",
+        None => "; without an accelerometer these logs cannot tell one from the other",
+    };
+    format!(
+        " The noise floor is {floor:.1} times that of the sensors' white noise: an estimate that \
+         wanders, or a force that changes with time{more}."
+    )
+}
+
 /// Least multiple of the floor that counts as a gap for the file's numbers to close.
 const REPORTED_GAP_MIN: f64 = 1.5;
+/// Floor, in units of the sensors' white noise, from which the text says what else it holds.
+const REPORTED_FLOOR_MIN: f64 = 2.0;
 /// Most numbers of the vehicle file in a sentence.
 const NUMBERS_LISTED: usize = 3;
 
