@@ -42,7 +42,7 @@ fn wander(answer: &Answer) -> String {
 /// Least multiple of the floor that counts as a gap for the file's numbers to close.
 const REPORTED_GAP_MIN: f64 = 1.5;
 /// Floor, in units of the sensors' white noise, from which the text says what else it holds.
-const REPORTED_FLOOR_MIN: f64 = 2.0;
+const REPORTED_FLOOR_MIN: f64 = 3.0;
 /// Most numbers of the vehicle file in a sentence.
 const NUMBERS_LISTED: usize = 3;
 

@@ -47,6 +47,12 @@ fn lacking(need: Need, flight: &Flight, channels: &Channels) -> Option<String> {
     let lacks = |has: bool, what: &str| (!has).then(|| what.to_owned());
     let driven = channels.outputs || channels.rotor_speed || channels.setpoint;
     let rotors = channels.outputs || channels.rotor_speed;
+    let no_rotors = if channels.setpoint {
+        "motor outputs are not logged, so rotors cannot be distinguished; with attitude_pd in the \
+         vehicle file, diagnose computes them from the setpoints"
+    } else {
+        "motor outputs are not logged, so rotors cannot be distinguished"
+    };
     match need {
         Need::Input => {
             lacks(driven, "neither motor outputs, rotor speeds nor setpoints are logged")
@@ -59,7 +65,7 @@ fn lacking(need: Need, flight: &Flight, channels: &Channels) -> Option<String> {
             channels.body_rate || channels.attitude,
             "neither body rate nor attitude is logged",
         )
-        .or(lacks(rotors, "motor outputs are not logged, so rotors cannot be distinguished")),
+        .or(lacks(rotors, no_rotors)),
         Need::FastInput if channels.setpoint => None,
         Need::FastOutputs | Need::FastInput => {
             let is_slow = channels.outputs && !channels.fast_outputs && !channels.rotor_speed;
