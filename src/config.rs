@@ -112,7 +112,7 @@ const ENVIRONMENT_PREFIX: &str = "DOWNWASH_";
 pub const SIGNING_KEY_VARIABLE: &str = "DOWNWASH_SIGNING_KEY";
 
 /// Variables with that prefix that are not settings: those of tests, benchmarks and the build.
-const NOT_SETTINGS: [&str; 9] = [
+const NOT_SETTINGS: [&str; 10] = [
     // A secret, which no list of settings may show.
     SIGNING_KEY_VARIABLE,
     "DOWNWASH_PRACTICE",
@@ -123,6 +123,7 @@ const NOT_SETTINGS: [&str; 9] = [
     "DOWNWASH_PEERS",
     "DOWNWASH_PEERS_PROBLEM",
     "DOWNWASH_GIT_REVISION",
+    "DOWNWASH_CAMPAIGN_SEED",
 ];
 
 impl Config {
