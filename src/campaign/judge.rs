@@ -193,6 +193,8 @@ impl Judge {
             return;
         }
         self.mode = Some(Mode { custom_mode, sent_us, received_us: now_us });
+        // The pilot may switch back just as the release is over, before an offer leaves.
+        self.detect_release(now_us);
         self.left_us =
             if custom_mode == self.bounds.obeys { None } else { self.left_us.or(Some(now_us)) };
         if let Some(armed) = armed {
