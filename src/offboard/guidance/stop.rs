@@ -7,8 +7,9 @@ use crate::plan::trajectory::DesiredPoint;
 
 /// Deceleration at the start, m/s^2: a tilt of 0.43 rad.
 const DECELERATION: f64 = 4.5;
-/// Deceleration of a turn at its start, rad/s^2, and fastest turn at the start, rad/s.
+/// Deceleration of a turn at its start, rad/s^2.
 const TURN_DECELERATION: f64 = 2.0;
+/// Fastest turn at the start, rad/s.
 const TURN_MAX_RAD_S: f64 = 2.0;
 /// Fastest start of a stop, m/s, whatever velocity the vehicle reports: it ends 2 m ahead.
 const SPEED_MAX_M_S: f64 = 3.67;
