@@ -136,18 +136,21 @@ fn moving_vehicle_comes_to_rest_before_landing() {
             while bench.vehicle.flight().mode() != Mode::Land {
                 at_handover = step(&mut bench);
             }
+            let tilt = bench.vehicle.plant().state().attitude.tilt();
             let from = bench.position();
             for _ in 0..100 {
                 fastest = fastest.max(step(&mut bench));
             }
             bench.until(FlightState::Done, 30.0);
             let moved = bench.position() - from;
-            [at_handover, fastest, moved.north().hypot(moved.east())]
+            [at_handover, fastest, moved.north().hypot(moved.east()), tilt]
         };
         let (braked, at_once) = (landing(2.0), landing(0.0));
         println!("{autopilot:?}: {braked:?}, {at_once:?} at once");
         assert!(at_once[0] > 0.8, "{at_once:?}");
         assert!(braked.iter().all(|value| *value < 0.4), "{autopilot:?}: {braked:?}");
+        let tilt = braked[3];
+        assert!(tilt < 0.15, "{autopilot:?}: handed over at a tilt of {tilt} rad");
     }
 }
 
