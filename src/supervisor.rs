@@ -119,8 +119,8 @@ pub struct Supervisor {
     streamed: bool,
     /// The first mode read in the present state.
     mode_at_entry: Option<u32>,
-    /// Whether the mode read OFFBOARD at some time in the present state, or may have while it was
-    /// offered.
+    /// Whether the mode read OFFBOARD at some time in the present state, or may have while a hold
+    /// was offered or OFFBOARD requested.
     was_offboard: bool,
     /// Since when mode and intended mode have read something other than OFFBOARD.
     other_mode_since: Option<HostTime>,
@@ -289,16 +289,10 @@ impl Supervisor {
         };
         self.was_offboard |= seen.status.mode == Some(self.modes.offboard)
             || may_be_obeyed && seen.status.is_mode_doubtful();
-        if !seen.at_rest || self.state != FlightState::Land {
-            self.rest_since = None;
-        } else {
-            self.rest_since.get_or_insert(now);
-        }
-        if seen.speed_m_s <= BRAKED_M_S {
-            self.slow_since.get_or_insert(now);
-        } else {
-            self.slow_since = None;
-        }
+        let held = |since: Option<HostTime>, holds: bool| holds.then(|| since.unwrap_or(now));
+        let is_down = seen.at_rest && self.state == FlightState::Land;
+        self.rest_since = held(self.rest_since, is_down);
+        self.slow_since = held(self.slow_since, seen.speed_m_s <= BRAKED_M_S);
         self.report_takeover(now, seen.status);
         self.report_unhealthy(now, seen.status);
         self.react(now, seen);

@@ -3,6 +3,11 @@
 
 use std::path::PathBuf;
 
+use downwash::diagnose::flights::preparation::PreparedFlight;
+use downwash::diagnose::likelihood::channels::{COMMAND, RATE};
+use downwash::diagnose::likelihood::layout::Layout;
+use downwash::learn::commands::Onboard;
+use downwash::log::import;
 use serde_json::Value;
 use sitl::config::SitlConfig;
 
@@ -59,4 +64,17 @@ fn shifted_centre_of_mass_is_named_without_motor_reports() {
     let answer = diagnosis("com", &["com_offset:x_m=0.006,y_m=-0.004"]);
     assert_eq!(answer["verdict"], "effect", "{}", answer["finding"]);
     assert_eq!(answer["effects"][0]["id"], "com_offset", "{}", answer["finding"]);
+}
+
+#[test]
+fn computed_outputs_are_not_compared_with_their_setpoints() {
+    let vehicle = lockstep::params(QUAD);
+    let mut flight = import::open(&logs("loop", &[])[0], None).expect("a flight");
+    let onboard = Onboard::new(&vehicle).expect("rotors that mix");
+    assert!(onboard.complete_outputs(&mut flight, vehicle.command_delay_s));
+    let flight = PreparedFlight::new(flight, &vehicle).expect("outputs");
+    assert!(flight.channels.setpoint);
+    let layout = Layout::new(&flight);
+    assert!(layout.has(RATE), "the computed outputs drive the equations");
+    assert!(!layout.has(COMMAND));
 }

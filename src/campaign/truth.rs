@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::rule::Rule;
-use super::script::{Fault, PilotAct, Script};
+use super::script::{Fault, PilotAct, Script, Timed};
 
 /// Margin around the trajectory's box, m.
 const MARGIN_M: f64 = 3.0;
@@ -16,9 +16,9 @@ const TILT_MAX_RAD: f64 = 1.2;
 const SPEED_MAX_M_S: f64 = 6.0;
 /// Deceleration with which any vehicle here brakes in still air, turning included, m/s^2.
 const BRAKE_M_S2: f64 = 3.0;
-/// The same in any wind that it can be flown in, m/s^2.
+/// The same in any tailwind that it can be flown in, m/s^2.
 const BRAKE_LEAST_M_S2: f64 = 0.5;
-/// Acceleration of a wind whose force is the vehicle's weight, m/s^2.
+/// Acceleration by a force as large as the vehicle's weight, m/s^2.
 const WEIGHT_M_S2: f64 = 9.81;
 /// Loss of thrust beyond which a rotor makes the vehicle impossible to fly.
 const FLYABLE_LOSS: f64 = 0.35;
@@ -61,6 +61,23 @@ pub enum Ending {
     Adrift,
 }
 
+/// A wind from its begin on.
+struct Wind {
+    /// Simulated time at which it begins, us.
+    begin_us: u64,
+    /// Acceleration of the vehicle by it, north and east, m/s^2.
+    push: [f64; 2],
+}
+
+impl Wind {
+    fn of(timed: &Timed) -> Option<Self> {
+        let Fault::Wind { share, towards_rad } = timed.fault else { return None };
+        let (sin, cos) = towards_rad.sin_cos();
+        let push = [cos, sin].map(|part| share * WEIGHT_M_S2 * part);
+        Some(Self { begin_us: (timed.at_s * 1e6) as u64, push })
+    }
+}
+
 /// Where the vehicle may be: around the trajectory, which begins where the vehicle was armed.
 pub(super) struct Envelope {
     /// North and east of the place where it was last disarmed, m.
@@ -68,8 +85,8 @@ pub(super) struct Envelope {
     low: [f64; 3],
     high: [f64; 3],
     is_possible: bool,
-    /// Deceleration with which the vehicle brakes in the strongest wind of the script, m/s^2.
-    brake_m_s2: f64,
+    /// The lasting winds of the script.
+    winds: Vec<Wind>,
     lost_us: Option<u64>,
     /// Whether it left the envelope while no setpoints reached it, or was then too fast to stop
     /// within it, and has not been back since.
@@ -97,14 +114,19 @@ impl Envelope {
             _ => false,
         };
         let is_possible = !script.faults.iter().any(|timed| breaks(&timed.fault));
-        let wind = |fault: &Fault| match fault {
-            Fault::Wind { share, .. } => *share,
-            _ => 0.0,
-        };
-        let wind = script.faults.iter().map(|timed| wind(&timed.fault)).fold(0.0, f64::max);
-        let brake_m_s2 = (BRAKE_M_S2 - wind * WEIGHT_M_S2).max(BRAKE_LEAST_M_S2);
-        let origin = [0.0; 2];
-        Self { origin, low, high, is_possible, brake_m_s2, lost_us: None, is_astray: false }
+        let winds = script.faults.iter().filter_map(Wind::of).collect();
+        Self { origin: [0.0; 2], low, high, is_possible, winds, lost_us: None, is_astray: false }
+    }
+
+    /// Deceleration with which a vehicle brakes from this motion, m/s^2: less by what the winds so
+    /// far push it along.
+    fn brake_m_s2(&self, seen: &Seen) -> f64 {
+        let [north, east, _] = seen.velocity;
+        let speed = north.hypot(east).max(f64::MIN_POSITIVE);
+        let winds = self.winds.iter().filter(|wind| wind.begin_us <= seen.now_us);
+        let along: f64 =
+            winds.map(|wind| (wind.push[0] * north + wind.push[1] * east) / speed).sum();
+        (BRAKE_M_S2 - along.max(0.0)).max(BRAKE_LEAST_M_S2)
     }
 
     /// The broken rule, if any, while the vehicle obeys and setpoints reach it.
@@ -115,7 +137,7 @@ impl Envelope {
         }
         let place = [north - self.origin[0], east - self.origin[1], down];
         let speed = seen.velocity.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let stop_s = speed / (2.0 * self.brake_m_s2);
+        let stop_s = speed / (2.0 * self.brake_m_s2(seen));
         let is_near_in = |time_s: f64| {
             (0..3).all(|axis| {
                 let there = place[axis] + seen.velocity[axis] * time_s;
@@ -148,13 +170,19 @@ impl Envelope {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
     use super::*;
     use crate::campaign::draw;
 
     /// The rule broken by a vehicle that moves east from `east` at `speed`, while setpoints are
     /// lost until `lost_s`.
     fn judged(east: f64, speed: f64, lost_s: f64) -> Option<Rule> {
-        let script = Script { faults: Vec::new(), ..draw::script(1, 1) };
+        judged_under(Vec::new(), east, speed, lost_s)
+    }
+
+    fn judged_under(faults: Vec<Timed>, east: f64, speed: f64, lost_s: f64) -> Option<Rule> {
+        let script = Script { faults, ..draw::script(1, 1) };
         let mut envelope = Envelope::new(&script, &[[0.0, 0.0, -1.0]]);
         let still = Seen {
             now_us: 0,
@@ -184,5 +212,19 @@ mod tests {
             Some(Rule::Envelope),
             "slow, but flown out of the envelope"
         );
+    }
+
+    #[test]
+    fn only_a_wind_from_behind_that_blows_lengthens_the_way_to_a_stop() {
+        let wind = |at_s: f64, towards_rad: f64| {
+            let fault = Fault::Wind { share: 0.2, towards_rad };
+            vec![Timed { at_s, for_s: 0.0, fault }]
+        };
+        let judged = |faults| judged_under(faults, 0.0, 2.5, 0.5);
+        assert_eq!(judged(Vec::new()), Some(Rule::Envelope), "it could have stopped");
+        assert_eq!(judged(wind(0.0, FRAC_PI_2)), None, "it could not have stopped");
+        assert_eq!(judged(wind(0.0, -FRAC_PI_2)), Some(Rule::Envelope), "against the wind");
+        assert_eq!(judged(wind(0.0, 0.0)), Some(Rule::Envelope), "across the wind");
+        assert_eq!(judged(wind(1.9, FRAC_PI_2)), Some(Rule::Envelope), "before the wind");
     }
 }

@@ -1,72 +1,24 @@
 //! The reference that the vehicle follows in each state of the flight.
 
 mod segment;
+mod settings;
 mod stop;
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 use vehicle::rigid_body::State;
 
 use self::segment::{Segment, Speeds, Waypoint};
+pub use self::settings::GuidanceSettings;
 use self::stop::Stop;
 use super::goal::GoalOffset;
 use crate::clock::VehicleTime;
 use crate::control::HoverVehicle;
 use crate::plan::desire::Weight;
 use crate::plan::reference::ReferenceSource;
+use crate::plan::trajectory::DesiredPoint;
 use crate::setpoint::{Expected, Reference, Setpoint};
 use crate::supervisor::{FlightState, Trigger};
 use crate::telemetry::Sample;
-
-/// Take-off, and the approach to the trajectory's start.
-#[derive(Clone, Copy, Debug, PartialEq, JsonSchema, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct GuidanceSettings {
-    /// Thrust on the ground before take-off, as a fraction of hover thrust.
-    pub idle_thrust: f64,
-    /// Time over which thrust rises before the climb, s.
-    pub spool_s: f64,
-    /// Thrust at the end of the spool time, as a fraction of hover thrust: too little to lift off
-    /// even if the rotors give a third more than the model says.
-    pub spool_thrust: f64,
-    /// Fastest climb, m/s.
-    pub climb_speed_m_s: f64,
-    /// Fastest approach to the start, m/s.
-    pub approach_speed_m_s: f64,
-    /// Fastest turn during the approach, rad/s.
-    pub approach_yaw_rate_rad_s: f64,
-    /// Height over which horizontal feedback fades in, m. On the ground it would only tip the
-    /// vehicle over.
-    pub feedback_height_m: f64,
-    /// Distance within which the start counts as reached, m.
-    pub settle_radius_m: f64,
-    /// Speed below which the start counts as reached, m/s.
-    pub settle_speed_m_s: f64,
-    /// Time for which both must hold, s.
-    pub settle_s: f64,
-    /// Time after which a steady offset is accepted, s. Without it, a vehicle heavier than its
-    /// model would never start.
-    pub settle_timeout_s: f64,
-}
-
-impl Default for GuidanceSettings {
-    fn default() -> Self {
-        Self {
-            idle_thrust: 0.1,
-            spool_s: 1.0,
-            spool_thrust: 0.6,
-            climb_speed_m_s: 0.7,
-            approach_speed_m_s: 1.0,
-            approach_yaw_rate_rad_s: 1.0,
-            feedback_height_m: 0.15,
-            settle_radius_m: 0.3,
-            settle_speed_m_s: 0.25,
-            settle_s: 0.5,
-            settle_timeout_s: 5.0,
-        }
-    }
-}
 
 /// The reference of one tick.
 #[derive(Clone, Debug, PartialEq)]
@@ -141,14 +93,13 @@ pub(super) struct Guidance {
     state: FlightState,
     entered: VehicleTime,
     segment: Segment,
-    held: Option<Reference>,
-    /// How far the goal was moved, and had been when that was first held.
+    /// The way to the place that is held.
+    held: Option<Stop>,
+    /// How far the goal was moved, and had been when that way began.
     goal: GoalOffset,
     held_at: Ned,
     /// How the next sample sets the hold, if it does.
     latch: Option<Latch>,
-    /// The present stop, and its start.
-    stop: Option<(Stop, VehicleTime)>,
     last: Option<Reference>,
     settled_since: Option<VehicleTime>,
 }
@@ -179,7 +130,6 @@ impl Guidance {
             goal: GoalOffset::default(),
             held_at: Ned::zero(),
             latch: None,
-            stop: None,
             last: None,
             settled_since: None,
         }
@@ -214,7 +164,7 @@ impl Guidance {
             (highest_m, lowest_m) = (highest_m.max(-point.down()), lowest_m.min(-point.down()));
         };
         match self.held.filter(|_| self.state == FlightState::Hold) {
-            Some(held) => reach(held.position - self.held_at + offset - anchor),
+            Some(held) => reach(held.end() - self.held_at + offset - anchor),
             None => {
                 let step_s = self.trajectory.duration() / EXTENT_STEPS as f64;
                 (0..=EXTENT_STEPS)
@@ -229,9 +179,9 @@ impl Guidance {
         self.trajectory.voltage_exponent()
     }
 
-    /// The expectation at rest: hover thrust beyond weight, as an acceleration of `mass_kg`.
-    pub fn expected_at_rest(&self, mass_kg: f64) -> Expected {
-        let more = (self.hover_thrust_n - self.vehicle.hover_thrust_n()) / mass_kg;
+    /// The expectation at rest: hover thrust beyond weight, as an acceleration.
+    pub fn expected_at_rest(&self) -> Expected {
+        let more = (self.hover_thrust_n - self.vehicle.hover_thrust_n()) / self.vehicle.mass_kg;
         Expected { acceleration: Ned::new(0.0, 0.0, more), ..Expected::default() }
     }
 
@@ -324,8 +274,9 @@ impl Guidance {
                 );
             }
             FlightState::Hold if self.latch.is_none() => {
-                self.held = self.last.map(|end| self.level(end.position, end.attitude.yaw));
-                (self.held_at, self.stop) = (self.goal.at(), None);
+                let end = self.last.unwrap_or_else(|| self.stay(here));
+                let place = Waypoint { position: end.position, yaw: end.attitude.yaw };
+                self.keep(Stop::standing(place, sample.vehicle));
             }
             FlightState::Land => {
                 if self.state != FlightState::Hold {
@@ -333,9 +284,7 @@ impl Guidance {
                 }
                 self.goal.stay();
             }
-            FlightState::Standby => {
-                (self.anchor, self.held, self.latch, self.stop) = (None, None, None, None);
-            }
+            FlightState::Standby => (self.anchor, self.held, self.latch) = (None, None, None),
             _ => {}
         }
         (self.state, self.entered, self.settled_since) = (state, sample.vehicle, None);
@@ -349,42 +298,30 @@ impl Guidance {
         self.start
     }
 
+    /// Along the way to the place that is held, moved with the goal; here where nothing is held yet.
     fn hold(&mut self, sample: &Sample) -> Reference {
-        let here = &sample.state;
-        if let Some(latch) = self.latch.take() {
-            self.stop = (latch == Latch::Ahead).then_some((Stop::new(here), sample.vehicle));
-            self.held = None;
+        let (here, now) = (&sample.state, sample.vehicle);
+        let latch = self.latch.take();
+        if latch.is_some() {
             self.goal.stay();
         }
-        let Some((stop, since)) = self.stop else { return self.hold_at(here) };
-        let t = sample.vehicle.seconds_since(since);
-        let point = stop.at(t);
-        let end = self.level(point.position, point.yaw);
-        if stop.is_over(t) {
-            self.stop = None;
-            self.held = Some(end);
-            self.held_at = self.goal.at();
-            return end;
-        }
-        let HoverVehicle { mass_kg, gravity, .. } = self.vehicle;
-        let weight = Weight { mass_kg, gravity, tilt_max_rad: STOPPING_TILT_RAD };
-        let (thrust_n, attitude) = weight.carry(&point);
-        let thrust_n = thrust_n / self.vehicle.hover_thrust_n() * self.hover_thrust_n;
-        let body_rate = Frd::new(0.0, 0.0, point.yaw_rate);
-        let feedforward = Setpoint { thrust_n, attitude, body_rate };
-        Reference { velocity: point.velocity, attitude, body_rate, feedforward, ..end }
+        let held = match (latch, self.held) {
+            (Some(Latch::Ahead), _) => self.keep(Stop::from_motion(here, now)),
+            (None, Some(held)) => held,
+            (Some(Latch::Here), _) | (None, None) => {
+                let place = Waypoint { position: here.position, yaw: here.attitude.yaw() };
+                self.keep(Stop::standing(place, now))
+            }
+        };
+        let mut point = held.at(now);
+        point.position += self.goal.at() - self.held_at;
+        point.velocity += self.goal.velocity();
+        self.carried(&point)
     }
 
-    /// What is held, moved with the goal; `here` where nothing is held yet.
-    fn hold_at(&mut self, here: &State) -> Reference {
-        if self.held.is_none() {
-            self.held_at = self.goal.at();
-        }
-        let stay = self.stay(here);
-        let mut held = *self.held.get_or_insert(stay);
-        held.position += self.goal.at() - self.held_at;
-        held.velocity += self.goal.velocity();
-        held
+    fn keep(&mut self, stop: Stop) -> Stop {
+        self.held_at = self.goal.at();
+        *self.held.insert(stop)
     }
 
     fn anchor_below(&self, position: Ned) -> Ned {
@@ -494,6 +431,22 @@ impl Guidance {
                 body_rate: Frd::zero(),
             },
             ..Reference::default()
+        }
+    }
+
+    /// The reference at a point, with the tilt and the thrust that produce its acceleration.
+    fn carried(&self, point: &DesiredPoint) -> Reference {
+        let HoverVehicle { mass_kg, gravity, .. } = self.vehicle;
+        let weight = Weight { mass_kg, gravity, tilt_max_rad: STOPPING_TILT_RAD };
+        let (thrust_n, attitude) = weight.carry(point);
+        let thrust_n = thrust_n / self.vehicle.hover_thrust_n() * self.hover_thrust_n;
+        let body_rate = Frd::new(0.0, 0.0, point.yaw_rate);
+        Reference {
+            position: point.position,
+            velocity: point.velocity,
+            attitude,
+            body_rate,
+            feedforward: Setpoint { thrust_n, attitude, body_rate },
         }
     }
 

@@ -34,7 +34,7 @@ fn wander(answer: &Answer) -> String {
         None => "; without an accelerometer these logs cannot tell one from the other",
     };
     format!(
-        " The noise floor is {floor:.1} times that of the sensors' white noise: an estimate that \
+        " The noise floor is {floor:.1} times what the sensors' white noise gives: an estimate that \
          wanders, or a force that changes with time{more}."
     )
 }
@@ -455,6 +455,12 @@ mod tests {
         // A gap that those numbers leave open is not reported as closed.
         answer.gap.as_mut().unwrap().nuisances_only = Some(7.0);
         assert!(finding(&answer).contains("to 8.00 times"));
+        // A floor of white noise alone needs no words.
+        assert!(!finding(&answer).contains("wanders"), "{}", finding(&answer));
+        answer.gap.as_mut().unwrap().floor = 6.2;
+        let text = finding(&answer);
+        assert!(text.contains("6.2 times what the sensors' white noise gives"), "{text}");
+        assert!(text.contains("without an accelerometer"), "{text}");
     }
 
     #[test]

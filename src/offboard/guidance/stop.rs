@@ -3,6 +3,8 @@
 use vehicle::frame::Ned;
 use vehicle::rigid_body::State;
 
+use super::segment::Waypoint;
+use crate::clock::VehicleTime;
 use crate::plan::trajectory::DesiredPoint;
 
 /// Deceleration at the start, m/s^2: a tilt of 0.43 rad.
@@ -22,37 +24,55 @@ const DURATION_MIN_S: f64 = 0.1;
 /// an autopilot that then takes over flies off backwards.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stop {
+    since: VehicleTime,
     from: Ned,
     velocity: Ned,
     yaw: f64,
     yaw_rate: f64,
-    /// Durations of the path and of the turn.
-    duration_s: f64,
+    /// Durations of the path and of the turn, s.
+    path_s: f64,
     turn_s: f64,
 }
 
 impl Stop {
+    /// At rest at a place.
+    pub fn standing(place: Waypoint, since: VehicleTime) -> Self {
+        let Waypoint { position: from, yaw } = place;
+        let (path_s, turn_s) = (DURATION_MIN_S, DURATION_MIN_S);
+        Self { since, from, velocity: Ned::zero(), yaw, yaw_rate: 0.0, path_s, turn_s }
+    }
+
     /// The stop of a vehicle that moves like `here`, whose climb ends at once.
-    pub fn new(here: &State) -> Self {
+    pub fn from_motion(here: &State, since: VehicleTime) -> Self {
         let [north, east, _] = here.velocity.to_array();
         let speed = north.hypot(east);
         let share = if speed > SPEED_MAX_M_S { SPEED_MAX_M_S / speed } else { 1.0 };
         let yaw_rate = here.body_rate.down().clamp(-TURN_MAX_RAD_S, TURN_MAX_RAD_S);
         Self {
+            since,
             from: here.position,
             velocity: Ned::new(north, east, 0.0) * share,
             yaw: here.attitude.yaw(),
             yaw_rate,
-            duration_s: (2.0 * share * speed / DECELERATION).max(DURATION_MIN_S),
+            path_s: (2.0 * share * speed / DECELERATION).max(DURATION_MIN_S),
             turn_s: (2.0 * yaw_rate.abs() / TURN_DECELERATION).max(DURATION_MIN_S),
         }
     }
 
-    /// The motion `t` seconds after the start; at rest from the end on.
-    pub fn at(&self, t: f64) -> DesiredPoint {
+    /// The motion at a time; at rest from the end on.
+    pub fn at(&self, now: VehicleTime) -> DesiredPoint {
+        self.after(now.seconds_since(self.since))
+    }
+
+    /// Where it ends.
+    pub fn end(&self) -> Ned {
+        self.after(self.path_s).position
+    }
+
+    fn after(&self, t: f64) -> DesiredPoint {
         let left = |duration_s: f64| 1.0 - (t / duration_s).clamp(0.0, 1.0);
         let moved_s = |duration_s: f64| duration_s * (1.0 - left(duration_s).powi(3)) / 3.0;
-        let (path, turn) = (self.duration_s, self.turn_s);
+        let (path, turn) = (self.path_s, self.turn_s);
         DesiredPoint {
             position: self.from + self.velocity * moved_s(path),
             velocity: self.velocity * left(path).powi(2),
@@ -60,10 +80,6 @@ impl Stop {
             yaw: self.yaw + self.yaw_rate * moved_s(turn),
             yaw_rate: self.yaw_rate * left(turn).powi(2),
         }
-    }
-
-    pub fn is_over(&self, t: f64) -> bool {
-        t >= self.duration_s.max(self.turn_s)
     }
 }
 
@@ -87,16 +103,17 @@ mod tests {
                 body_rate: Frd::new(0.0, 0.0, turn),
                 ..State::default()
             };
-            let stop = Stop::new(&state);
-            let (start, end) = (stop.at(0.0), stop.at(stop.duration_s.max(stop.turn_s)));
+            let stop = Stop::from_motion(&state, VehicleTime::default());
+            let (start, end) = (stop.after(0.0), stop.after(stop.path_s.max(stop.turn_s)));
             let speed = north.hypot(east).min(SPEED_MAX_M_S);
             prop_assert!((start.velocity.norm() - speed).abs() < 1e-9);
             prop_assert!((start.yaw_rate - turn.clamp(-2.0, 2.0)).abs() < 1e-9);
             prop_assert!(end.acceleration.norm() < 1e-9 && end.velocity.norm() < 1e-9);
             prop_assert!(end.yaw_rate.abs() < 1e-9);
             prop_assert!((end.position - start.position).norm() < 2.0);
-            let t = share * stop.duration_s;
-            let (here, later) = (stop.at(t), stop.at(t + 1e-6));
+            prop_assert!((stop.end() - end.position).norm() < 1e-9);
+            let t = share * stop.path_s;
+            let (here, later) = (stop.after(t), stop.after(t + 1e-6));
             let velocity = (later.position - here.position) * 1e6;
             let acceleration = (later.velocity - here.velocity) * 1e6;
             prop_assert!((velocity - here.velocity).norm() < 1e-4);
