@@ -69,8 +69,8 @@ impl ModeReports {
     /// doubtful, and not dropped, if it seems older than what is known and the places are not
     /// settled.
     ///
-    /// A copy out of its place does not confirm a known permission either: the vehicle may have
-    /// left the mode since.
+    /// A copy out of its place confirms no known mode, and makes another one doubtful: the vehicle
+    /// may have left the copy's mode since.
     pub fn judge(&mut self, report: &ModeReport) -> Newness {
         let ModeReport { frame, mode, obeys, is_newer, is_settled, is_next } = *report;
         let is_known = !self.is_in_doubt && self.newest == Some(mode);
@@ -79,13 +79,13 @@ impl ModeReports {
             return if withdraws && !is_settled { Newness::Doubtful } else { Newness::Old };
         }
         let hash = crc32fast::hash(frame);
-        if obeys == Some(mode) {
-            let is_repeated = self.hashes.contains(&hash);
-            match is_known {
-                false if is_repeated || !is_settled => return Newness::Doubtful,
-                true if is_repeated && !is_next => return Newness::Old,
-                _ => {}
-            }
+        let is_repeated = self.hashes.contains(&hash);
+        if is_repeated && !is_next {
+            return if is_known { Newness::Old } else { Newness::Doubtful };
+        }
+        let grants = obeys == Some(mode) && !is_known;
+        if grants && (is_repeated || !is_settled) {
+            return Newness::Doubtful;
         }
         if self.hashes.len() == REMEMBERED {
             self.hashes.pop_front();
@@ -172,6 +172,18 @@ mod tests {
         assert_eq!(reports.judge(&copy(b"offboard 1", 6)), Newness::New, "its first arrival");
         assert_eq!(reports.judge(&copy(b"offboard 1", 6)), Newness::Old);
         assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New, "next in the sequence");
+    }
+
+    #[test]
+    fn out_of_sequence_copy_does_not_show_another_mode() {
+        let mut reports = ModeReports::default();
+        let copy = |frame, mode| ModeReport { is_next: false, ..report(frame, mode) };
+        reports.frame_arrived(at(0));
+        assert_eq!(reports.judge(&report(b"position 1", 3)), Newness::New);
+        assert_eq!(reports.judge(&report(b"offboard 2", 6)), Newness::New);
+        assert_eq!(reports.judge(&copy(b"position 1", 3)), Newness::Doubtful);
+        assert_eq!(reports.judge(&copy(b"position 3", 3)), Newness::New, "never seen before");
+        assert_eq!(reports.judge(&copy(b"position 1", 3)), Newness::Old, "it confirms nothing");
     }
 
     #[test]
