@@ -13,6 +13,9 @@ use crate::clock::HostTime;
 const REMEMBERED: usize = 32;
 /// Silence after which the mode may have changed.
 const SILENCE: Duration = Duration::from_millis(500);
+/// Time for which a rejected copy is expected again. A true report that repeats its bytes then is
+/// rejected too, but the vehicle's reports a second apart do so only by chance.
+const COPY_EXPECTED: Duration = Duration::from_millis(900);
 
 /// What a frame adds to what is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,6 +54,10 @@ pub(super) struct ModeReports {
     last_arrival: HostTime,
     /// Whether no mode was reported since the last silence.
     is_in_doubt: bool,
+    /// Whether the last report withdrew a permission, but seemed older than what is known.
+    is_overtaken: bool,
+    /// Copies rejected of late, and when.
+    copies: VecDeque<(u32, HostTime)>,
 }
 
 impl ModeReports {
@@ -58,6 +65,14 @@ impl ModeReports {
     pub fn frame_arrived(&mut self, now: HostTime) {
         self.is_in_doubt |= now.since(self.last_arrival) > SILENCE;
         self.last_arrival = now;
+        while self.copies.front().is_some_and(|(_, at)| now.since(*at) > COPY_EXPECTED) {
+            self.copies.pop_front();
+        }
+    }
+
+    /// Notes the copy of a mode report that its place in the sequence showed.
+    pub fn copied(&mut self, now: HostTime, frame: &[u8]) {
+        self.copies.push_back((crc32fast::hash(frame), now));
     }
 
     /// Judges a mode report.
@@ -70,17 +85,20 @@ impl ModeReports {
     /// settled.
     ///
     /// A copy out of its place confirms no known mode, and makes another one doubtful: the vehicle
-    /// may have left the copy's mode since.
+    /// may have left the copy's mode since. A copy that arrives again and again is in its place
+    /// once by chance; it counts no more then.
     pub fn judge(&mut self, report: &ModeReport) -> Newness {
         let ModeReport { frame, mode, obeys, is_newer, is_settled, is_next } = *report;
         let is_known = !self.is_in_doubt && self.newest == Some(mode);
         if !is_newer {
             let withdraws = obeys.is_some_and(|obeys| obeys != mode) && !is_known;
+            self.is_overtaken |= withdraws && is_settled;
             return if withdraws && !is_settled { Newness::Doubtful } else { Newness::Old };
         }
         let hash = crc32fast::hash(frame);
         let is_repeated = self.hashes.contains(&hash);
-        if is_repeated && !is_next {
+        if is_repeated && (!is_next || self.copies.iter().any(|(copy, _)| *copy == hash)) {
+            self.copies.push_back((hash, self.last_arrival));
             return if is_known { Newness::Old } else { Newness::Doubtful };
         }
         let grants = obeys == Some(mode) && !is_known;
@@ -91,8 +109,15 @@ impl ModeReports {
             self.hashes.pop_front();
         }
         self.hashes.push_back(hash);
-        (self.newest, self.is_in_doubt) = (Some(mode), false);
+        (self.newest, self.is_in_doubt, self.is_overtaken) = (Some(mode), false, false);
         Newness::New
+    }
+
+    /// Notes that the order of the frames is no longer settled. Returns whether the mode is in
+    /// doubt by that: a report that seemed overtaken, and withdrew a permission, may have been the
+    /// first after a restart of the vehicle.
+    pub fn unsettled(&mut self) -> bool {
+        std::mem::take(&mut self.is_overtaken)
     }
 }
 
@@ -171,6 +196,7 @@ mod tests {
         reports.frame_arrived(at(0));
         assert_eq!(reports.judge(&copy(b"offboard 1", 6)), Newness::New, "its first arrival");
         assert_eq!(reports.judge(&copy(b"offboard 1", 6)), Newness::Old);
+        (1..4).for_each(|step| reports.frame_arrived(at(400 * step)));
         assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New, "next in the sequence");
     }
 
@@ -184,6 +210,32 @@ mod tests {
         assert_eq!(reports.judge(&copy(b"position 1", 3)), Newness::Doubtful);
         assert_eq!(reports.judge(&copy(b"position 3", 3)), Newness::New, "never seen before");
         assert_eq!(reports.judge(&copy(b"position 1", 3)), Newness::Old, "it confirms nothing");
+    }
+
+    #[test]
+    fn copy_that_keeps_arriving_confirms_nothing_even_in_its_place() {
+        let mut reports = ModeReports::default();
+        reports.frame_arrived(at(0));
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New);
+        reports.copied(at(300), b"offboard 1");
+        (1..4).for_each(|step| reports.frame_arrived(at(300 * step)));
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::Old);
+        (4..8).for_each(|step| reports.frame_arrived(at(300 * step)));
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New, "copied long ago");
+    }
+
+    #[test]
+    fn overtaken_report_puts_the_mode_in_doubt_once_the_order_is_unsettled() {
+        let mut reports = ModeReports::default();
+        let overtaken = ModeReport { is_newer: false, ..report(b"position 2", 3) };
+        reports.frame_arrived(at(0));
+        assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New);
+        assert!(!reports.unsettled());
+        assert_eq!(reports.judge(&overtaken), Newness::Old);
+        assert!(reports.unsettled() && !reports.unsettled());
+        assert_eq!(reports.judge(&overtaken), Newness::Old);
+        assert_eq!(reports.judge(&report(b"offboard 3", 6)), Newness::New);
+        assert!(!reports.unsettled(), "a newer report follows it");
     }
 
     #[test]

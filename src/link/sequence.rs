@@ -174,15 +174,23 @@ impl Sequence {
             _ if is_silent => self.begin(now, number, hash),
             _ => {
                 let behind = 256 - u64::from(step);
+                let place = newest - behind;
                 self.behind += 1;
-                if behind > BEHIND_MAX || self.behind >= RESTART {
+                // Where another frame was received already, this one is more than 256 late, or the
+                // vehicle restarted.
+                let there = &self.received[usize::from(number)];
+                let is_taken = there.iter().any(|frame| frame.place == place);
+                let is_anew = behind > BEHIND_MAX || self.behind >= RESTART;
+                if is_taken || is_anew {
                     self.anew = Some(now);
+                }
+                if is_anew {
                     return self.begin(now, number, hash);
                 }
                 // It was counted as lost.
                 self.lost = self.lost.saturating_sub(1);
-                self.remember(newest - behind, hash);
-                Order::Overtaken(newest - behind)
+                self.remember(place, hash);
+                Order::Overtaken(place)
             }
         }
     }
@@ -295,6 +303,24 @@ mod tests {
     }
 
     #[test]
+    fn order_is_unsettled_after_another_frame_at_a_place_already_taken() {
+        let at = |k: u32| START + Duration::from_millis(5) * k;
+        // 300 frames but the `missing` one, then the frame 0 of a vehicle that restarted: it seems
+        // 43 frames late.
+        let after = |missing: u32| {
+            let mut sequence = Sequence::default();
+            for k in (0..300u32).filter(|k| *k != missing) {
+                sequence.take(at(k), k as u8, &k.to_le_bytes(), true);
+            }
+            assert!(!sequence.is_unsettled(at(300)));
+            sequence.take(at(300), 0, b"restarted", false);
+            sequence.is_unsettled(at(300))
+        };
+        assert!(after(100));
+        assert!(!after(256), "it may be the missing one");
+    }
+
+    #[test]
     fn sender_restart_is_followed_from_any_sequence_number() {
         for last in 0..=255u8 {
             let mut sequence = Sequence::default();
@@ -322,10 +348,12 @@ mod tests {
         let after = |step: u8| {
             let mut sequence = Sequence::default();
             let at = |k: u32| START + Duration::from_millis(2) * k;
-            for k in 0..1500u32 {
+            // The frame of the step was lost before, if it was sent at all.
+            let number = (1499u32 as u8).wrapping_add(step);
+            for k in (0..1500u32).filter(|k| *k < 1244 || *k as u8 != number) {
                 sequence.take(at(k), k as u8, &k.to_le_bytes(), true);
             }
-            sequence.take(at(1500), (1499u32 as u8).wrapping_add(step), b"after", true);
+            sequence.take(at(1500), number, b"after", true);
             sequence.is_unsettled(at(1501))
         };
         assert!(!after(1) && !after(8), "a few lost frames");
@@ -340,11 +368,12 @@ mod tests {
             let mut sequence = Sequence::default();
             let frames = 3 * per_s;
             let at = |k: u32| START + Duration::from_secs(1) * k / per_s;
-            for k in 0..frames {
+            // The frame of the step was lost before, if it was sent at all.
+            let number = ((frames - 1) as u8).wrapping_add(step);
+            for k in (0..frames).filter(|k| *k + 256 < frames || *k as u8 != number) {
                 sequence.take(at(k), k as u8, &k.to_le_bytes(), true);
             }
             let now = at(frames - 1) + Duration::from_millis(silent_ms);
-            let number = ((frames - 1) as u8).wrapping_add(step);
             sequence.take(now, number, b"after", true);
             sequence.is_unsettled(now)
         };

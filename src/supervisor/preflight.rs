@@ -52,7 +52,7 @@ impl Default for PreflightSettings {
             parameters: Vec::new(),
             needs_loss_reaction: true,
             link_loss_max: 0.05,
-            round_trip_max_s: 0.3,
+            round_trip_max_s: 0.2,
             start_distance_max_m: 20.0,
         }
     }

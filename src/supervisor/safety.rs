@@ -88,7 +88,8 @@ pub struct SafetySettings {
     /// Reaction to a jump of the estimate: the new position is held.
     pub on_jump: Reaction,
     /// Longest round trip of a TIMESYNC, s. While the state is fresh, only the path to the vehicle
-    /// can lengthen it, and setpoints take as long.
+    /// can lengthen it, and setpoints take as long. In simulation all control laws held a vehicle at
+    /// 0.2 s, and each lost it in some flights at 0.28 s.
     pub round_trip_max_s: f64,
     /// Time above that round trip, s.
     pub round_trip_for_s: f64,
@@ -136,7 +137,7 @@ impl Default for SafetySettings {
             stale_after_s: 0.5,
             on_stale: Reaction::Land,
             on_jump: Reaction::Hold,
-            round_trip_max_s: 0.3,
+            round_trip_max_s: 0.2,
             round_trip_for_s: 0.3,
             on_slow_link: Reaction::Land,
             tracking_error_max_m: 2.0,

@@ -158,14 +158,14 @@ impl Core {
             }
             Newness::Doubtful => {
                 self.counters.repeated += 1;
-                return on(doubtful_mode(now));
+                return self.doubt_mode(now, on);
             }
         }
         self.counters.arrival(frame.id());
         self.set_state(LinkState::Connected);
         if frame.id() == TIMESYNC_DATA::ID {
             if self.timesync(now, frame) {
-                on(doubtful_mode(now));
+                self.doubt_mode(now, on);
             }
             return;
         }
@@ -179,6 +179,14 @@ impl Core {
             Ok(None) => {}
             Err(refusal) => self.counters.refuse(frame.id(), refusal),
         }
+    }
+
+    /// The known mode may be outdated: nothing requested for it is repeated.
+    fn doubt_mode(&mut self, now: HostTime, on: &mut dyn FnMut(Delivery<'_>)) {
+        self.requests.withdraw();
+        self.collect_ended();
+        let message = Inbound::DoubtfulMode;
+        on(Delivery::Message(Received { host: now, vehicle: None, delay: None, message }));
     }
 
     /// Whether signing admits the frame; true where no key is set.
@@ -431,10 +439,4 @@ impl Core {
         .min()
         .unwrap_or(self.heartbeat_due)
     }
-}
-
-/// What reaches the telemetry when the known mode may be outdated.
-fn doubtful_mode(now: HostTime) -> Delivery<'static> {
-    let message = Inbound::DoubtfulMode;
-    Delivery::Message(Received { host: now, vehicle: None, delay: None, message })
 }

@@ -62,10 +62,19 @@ impl Novelty {
         let (number, is_unique) = (frame.sequence(), codec::is_stamped(frame.id()));
         let is_next = self.sequence.is_next(number);
         let place = match self.sequence.take(now, number, frame.bytes(), is_unique) {
-            Order::Copy => return Newness::Old,
+            Order::Copy => {
+                if reported_mode(frame).is_some() {
+                    self.mode_reports.copied(now, frame.bytes());
+                }
+                return Newness::Old;
+            }
             Order::New(place) | Order::Overtaken(place) => place,
         };
         self.mode_reports.frame_arrived(now);
+        let is_settled = !self.sequence.is_unsettled(now);
+        if !is_settled && reported_mode(frame).is_none() && self.mode_reports.unsettled() {
+            return Newness::Doubtful;
+        }
         let Some(newest) =
             unstamped_quantity(frame.id()).and_then(|index| self.newest_places.get_mut(index))
         else {
@@ -77,7 +86,6 @@ impl Novelty {
         if planted::is(Planted::OlderHeartbeat) {
             return Newness::New;
         }
-        let is_settled = !self.sequence.is_unsettled(now);
         match (reported_mode(frame), is_newer) {
             (None, true) => Newness::New,
             (None, false) => Newness::Old,
