@@ -27,6 +27,7 @@
 
 mod event;
 mod recursion;
+mod surprise;
 mod watch;
 
 use nalgebra::SVector;
@@ -39,6 +40,7 @@ use self::recursion::{
     DRAG, EAST, FRONT, Learned, NORTH, PARAMETERS, RIGHT, Recursion, Regressor, THRUST_BEND,
     THRUST_SHARE,
 };
+use self::surprise::Surprise;
 pub use self::watch::Distrust;
 use self::watch::Watch;
 use crate::clock::VehicleTime;
@@ -84,9 +86,7 @@ const PRIOR: [f64; PARAMETERS] = [0.3, 0.1, 0.3, 1.5, 1.5, 0.5, 0.5];
 const TRIM_PRIOR_RAD: f64 = 0.1;
 /// Error of the loop's model of the attitude, rad.
 const TRIM_NOISE_RAD: f64 = 0.01;
-/// Time over which unexplained attitude must agree to count as a change, s, and the threshold in
-/// standard deviations.
-const TRIM_SURPRISE_S: f64 = 0.1;
+/// Unexplained attitude that counts as a change, in standard deviations of its mean.
 const TRIM_SURPRISE_MIN: f64 = 5.0;
 /// An innovation of the velocity beyond this is a jump, not motion, m/s.
 const JUMP_M_S: f64 = 1.0;
@@ -386,12 +386,13 @@ fn regressor(moved: &Moved) -> Regressor {
 struct Trim {
     value: f64,
     variance: f64,
-    surprise: f64,
+    surprise: Surprise,
 }
 
 impl Default for Trim {
     fn default() -> Self {
-        Self { value: 0.0, variance: TRIM_PRIOR_RAD.powi(2), surprise: 0.0 }
+        let surprise = Surprise::default();
+        Self { value: 0.0, variance: TRIM_PRIOR_RAD.powi(2), surprise }
     }
 }
 
@@ -402,13 +403,11 @@ impl Trim {
         let grown = (self.variance * (dt / forgetting_s).exp()).min(prior);
         let total = grown + TRIM_NOISE_RAD.powi(2);
         let innovation = wrap_angle(unexplained - self.value);
-        let share = (dt / TRIM_SURPRISE_S).min(1.0);
-        self.surprise += share * (innovation / total.sqrt() - self.surprise);
         self.value = (self.value + grown / total * innovation).clamp(-bound, bound);
         self.variance = grown * (1.0 - grown / total);
-        let is_change = self.surprise.abs() > TRIM_SURPRISE_MIN * (share / (2.0 - share)).sqrt();
+        let is_change = self.surprise.is_change(innovation / total.sqrt(), dt, TRIM_SURPRISE_MIN);
         if is_change {
-            (self.variance, self.surprise) = (prior, 0.0);
+            self.variance = prior;
         }
         is_change
     }

@@ -3,6 +3,8 @@
 use nalgebra::{SMatrix, SVector};
 use vehicle::frame::Ned;
 
+use super::surprise::Surprise;
+
 /// Number of parameters of the specific force.
 pub(in crate::control) const PARAMETERS: usize = 7;
 /// Index of the relative excess of thrust over mass.
@@ -37,9 +39,7 @@ const NOISE_FIRST_M_S: f64 = 0.03;
 const NOISE_S: f64 = 5.0;
 /// Innovations beyond this many standard deviations do not count for the noise.
 const NOISE_CUT: f64 = 3.0;
-/// Time over which innovations must agree to indicate a change, s, and the threshold in standard
-/// deviations of their mean.
-const SURPRISE_S: f64 = 0.1;
+/// Innovations that count as a change, in standard deviations of their mean.
 const SURPRISE_MIN: f64 = 4.0;
 
 /// Estimates `theta` of `dv/dt = known + Phi theta` from velocities `z = v + noise`: least squares
@@ -59,8 +59,7 @@ pub(in crate::control) struct Recursion {
     theta: SVector<f64, PARAMETERS>,
     covariance: SMatrix<f64, STATES, STATES>,
     noise_variance: f64,
-    /// Filtered mean of the recent normalised innovations.
-    surprise: [f64; AXES],
+    surprise: [Surprise; AXES],
 }
 
 /// The outcome of one sample.
@@ -89,7 +88,7 @@ impl Recursion {
             theta: SVector::zeros(),
             covariance: SMatrix::zeros(),
             noise_variance: NOISE_FIRST_M_S.powi(2),
-            surprise: [0.0; AXES],
+            surprise: [Surprise::default(); AXES],
         };
         recursion.doubt(0..PARAMETERS);
         recursion
@@ -120,7 +119,7 @@ impl Recursion {
     /// Restarts at this velocity, where the step from the last one is unknown.
     pub fn restart(&mut self, velocity: Ned) {
         self.velocity = velocity.to_array().into();
-        self.surprise = [0.0; AXES];
+        self.surprise.iter_mut().for_each(Surprise::restart);
         for axis in 0..AXES {
             self.forget_velocity(axis);
         }
@@ -153,17 +152,13 @@ impl Recursion {
     pub fn learn(&mut self, regressor: &Regressor, known: Ned, measured: Ned, dt: f64) -> Learned {
         self.predict(regressor, known, dt);
         let before = self.theta;
-        let share = (dt / SURPRISE_S).min(1.0);
-        // Standard deviation of the mean of white innovations with these weights.
-        let unsurprised = (share / (2.0 - share)).sqrt();
         let mut learned = Learned::default();
         let mut is_surprised = [false; AXES];
         for (axis, seen) in measured.to_array().into_iter().enumerate() {
             let variance = self.covariance[(axis, axis)] + self.noise_variance;
             let innovation = seen - self.velocity[axis];
             let deviation = innovation / variance.sqrt();
-            self.surprise[axis] += share * (deviation - self.surprise[axis]);
-            is_surprised[axis] = self.surprise[axis].abs() > SURPRISE_MIN * unsurprised;
+            is_surprised[axis] = self.surprise[axis].is_change(deviation, dt, SURPRISE_MIN);
             if deviation.abs() < NOISE_CUT {
                 let noise = innovation * innovation - self.covariance[(axis, axis)];
                 let step = (dt / NOISE_S).min(1.0) * (noise - self.noise_variance);
@@ -194,7 +189,7 @@ impl Recursion {
         }
         learned.is_change = north || east || down;
         if learned.is_change {
-            self.surprise = [0.0; AXES];
+            self.surprise.iter_mut().for_each(Surprise::restart);
         }
         learned
     }
