@@ -184,7 +184,7 @@ impl OffboardController {
             // learned on the way there would count twice.
             let at_rest = || self.guidance.expected_at_rest();
             let expected = guided.expected.unwrap_or_else(at_rest);
-            let is_led = guided.expected.is_some();
+            let is_led = guided.is_led;
             self.controller.observe(sample.vehicle, &sample.state, &expected, is_led, thrust_gain);
         } else {
             self.controller.pause();

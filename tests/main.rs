@@ -69,6 +69,7 @@ mod onset;
 mod plan_absurd;
 mod plan_derivatives;
 mod plan_file;
+mod plan_in_wind;
 mod plan_keep_out;
 mod plan_manoeuvres;
 mod plan_search;

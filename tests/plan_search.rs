@@ -108,7 +108,8 @@ fn inputs_for_an_autopilot_loop_are_smooth() {
     // Root mean square of the second differences of the desired roll rate, rad/s.
     let [jumps, smooth] = [plain, cautious].map(|planner| {
         let desire = planner.desire(&trajectory).expect("desired states");
-        let outcome = planner.plan(&desire, rest(&desire.states[0]), None, &|_| false);
+        let start = planner.at_rest(&desire.states[0]);
+        let outcome = planner.plan(&desire, start, None, &|_| false);
         let bends = outcome.iterate.inputs.windows(3).map(|w| w[0][4] - 2.0 * w[1][4] + w[2][4]);
         let (sum, count) = bends.fold((0.0, 0.0), |(sum, n), bend| (sum + bend * bend, n + 1.0));
         f64::sqrt(sum / count)
@@ -242,5 +243,30 @@ fn longer_search_is_never_worse() {
         assert!(outcome.records.len() <= subproblems_max);
         assert!(outcome.cost <= last + 1e-12, "{} after {last}", outcome.cost);
         last = outcome.cost;
+    }
+}
+
+#[test]
+fn plan_starts_in_the_hover_of_its_model() {
+    let mut parameters = PhysicsParameters::default();
+    for effect in [
+        "rotor_drag:d_xy=0.012,d_z=0.006",
+        "wind:north_m_s=2,east_m_s=-1.5",
+        "com_offset:x_m=0.003,y_m=-0.002",
+    ] {
+        parameters.effects.insert_argument(effect).expect("an effect");
+    }
+    let model = PhysicsModel::new(&vehicle(), &parameters).expect("a model");
+    let planner = planner(Arc::new(model), &PlanSettings::default());
+    let desire = planner.desire(&turning()).expect("desired states");
+    let start = planner.at_rest(&desire.states[0]);
+    let outcome = planner.plan(&desire, start, None, &|_| false);
+    assert_eq!(outcome.status, Status::Converged);
+    let hover_n = planner.hover_thrust_n();
+    let Iterate { states, inputs } = &outcome.iterate;
+    for ((state, desired), input) in states.iter().zip(&desire.states).zip(inputs).take(20) {
+        let off = (0..3).map(|i| (state[i] - desired[i]).powi(2)).sum::<f64>().sqrt();
+        assert!(off < 2e-3, "{off} m at {state:?}");
+        assert!((input[0] / hover_n - 1.0).abs() < 0.1, "{input:?}");
     }
 }

@@ -22,6 +22,8 @@ OWN_FLIGHT_S = 60
 PLANNING = {"plan.time_limit_s": 600.0, "plan.subproblems_max": 12}
 REGULARIZATION = 1e-5
 FLYING: dict[str, Any] = {"control.adaptive": True}
+# A payload beside the middle leaves the paper's feedback too far from where it should be.
+COLLECTING = '[offboard.offset_free]\nobserver = "on"\n'
 UNPLANNED: dict[str, Any] = {"offboard.offset_free.feed_forward": "on"}
 
 
@@ -83,13 +85,15 @@ def model_free(drawn: Drawn, mission: str, seed: int, folder: Path) -> dict[str,
 def _own_flight(drawn: Drawn, seed: int, folder: Path) -> list[Path]:
     """Logs of one minute of the programme that `downwash collect` flies."""
     vehicle, effects = folder / "vehicle.json", folder / "effects.toml"
+    config = folder / "collect.toml"
+    config.write_text(COLLECTING)
     drawn.vehicle().save(vehicle)
     lines = []
     for name, values in drawn.effects.items():
         lines += [f"[{name}]", *(f"{key} = {value}" for key, value in values.items())]
     effects.write_text("\n".join(lines) + "\n")
     command = [sys.executable, "-m", "downwash", "collect", "--out", str(folder / "own")]
-    command += ["--vehicle", str(vehicle), "--effects", str(effects)]
+    command += ["--vehicle", str(vehicle), "--effects", str(effects), "--config", str(config)]
     command += ["--seconds", str(OWN_FLIGHT_S), "--seed", str(seed), "--jobs", "1"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     logs = sorted((folder / "own").glob("*.mcap"))

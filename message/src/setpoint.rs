@@ -71,6 +71,11 @@ pub struct Expected {
 }
 
 impl Expected {
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        self.acceleration.is_finite() && self.attitude.iter().all(|angle| angle.is_finite())
+    }
+
     /// The difference of this and `other`.
     pub fn beyond(&self, other: &Self) -> Self {
         Self {

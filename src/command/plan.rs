@@ -194,10 +194,7 @@ fn plan_within(
 ) -> anyhow::Result<Plan> {
     let (planner, answer) = planner(vehicle, plan_model, config)?;
     let desire = planner.desire(trajectory).or_exit(Exit::Usage)?;
-    let mut start = desire.states[0];
-    // The vehicle begins at rest, where the desired trajectory does.
-    start[3..8].fill(0.0);
-    start[9..].fill(0.0);
+    let start = planner.at_rest(&desire.states[0]);
     let (outcome, tube) = match tube {
         Some(tube) => tube.plan(&planner, &desire, start, watch)?,
         None => (planner.plan(&desire, start, None, watch), None),

@@ -29,7 +29,7 @@ pub struct Controller {
     /// Whether a model leads.
     is_led: bool,
     /// The expectation passed last.
-    expected: Expected,
+    expected: Option<Expected>,
     /// Factor on the law's feedback.
     feedback_scale: f64,
 }
@@ -48,7 +48,7 @@ impl Controller {
             sent: None,
             way_back: None,
             is_led: false,
-            expected: Expected::default(),
+            expected: None,
             feedback_scale: 1.0,
         }
     }
@@ -86,7 +86,7 @@ impl Controller {
     pub fn reset(&mut self) {
         self.law.reset();
         (self.sent, self.last_call_s, self.way_back) = (None, None, None);
-        (self.is_led, self.expected) = (false, Expected::default());
+        (self.is_led, self.expected) = (false, None);
         if let Some(observer) = &mut self.observer {
             observer.reset();
         }
@@ -138,8 +138,9 @@ impl Controller {
     ) {
         let Some(observer) = &mut self.observer else { return };
         let was_led = std::mem::replace(&mut self.is_led, is_led);
-        let before = std::mem::replace(&mut self.expected, *expected);
-        if is_led != was_led {
+        let before = self.expected.replace(*expected);
+        // While no model leads, it is the expectation that changes, not the vehicle.
+        if let Some(before) = before.filter(|_| !(is_led && was_led)) {
             observer.expect_anew(&expected.beyond(&before));
         }
         match &self.sent {
@@ -207,7 +208,9 @@ impl Controller {
         yaw: f64,
     ) -> Reference {
         let Some(observer) = &mut self.observer else { return *reference };
-        if observer.take_change() {
+        // A way back under way is kept. Where change follows change, a new one each time would
+        // lead from wherever the vehicle has drifted.
+        if observer.take_change() && self.way_back.is_none() {
             let filtered = observer.filtered(state);
             self.way_back = WayBack::from(time_s, &filtered, reference);
         }

@@ -1,10 +1,10 @@
 //! Fit of the physics' parameters to rows: scale of thrust, drag, inertia, centre of mass, trim,
-//! flapping and damping.
+//! flapping, damping and wind.
 
 use nalgebra::DVector;
 use vehicle::effects::{
     AttitudeTrim, BladeFlapping, ComOffset, Effect, EffectSet, Inertia, RotorDrag, Slots,
-    ThrustScale,
+    ThrustScale, Wind,
 };
 use vehicle::{VehicleError, VehicleParams};
 
@@ -18,10 +18,15 @@ const FIT_ROWS: usize = 8_000;
 /// Most rows in a fit that continues another.
 const CONTINUED_ROWS: usize = 2_000;
 /// Number of fitted parameters.
-pub(super) const PARAMETERS: usize = 14;
+pub(super) const PARAMETERS: usize = 16;
+/// Least drag over mass at which a search starts, 1/s: without drag a wind has no force, and the
+/// search would never find one.
+const DRAG_START_PER_S: f64 = 0.02;
+/// Strongest wind, m/s.
+const WIND_MAX_M_S: f64 = 30.0;
 
-/// Fits the physics: scale of thrust, drag, inertia, centre of mass, trim, damping and flapping,
-/// each with a weak prior at the vehicle file's value, by Levenberg-Marquardt on the rows' labels,
+/// Fits the physics: scale of thrust, drag, inertia, centre of mass, trim, damping, flapping and a
+/// steady wind that all rows share, each with a weak prior at the vehicle file's value, by Levenberg-Marquardt on the rows' labels,
 /// with each acceleration weighted by its standard deviation.
 ///
 /// The vehicle does not allow the physics.
@@ -72,6 +77,8 @@ fn search(
         Ok(DVector::from_vec(out))
     };
 
+    let mut from = from;
+    from.0[1] = from.0[1].max(DRAG_START_PER_S * vehicle.mass);
     let fitted = least_squares(from.0, &prior, |numbers| {
         let mut bounded = Parameters(*numbers);
         bounded.bound(vehicle);
@@ -91,8 +98,8 @@ fn weights(rows: &[&Row]) -> [f64; ACCELERATIONS] {
 }
 
 /// The fitted parameters: scale of thrust; d_xy, d_z; scales of inertia; offset of the centre of
-/// mass; roll and pitch of the trim; damping per axis; flapping moment. Yaw torque is not separate:
-/// the inertia about z accounts for it.
+/// mass; roll and pitch of the trim; damping per axis; flapping moment; wind north and east. Yaw
+/// torque is not separate: the inertia about z accounts for it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Parameters(pub [f64; PARAMETERS]);
 
@@ -113,6 +120,9 @@ impl Parameters {
             [p[8], p[9]] = [trim.roll, trim.pitch];
         }
         p[13] = effects.get::<BladeFlapping>().map_or(0.0, |e| e.moment_nms_m);
+        if let Some(Wind { velocity }) = effects.get() {
+            [p[14], p[15]] = [velocity.north(), velocity.east()];
+        }
         Self(p)
     }
 
@@ -135,7 +145,8 @@ impl Parameters {
         // One standard deviation has the moment of a drag of one mass per second at a fifth of an
         // arm.
         let flapping = offset * drag;
-        [0.3, drag, drag, 0.5, 0.5, 0.5, offset, offset, 0.05, 0.05, x, y, z, flapping]
+        let wind = 2.0;
+        [0.3, drag, drag, 0.5, 0.5, 0.5, offset, offset, 0.05, 0.05, x, y, z, flapping, wind, wind]
     }
 
     /// Clamps the parameters to physical values.
@@ -151,6 +162,9 @@ impl Parameters {
         for trim in &mut p[8..10] {
             *trim = trim.clamp(-0.3, 0.3);
         }
+        for wind in &mut p[14..16] {
+            *wind = wind.clamp(-WIND_MAX_M_S, WIND_MAX_M_S);
+        }
         for (damping, shipped) in
             p[10..13].iter_mut().zip(vehicle.angular_damping_nms.unwrap_or_default())
         {
@@ -159,11 +173,14 @@ impl Parameters {
     }
 
     pub(super) fn physics(&self, vehicle: &VehicleParams) -> PhysicsParameters {
-        let [scale, d_xy, d_z, ix, iy, iz, x, y, roll, pitch, kx, ky, kz, flapping] = self.0;
+        let [scale, d_xy, d_z, ix, iy, iz, x, y, roll, pitch, kx, ky, kz, flapping, north, east] =
+            self.0;
         let shipped = vehicle.modelled_effects.get::<BladeFlapping>();
         let flap_tilt = shipped.map_or(0.0, |e| e.tilt_rad_s_m);
         let trim = vehicle.modelled_effects.get::<AttitudeTrim>();
         let yaw = trim.map_or(0.0, |AttitudeTrim { trim }| trim.yaw);
+        let wind = vehicle.modelled_effects.get::<Wind>();
+        let down = wind.map_or(0.0, |Wind { velocity }| velocity.down());
         let mut effects = EffectSet::new();
         for (id, numbers) in [
             (ThrustScale::ID, [scale, 0.0, 0.0]),
@@ -172,6 +189,7 @@ impl Parameters {
             (ComOffset::ID, [x, y, 0.0]),
             (BladeFlapping::ID, [flapping, flap_tilt, 0.0]),
             (AttitudeTrim::ID, [roll, pitch, yaw]),
+            (Wind::ID, [north, east, down]),
         ] {
             let mut slots = Slots::default();
             slots[..3].copy_from_slice(&numbers);
@@ -179,5 +197,61 @@ impl Parameters {
             let _ = effects.insert(id, slots);
         }
         PhysicsParameters { effects, angular_damping_nms: [kx, ky, kz] }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use vehicle::frame::{Euler, Frd, Ned};
+
+    use super::*;
+    use crate::model::Point;
+
+    /// Rows of a vehicle with these effects that moves and turns in every direction.
+    fn rows(vehicle: &VehicleParams, effects: &[&str]) -> Vec<Row> {
+        let mut physics = PhysicsParameters::default();
+        for effect in effects {
+            physics.effects.insert_argument(effect).expect("an effect");
+        }
+        let model = PhysicsModel::new(vehicle, &physics).expect("physics");
+        let hover_n = vehicle.mass * vehicle.gravity;
+        let row = |k: u32| {
+            let t = 0.05 * f64::from(k);
+            let wave = |hz: f64| (std::f64::consts::TAU * hz * t).sin();
+            let point = Point {
+                velocity: Ned::new(1.2 * wave(0.21), wave(0.33), 0.4 * wave(0.17)),
+                body_rate: Frd::new(wave(0.9), wave(0.7), 0.3 * wave(0.5)),
+                attitude: Euler::new(0.2 * wave(0.41), 0.2 * wave(0.37), 3.0 * wave(0.07)),
+                input: [hover_n * (1.0 + 0.1 * wave(0.27)), 0.0, 0.0, 0.0],
+            };
+            Row { time: t, point, label: model.accelerations(&point), truth: None }
+        };
+        (0..800).map(row).collect()
+    }
+
+    fn fitted(effects: &[&str]) -> (RotorDrag, Wind) {
+        let text = include_str!("../../config/vehicles/crazyflie.toml");
+        let vehicle = VehicleParams::from_toml_str(text).expect("a vehicle");
+        let rows = rows(&vehicle, effects);
+        let physics = fit(&rows.iter().collect::<Vec<_>>(), &vehicle).expect("a fit");
+        (physics.effects.get().expect("a drag"), physics.effects.get().expect("a wind"))
+    }
+
+    #[test]
+    fn wind_is_told_from_drag() {
+        let (drag, wind) =
+            fitted(&["rotor_drag:d_xy=0.012,d_z=0.006", "wind:north_m_s=2,east_m_s=-1.5"]);
+        assert!((drag.d_xy / 0.012 - 1.0).abs() < 0.02, "{drag:?}");
+        let error = wind.velocity - Ned::new(2.0, -1.5, 0.0);
+        assert!(error.norm() < 0.05, "{wind:?}");
+    }
+
+    #[test]
+    fn still_air_has_no_wind() {
+        let (drag, wind) = fitted(&["rotor_drag:d_xy=0.012,d_z=0.006"]);
+        assert!((drag.d_xy / 0.012 - 1.0).abs() < 0.02 && wind.velocity.norm() < 0.02, "{wind:?}");
+        let (drag, wind) = fitted(&[]);
+        let force_n = drag.d_xy * wind.velocity.norm();
+        assert!(drag.d_xy < 2e-4 && force_n < 2e-4, "{drag:?} {wind:?}");
     }
 }

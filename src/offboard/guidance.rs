@@ -13,7 +13,7 @@ use self::stop::Stop;
 use super::goal::GoalOffset;
 use crate::clock::VehicleTime;
 use crate::control::HoverVehicle;
-use crate::plan::desire::Weight;
+use crate::plan::desire::{Push, Weight};
 use crate::plan::reference::ReferenceSource;
 use crate::plan::trajectory::DesiredPoint;
 use crate::setpoint::{Expected, Reference, Setpoint};
@@ -32,8 +32,10 @@ pub(super) struct Guided {
     pub feedback: bool,
     /// Whether the vehicle is off the ground, where only its setpoints move it.
     pub aloft: bool,
-    /// What the reference's model expects, while a trajectory leads.
+    /// What the reference's model expects; what it expects at rest, if `None`.
     pub expected: Option<Expected>,
+    /// Whether that model's own trajectory leads.
+    pub is_led: bool,
     /// Seconds into the trajectory, while it is tracked.
     pub trajectory_time: Option<f64>,
     /// The trigger that completes the state, once its condition holds.
@@ -56,8 +58,8 @@ pub const TRAJECTORY_DONE: &str = "the trajectory is done";
 
 /// Depth below the take-off point that counts as estimator noise, m.
 const FLOOR_NOISE_M: f64 = 0.05;
-/// Largest tilt of a stop, rad; its deceleration needs less.
-const STOPPING_TILT_RAD: f64 = 0.5;
+/// Largest tilt of a stop or an approach, rad; a stop's deceleration needs less.
+const TILT_MAX_RAD: f64 = 0.5;
 /// Thrust beyond hover thrust, as a share of it, at which the vehicle counts as off the ground.
 const LIFTING_EXCESS: f64 = 0.1;
 /// Number of steps at which a trajectory's extent is sampled.
@@ -81,6 +83,8 @@ pub(super) struct Guidance {
     trajectory: Box<dyn ReferenceSource + Send>,
     /// The trajectory's start, as it last was a number: a planner may fail before the take-off.
     start: Reference,
+    /// What its model expects there.
+    expected_at_start: Option<Expected>,
     /// The anchor of the present flight.
     anchor: Option<Ned>,
     /// Where the vehicle was last seen on the ground.
@@ -113,12 +117,14 @@ impl Guidance {
         let weight_n = vehicle.hover_thrust_n();
         let hover_thrust_n = trajectory.start_thrust_n().clamp(0.75 * weight_n, 1.25 * weight_n);
         let start = trajectory.sample(0.0);
+        let expected_at_start = trajectory.expected(0.0);
         Self {
             settings,
             vehicle,
             hover_thrust_n,
             trajectory,
             start,
+            expected_at_start,
             anchor: None,
             ground: None,
             lowest_down: 0.0,
@@ -181,8 +187,19 @@ impl Guidance {
 
     /// The expectation at rest: hover thrust beyond weight, as an acceleration.
     pub fn expected_at_rest(&self) -> Expected {
+        self.expected_in_part(0.0)
+    }
+
+    /// The expectation at rest with a share of the wind, the trims and the moments that the
+    /// trajectory's model expects at its start.
+    fn expected_in_part(&self, share: f64) -> Expected {
+        let start = self.expected_at_start.unwrap_or_default();
+        let [north, east, _] = start.acceleration.to_array();
         let more = (self.hover_thrust_n - self.vehicle.hover_thrust_n()) / self.vehicle.mass_kg;
-        Expected { acceleration: Ned::new(0.0, 0.0, more), ..Expected::default() }
+        Expected {
+            acceleration: Ned::new(share * north, share * east, more),
+            attitude: start.attitude.map(|angle| share * angle),
+        }
     }
 
     /// Where the vehicle was last seen on the ground.
@@ -294,6 +311,8 @@ impl Guidance {
         let start = self.trajectory.sample(0.0);
         if start.position.is_finite() && start.attitude.yaw.is_finite() {
             self.start = start;
+            self.expected_at_start =
+                self.trajectory.expected(0.0).filter(|expected| expected.is_finite());
         }
         self.start
     }
@@ -316,7 +335,7 @@ impl Guidance {
         let mut point = held.at(now);
         point.position += self.goal.at() - self.held_at;
         point.velocity += self.goal.velocity();
-        self.carried(&point)
+        self.carried(&point, Push::default())
     }
 
     fn keep(&mut self, stop: Stop) -> Stop {
@@ -337,7 +356,7 @@ impl Guidance {
             return self.idle(s.idle_thrust + (s.spool_thrust - s.idle_thrust) * spooled, here);
         }
         let climbing = t - s.spool_s;
-        let mut reference = self.along(climbing);
+        let mut reference = self.along(climbing, &self.expected_at_rest());
         let floor = self.segment.from().down().max(self.lowest_down - FLOOR_NOISE_M);
         let height = floor - here.position.down();
         let risen = (height / s.feedback_height_m).clamp(0.0, 1.0);
@@ -367,7 +386,8 @@ impl Guidance {
 
     fn approach(&mut self, t: f64, sample: &Sample) -> Guided {
         let s = self.settings;
-        let reference = self.along(t);
+        let expected = self.expected_in_part(self.segment.share(t));
+        let reference = self.along(t, &expected);
         let over = t - self.segment.duration_s();
         let still = over >= 0.0 && sample.state.velocity.norm() < s.settle_speed_m_s;
         let near = (sample.state.position - reference.position).norm() < s.settle_radius_m;
@@ -381,6 +401,7 @@ impl Guidance {
             .is_some_and(|since| sample.vehicle.seconds_since(since) >= s.settle_s);
         let why = if near { "at the start" } else { "at rest beside the start" };
         Guided {
+            expected: Some(expected),
             reached: settled.then_some((Trigger::StartReached, why)),
             ..Guided::fly(reference)
         }
@@ -393,10 +414,12 @@ impl Guidance {
         reference.position += anchor;
         reference.velocity += self.goal.velocity();
         let over = t >= self.trajectory.duration();
+        let expected = self.trajectory.expected(t);
         Guided {
             desired: self.trajectory.desired(t) + anchor,
             tube_radius_m: self.trajectory.tube_radius_m(t),
-            expected: self.trajectory.expected(t),
+            expected,
+            is_led: expected.is_some(),
             trajectory_time: Some(t),
             reached: over.then_some((Trigger::TrajectoryDone, TRAJECTORY_DONE)),
             ..Guided::fly(reference)
@@ -407,12 +430,23 @@ impl Guidance {
         Speeds { speed_m_s, yaw_rate_rad_s: self.settings.approach_yaw_rate_rad_s }
     }
 
-    fn along(&self, t: f64) -> Reference {
+    /// The reference along the segment, with the tilt and the attitude setpoint that hold against
+    /// what is expected.
+    fn along(&self, t: f64, expected: &Expected) -> Reference {
         let at = self.segment.at(t);
-        let mut reference = self.level(at.position, at.yaw);
-        reference.velocity = at.velocity;
-        reference.body_rate = Frd::new(0.0, 0.0, at.yaw_rate);
-        reference.feedforward.body_rate = reference.body_rate;
+        let [north, east, _] = expected.acceleration.to_array();
+        let point = DesiredPoint {
+            position: at.position,
+            velocity: at.velocity,
+            acceleration: Ned::zero(),
+            yaw: at.yaw,
+            yaw_rate: at.yaw_rate,
+        };
+        let push = Push { world: [north, east], ..Push::default() };
+        let mut reference = self.carried(&point, push);
+        let [roll, pitch, yaw] = expected.attitude;
+        let setpoint = &mut reference.feedforward.attitude;
+        *setpoint = Euler::new(setpoint.roll - roll, setpoint.pitch - pitch, setpoint.yaw - yaw);
         reference
     }
 
@@ -434,10 +468,11 @@ impl Guidance {
         }
     }
 
-    /// The reference at a point, with the tilt and the thrust that produce its acceleration.
-    fn carried(&self, point: &DesiredPoint) -> Reference {
+    /// The reference at a point, with the tilt and the thrust that produce its acceleration against
+    /// a push.
+    fn carried(&self, point: &DesiredPoint, push: Push) -> Reference {
         let HoverVehicle { mass_kg, gravity, .. } = self.vehicle;
-        let weight = Weight { mass_kg, gravity, tilt_max_rad: STOPPING_TILT_RAD };
+        let weight = Weight { mass_kg, gravity, push, tilt_max_rad: TILT_MAX_RAD };
         let (thrust_n, attitude) = weight.carry(point);
         let thrust_n = thrust_n / self.vehicle.hover_thrust_n() * self.hover_thrust_n;
         let body_rate = Frd::new(0.0, 0.0, point.yaw_rate);
@@ -466,6 +501,7 @@ impl Guided {
             feedback: true,
             aloft: true,
             expected: None,
+            is_led: false,
             trajectory_time: None,
             reached: None,
         }

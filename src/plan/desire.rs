@@ -1,12 +1,17 @@
-//! The desired states of a trajectory: those of a vehicle without drag that follows it.
+//! The desired states of a trajectory: those of a vehicle that follows it without drag by its own
+//! motion.
+
+use std::f64::consts::PI;
 
 use vehicle::frame::{Euler, Heading, Ned};
 
 use super::planned::CommandedInput;
 use super::problem::{ANGLE, RATE, StateVector, YAW};
 use super::trajectory::{DesiredPoint, Trajectory};
+use crate::model::{Model, Point};
 
-/// Desired states, and the inputs that hold them without drag.
+/// Desired states, and the inputs that hold them without drag, apart from the moments of
+/// [`Push::turn`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Desire {
     /// `s_d,0 .. s_d,N`.
@@ -15,22 +20,55 @@ pub struct Desire {
     pub inputs: Vec<CommandedInput>,
 }
 
-/// The vehicle's weight, and its tilt limit.
+/// What thrust must carry at rest, and the tilt limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weight {
     /// kg
     pub mass_kg: f64,
     /// m/s^2
     pub gravity: f64,
+    /// The horizontal acceleration at rest.
+    pub push: Push,
     /// Largest angle of the thrust axis to the vertical, rad.
     pub tilt_max_rad: f64,
+}
+
+/// The acceleration of a level vehicle at rest, and the turn: a wind pushes it in the world, a trim
+/// of its attitude in axes that turn with its yaw, and a centre of mass beside the middle turns it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Push {
+    /// North and east, m/s^2.
+    pub world: [f64; 2],
+    /// Front and right, m/s^2.
+    pub heading: [f64; 2],
+    /// Angular acceleration, rad/s^2.
+    pub turn: [f64; 3],
+}
+
+impl Push {
+    /// What a model predicts under the thrust `hover_n`. The accelerations in the world and in the
+    /// heading are the mean and half the difference of two opposite headings, which is exact for a
+    /// wind and a trim.
+    pub fn of(model: &dyn Model, hover_n: f64) -> Self {
+        let [one, other] = [0.0, PI].map(|yaw| {
+            let attitude = Euler::new(0.0, 0.0, yaw);
+            let input = [hover_n, 0.0, 0.0, 0.0];
+            model.accelerations(&Point { attitude, input, ..Point::default() })
+        });
+        let mean = |i: usize| 0.5 * (one[i] + other[i]);
+        Self {
+            world: [mean(0), mean(1)],
+            heading: [0.5 * (one[0] - other[0]), 0.5 * (one[1] - other[1])],
+            turn: [mean(3), mean(4), mean(5)],
+        }
+    }
 }
 
 impl Desire {
     /// Samples the trajectory every `period_s` from `from_s` on, for `periods` periods.
     ///
-    /// A quadrotor is differentially flat: thrust carries the weight and produces the acceleration,
-    /// `(u1/m) R e3 = g e3 - a`, which with the yaw determines the attitude (Mellinger and Kumar
+    /// A quadrotor is differentially flat: thrust carries the weight and the push and produces the
+    /// acceleration, `(u1/m) R e3 = g e3 + push - a`, which with the yaw determines the attitude (Mellinger and Kumar
     /// 2011). The body rates lead from one attitude to the next.
     pub fn new(
         trajectory: &Trajectory,
@@ -86,8 +124,10 @@ impl Desire {
 impl Weight {
     /// Thrust (N) and attitude that produce a point's acceleration.
     pub(crate) fn carry(&self, point: &DesiredPoint) -> (f64, Euler<f64>) {
-        let carried = Ned::new(0.0, 0.0, self.gravity) - point.acceleration;
+        let Push { world: [north, east], heading, .. } = self.push;
+        let carried = Ned::new(north, east, self.gravity) - point.acceleration;
         let [ahead, right, down] = Heading::new(point.yaw).to_level(carried);
+        let (ahead, right) = (ahead + heading[0], right + heading[1]);
         // Beyond the largest tilt, the direction is kept and the tilt cut.
         let across = ahead.hypot(right);
         let most = self.tilt_max_rad.tan() * down.max(0.1 * self.gravity);
@@ -97,5 +137,42 @@ impl Weight {
         let roll = (-right / length).clamp(-1.0, 1.0).asin();
         let pitch = ahead.atan2(down);
         (self.mass_kg * length, Euler::new(roll, pitch, point.yaw))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use vehicle::VehicleParams;
+    use vehicle::effects::EffectSet;
+
+    use super::*;
+    use crate::model::physics::{PhysicsModel, PhysicsParameters};
+
+    #[test]
+    fn desired_attitude_holds_against_wind_and_trim_at_every_heading() {
+        let text = include_str!("../../config/vehicles/crazyflie.toml");
+        let vehicle = VehicleParams::from_toml_str(text).expect("a vehicle");
+        let mut effects = EffectSet::new();
+        for effect in [
+            "rotor_drag:d_xy=0.012,d_z=0.008",
+            "wind:north_m_s=2,east_m_s=-1",
+            "attitude_trim:roll_rad=0.02,pitch_rad=-0.03",
+        ] {
+            effects.insert_argument(effect).expect("an effect");
+        }
+        let physics = PhysicsParameters { effects, ..PhysicsParameters::default() };
+        let model = PhysicsModel::new(&vehicle, &physics).expect("physics");
+        let (mass_kg, gravity) = (vehicle.mass, vehicle.gravity);
+        let push = Push::of(&model, mass_kg * gravity);
+        let [north, east] = push.world;
+        assert!(north > 0.5 && east < -0.2 && push.heading[0].abs() > 0.2, "{push:?}");
+        let weight = Weight { mass_kg, gravity, push, tilt_max_rad: 0.5 };
+        for yaw in [-2.0, 0.0, 0.7, 2.9] {
+            let (thrust_n, attitude) = weight.carry(&DesiredPoint { yaw, ..Default::default() });
+            let input = [thrust_n, 0.0, 0.0, 0.0];
+            let [north, east, ..] =
+                model.accelerations(&Point { attitude, input, ..Point::default() });
+            assert!(north.hypot(east) < 0.05, "{north} {east} at {yaw}");
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 
-use super::desire::Weight;
+use super::desire::{Push, Weight};
 use super::reference::{FeedForward, ReferenceSource};
 use super::trajectory::{DesiredPoint, Trajectory};
 use crate::setpoint::{Expected, Reference, Setpoint};
@@ -34,7 +34,7 @@ impl FlatReference {
             attitude_delay_s,
             thrust_delay_s,
         } = *feed_forward;
-        let weight = Weight { mass_kg, gravity, tilt_max_rad };
+        let weight = Weight { mass_kg, gravity, push: Push::default(), tilt_max_rad };
         Self { trajectory, weight, drag_kg_s, attitude_delay_s, thrust_delay_s }
     }
 

@@ -5,18 +5,18 @@ mod settings;
 use std::sync::Arc;
 
 use vehicle::AttitudePd;
-use vehicle::frame::Ned;
+use vehicle::frame::{Euler, Ned};
 
 pub use self::settings::{KeepOutSetting, PlanSettings, RecedingSettings, SolverChoice};
 
 use super::conic::Conic;
-use super::desire::{Desire, Weight};
+use super::desire::{Desire, Push, Weight};
 use super::detour::bend;
 use super::discretisation::CommandedDynamics;
 use super::interior_point::InteriorPoint;
 use super::iterate::Iterate;
 use super::keep_out::KeepOut;
-use super::planned::PlannedBody;
+use super::planned::{CommandedInput, PlannedBody};
 use super::problem::{
     InputBounds, InputPreference, Problem, STATES, StateLimits, StateVector, YAW,
 };
@@ -232,7 +232,9 @@ impl Planner {
         from_s: f64,
         periods: usize,
     ) -> Result<Desire, PlannerError> {
-        let desire = Desire::new(trajectory, from_s, self.period_s(), periods, &self.weight());
+        let weight = self.weight();
+        let mut desire = Desire::new(trajectory, from_s, self.period_s(), periods, &weight);
+        self.hold(&mut desire.inputs, &weight.push);
         let bad = desire.states.iter().position(|state| !state.iter().all(|v| v.is_finite()));
         match bad {
             None => Ok(desire),
@@ -243,12 +245,33 @@ impl Planner {
         }
     }
 
+    /// Shifts the attitude setpoints so that the on-board loop's moments hold the turn at rest.
+    fn hold(&self, inputs: &mut [CommandedInput], push: &Push) {
+        let (inertia, kp) = (self.vehicle.body.inertia, self.vehicle.attitude_pd.kp);
+        for input in inputs {
+            for i in 0..3 {
+                input[1 + i] -= inertia[i] * push.turn[i] / kp[i];
+            }
+        }
+    }
+
     fn weight(&self) -> Weight {
         Weight {
             mass_kg: self.vehicle.body.mass_kg,
             gravity: self.vehicle.body.gravity,
+            push: Push::of(self.model(), self.hover_thrust_n()),
             tilt_max_rad: self.vehicle.limits.tilt_max_rad,
         }
+    }
+
+    /// The state of a vehicle that rests at the place and the heading of `state`.
+    pub fn at_rest(&self, state: &StateVector) -> StateVector {
+        let [north, east, down, .., yaw, _, _, _] = *state;
+        let position = Ned::new(north, east, down);
+        let (_, attitude) =
+            self.weight().carry(&DesiredPoint { position, yaw, ..Default::default() });
+        let Euler { roll, pitch, .. } = attitude;
+        [north, east, down, 0.0, 0.0, 0.0, roll, pitch, yaw, 0.0, 0.0, 0.0]
     }
 
     /// The start of a search: the desired states and inputs, or, where these cross a region to
@@ -274,7 +297,9 @@ impl Planner {
                 yaw_rate: 0.0, // follows from yaw
             }
         });
-        let Desire { states, inputs } = Desire::along(points, period_s, &self.weight());
+        let weight = self.weight();
+        let Desire { states, mut inputs } = Desire::along(points, period_s, &weight);
+        self.hold(&mut inputs, &weight.push);
         Iterate { states, inputs }
     }
 

@@ -64,10 +64,19 @@ impl Segment {
         self.to - self.from.position
     }
 
+    /// The share of the path behind it `t` seconds after the start.
+    pub fn share(&self, t: f64) -> f64 {
+        let x = self.passed(t);
+        x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
+    }
+
+    fn passed(&self, t: f64) -> f64 {
+        (t / self.duration_s).clamp(0.0, 1.0)
+    }
+
     /// The motion `t` seconds after the start; at rest from the end on.
     pub fn at(&self, t: f64) -> Motion {
-        let x = (t / self.duration_s).clamp(0.0, 1.0);
-        let value = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x);
+        let (x, value) = (self.passed(t), self.share(t));
         let slope = 30.0 * (x * (1.0 - x)).powi(2) / self.duration_s;
         Motion {
             position: self.from.position + self.step() * value,
