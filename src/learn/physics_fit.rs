@@ -22,6 +22,8 @@ pub(super) const PARAMETERS: usize = 16;
 /// Least drag over mass at which a search starts, 1/s: without drag a wind has no force, and the
 /// search would never find one.
 const DRAG_START_PER_S: f64 = 0.02;
+/// Indices of the wind's parameters.
+pub(super) const WIND: std::ops::Range<usize> = 14..16;
 /// Strongest wind, m/s.
 const WIND_MAX_M_S: f64 = 30.0;
 
@@ -162,7 +164,7 @@ impl Parameters {
         for trim in &mut p[8..10] {
             *trim = trim.clamp(-0.3, 0.3);
         }
-        for wind in &mut p[14..16] {
+        for wind in &mut p[WIND] {
             *wind = wind.clamp(-WIND_MAX_M_S, WIND_MAX_M_S);
         }
         for (damping, shipped) in

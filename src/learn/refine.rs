@@ -16,7 +16,7 @@ use super::commands::Onboard;
 use super::dataset::ObservedFlight;
 use super::evaluation::window_starts;
 use super::least_squares::{huber, least_squares};
-use super::physics_fit::{PARAMETERS, Parameters};
+use super::physics_fit::{PARAMETERS, Parameters, WIND};
 use super::prediction::{Baseline, RecordedInputs};
 use crate::model::Model;
 use crate::model::actuation::Actuation;
@@ -137,8 +137,14 @@ pub fn open_loop(
     scale[PARAMETERS..].copy_from_slice(&[40.0, 20.0, 20.0]);
 
     let trust = loops.trust().sqrt();
+    // The few windows do not tell a wind from a trim: the wind stays as it was fitted to all rows.
+    let unpacked = |numbers: &[f64; NUMBERS]| {
+        let mut numbers = *numbers;
+        numbers[WIND].copy_from_slice(&start.0[WIND]);
+        unpack(&numbers, actuation, vehicle)
+    };
     let residuals = |numbers: &[f64; NUMBERS]| {
-        let (bounded, actuation, parameters) = unpack(numbers, actuation, vehicle);
+        let (bounded, actuation, parameters) = unpacked(numbers);
         let physics = parameters.physics(vehicle);
         let Ok(model) = PhysicsModel::new(vehicle, &physics) else { return (bounded, None) };
         let mut out = loops.errors(&model, &loops.inputs(&actuation));
@@ -146,7 +152,7 @@ pub fn open_loop(
         (bounded, Some(DVector::from_vec(out)))
     };
     let best = least_squares(numbers, &scale, residuals);
-    let (_, actuation, parameters) = unpack(&best, actuation, vehicle);
+    let (_, actuation, parameters) = unpacked(&best);
     Some((actuation, parameters.physics(vehicle)))
 }
 
