@@ -1,5 +1,6 @@
 //! The reference that the vehicle follows in each state of the flight.
 
+mod guided;
 mod segment;
 mod settings;
 mod stop;
@@ -7,6 +8,7 @@ mod stop;
 use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 use vehicle::rigid_body::State;
 
+pub(super) use self::guided::Guided;
 use self::segment::{Segment, Speeds, Waypoint};
 pub use self::settings::GuidanceSettings;
 use self::stop::Stop;
@@ -19,28 +21,6 @@ use crate::plan::trajectory::DesiredPoint;
 use crate::setpoint::{Expected, Reference, Setpoint};
 use crate::supervisor::{FlightState, Trigger};
 use crate::telemetry::Sample;
-
-/// The reference of one tick.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Guided {
-    pub reference: Reference,
-    /// Where the vehicle is wanted.
-    pub desired: Ned,
-    /// Radius of the tube around the reference, m; `None` without a tube.
-    pub tube_radius_m: Option<f64>,
-    /// Whether feedback acts; on the ground only the feed-forward does.
-    pub feedback: bool,
-    /// Whether the vehicle is off the ground, where only its setpoints move it.
-    pub aloft: bool,
-    /// What the reference's model expects; what it expects at rest, if `None`.
-    pub expected: Option<Expected>,
-    /// Whether that model's own trajectory leads.
-    pub is_led: bool,
-    /// Seconds into the trajectory, while it is tracked.
-    pub trajectory_time: Option<f64>,
-    /// The trigger that completes the state, once its condition holds.
-    pub reached: Option<(Trigger, &'static str)>,
-}
 
 /// How far what is to be flown reaches, from the anchor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -489,21 +469,5 @@ impl Guidance {
         let mut reference = self.stay(here);
         reference.feedforward.thrust_n = thrust * self.hover_thrust_n;
         Guided { feedback: false, aloft: false, ..Guided::fly(reference) }
-    }
-}
-
-impl Guided {
-    fn fly(reference: Reference) -> Self {
-        Self {
-            desired: reference.position,
-            tube_radius_m: None,
-            reference,
-            feedback: true,
-            aloft: true,
-            expected: None,
-            is_led: false,
-            trajectory_time: None,
-            reached: None,
-        }
     }
 }

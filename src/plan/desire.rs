@@ -68,8 +68,8 @@ impl Desire {
     /// Samples the trajectory every `period_s` from `from_s` on, for `periods` periods.
     ///
     /// A quadrotor is differentially flat: thrust carries the weight and the push and produces the
-    /// acceleration, `(u1/m) R e3 = g e3 + push - a`, which with the yaw determines the attitude (Mellinger and Kumar
-    /// 2011). The body rates lead from one attitude to the next.
+    /// acceleration, `(u1/m) R e3 = g e3 + push - a`, which with the yaw determines the attitude
+    /// (Mellinger and Kumar 2011). The body rates lead from one attitude to the next.
     pub fn new(
         trajectory: &Trajectory,
         from_s: f64,
