@@ -182,10 +182,9 @@ impl OffboardController {
             let thrust_gain = self.voltage_gain();
             // The expectation before the trajectory must match the one along it. Otherwise what was
             // learned on the way there would count twice.
-            let at_rest = || self.guidance.expected_at_rest();
-            let expected = guided.expected.unwrap_or_else(at_rest);
-            let is_led = guided.is_led;
-            self.controller.observe(sample.vehicle, &sample.state, &expected, is_led, thrust_gain);
+            let expected = guided.expected.unwrap_or_else(|| self.guidance.expected_at_rest());
+            let Sample { vehicle, state, .. } = &sample;
+            self.controller.observe(*vehicle, state, &expected, guided.is_led, thrust_gain);
         } else {
             self.controller.pause();
         }

@@ -70,6 +70,14 @@ pub struct Expected {
     pub attitude: [f64; 3],
 }
 
+impl Reference {
+    /// The reference at a place and a velocity whose attitude and body rate are those of its input.
+    pub fn led_by(feedforward: Setpoint, position: Ned, velocity: Ned) -> Self {
+        let Setpoint { attitude, body_rate, .. } = feedforward;
+        Self { position, velocity, attitude, body_rate, feedforward }
+    }
+}
+
 impl Expected {
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {

@@ -405,7 +405,7 @@ impl Trim {
         let innovation = wrap_angle(unexplained - self.value);
         self.value = (self.value + grown / total * innovation).clamp(-bound, bound);
         self.variance = grown * (1.0 - grown / total);
-        let is_change = self.surprise.is_change(innovation / total.sqrt(), dt, TRIM_SURPRISE_MIN);
+        let is_change = self.surprise.observe(innovation / total.sqrt(), dt, TRIM_SURPRISE_MIN);
         if is_change {
             self.variance = prior;
         }

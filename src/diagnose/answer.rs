@@ -2,6 +2,7 @@
 
 pub mod additions;
 pub(super) mod assembly;
+pub(super) mod finding;
 pub(super) mod open_questions;
 pub mod quantities;
 pub mod text;

@@ -242,13 +242,8 @@ impl Ground {
         let bounded = rates.map(|rate| rate.clamp(-4.0, 4.0));
         let body_rate = attitude.body_rate(bounded);
         let attitude = Euler { yaw: vehicle::frame::wrap_angle(attitude.yaw), ..attitude };
-        Reference {
-            position: point.position,
-            velocity: point.velocity,
-            attitude,
-            body_rate,
-            feedforward: Setpoint { thrust_n, attitude, body_rate },
-        }
+        let input = Setpoint { thrust_n, attitude, body_rate };
+        Reference::led_by(input, point.position, point.velocity)
     }
 
     fn thrust_and_attitude(&self, point: &DesiredPoint) -> (f64, Euler) {

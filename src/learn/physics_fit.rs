@@ -24,12 +24,15 @@ pub(super) const PARAMETERS: usize = 16;
 const DRAG_START_PER_S: f64 = 0.02;
 /// Indices of the wind's parameters.
 pub(super) const WIND: std::ops::Range<usize> = 14..16;
+/// Prior standard deviation of the wind along one axis, m/s: a light breeze.
+const WIND_PRIOR_M_S: f64 = 2.0;
 /// Strongest wind, m/s.
 const WIND_MAX_M_S: f64 = 30.0;
 
 /// Fits the physics: scale of thrust, drag, inertia, centre of mass, trim, damping, flapping and a
-/// steady wind that all rows share, each with a weak prior at the vehicle file's value, by Levenberg-Marquardt on the rows' labels,
-/// with each acceleration weighted by its standard deviation.
+/// steady wind that all rows share, each with a weak prior at the vehicle file's value, by
+/// Levenberg-Marquardt on the rows' labels, with each acceleration weighted by its standard
+/// deviation.
 ///
 /// The vehicle does not allow the physics.
 pub fn fit(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, VehicleError> {
@@ -50,7 +53,7 @@ pub(super) fn fit_from(
 fn search(
     rows: &[&Row],
     vehicle: &VehicleParams,
-    from: Parameters,
+    mut from: Parameters,
     most: usize,
 ) -> Result<PhysicsParameters, VehicleError> {
     let stride = rows.len().div_ceil(most).max(1);
@@ -79,7 +82,6 @@ fn search(
         Ok(DVector::from_vec(out))
     };
 
-    let mut from = from;
     from.0[1] = from.0[1].max(DRAG_START_PER_S * vehicle.mass);
     let fitted = least_squares(from.0, &prior, |numbers| {
         let mut bounded = Parameters(*numbers);
@@ -147,7 +149,7 @@ impl Parameters {
         // One standard deviation has the moment of a drag of one mass per second at a fifth of an
         // arm.
         let flapping = offset * drag;
-        let wind = 2.0;
+        let wind = WIND_PRIOR_M_S;
         [0.3, drag, drag, 0.5, 0.5, 0.5, offset, offset, 0.05, 0.05, x, y, z, flapping, wind, wind]
     }
 

@@ -56,7 +56,7 @@ pub(super) struct ModeReports {
     is_in_doubt: bool,
     /// Whether the last report withdrew a permission, but seemed older than what is known.
     is_overtaken: bool,
-    /// Copies rejected of late, and when.
+    /// Copies rejected of late, each once, and when last; at most `REMEMBERED`.
     copies: VecDeque<(u32, HostTime)>,
 }
 
@@ -65,14 +65,26 @@ impl ModeReports {
     pub fn frame_arrived(&mut self, now: HostTime) {
         self.is_in_doubt |= now.since(self.last_arrival) > SILENCE;
         self.last_arrival = now;
-        while self.copies.front().is_some_and(|(_, at)| now.since(*at) > COPY_EXPECTED) {
-            self.copies.pop_front();
-        }
     }
 
     /// Notes the copy of a mode report that its place in the sequence showed.
     pub fn copied(&mut self, now: HostTime, frame: &[u8]) {
-        self.copies.push_back((crc32fast::hash(frame), now));
+        self.reject(now, crc32fast::hash(frame));
+    }
+
+    /// Notes a rejected copy. However many arrive, memory stays bounded.
+    fn reject(&mut self, now: HostTime, hash: u32) {
+        self.copies.retain(|(copy, at)| *copy != hash && now.since(*at) <= COPY_EXPECTED);
+        if self.copies.len() == REMEMBERED {
+            self.copies.pop_front();
+        }
+        self.copies.push_back((hash, now));
+    }
+
+    /// Whether a report was rejected as a copy of late.
+    fn is_rejected(&self, hash: u32) -> bool {
+        let is_late = |at: HostTime| self.last_arrival.since(at) <= COPY_EXPECTED;
+        self.copies.iter().any(|(copy, at)| *copy == hash && is_late(*at))
     }
 
     /// Judges a mode report.
@@ -97,8 +109,8 @@ impl ModeReports {
         }
         let hash = crc32fast::hash(frame);
         let is_repeated = self.hashes.contains(&hash);
-        if is_repeated && (!is_next || self.copies.iter().any(|(copy, _)| *copy == hash)) {
-            self.copies.push_back((hash, self.last_arrival));
+        if is_repeated && (!is_next || self.is_rejected(hash)) {
+            self.reject(self.last_arrival, hash);
             return if is_known { Newness::Old } else { Newness::Doubtful };
         }
         let grants = obeys == Some(mode) && !is_known;
@@ -222,6 +234,15 @@ mod tests {
         assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::Old);
         (4..8).for_each(|step| reports.frame_arrived(at(300 * step)));
         assert_eq!(reports.judge(&report(b"offboard 1", 6)), Newness::New, "copied long ago");
+    }
+
+    #[test]
+    fn flood_of_copies_takes_no_more_memory() {
+        let mut reports = ModeReports::default();
+        for k in 0..10_000u32 {
+            reports.copied(at(u64::from(k) / 100), &(k % 100).to_le_bytes());
+        }
+        assert_eq!(reports.copies.len(), REMEMBERED);
     }
 
     #[test]

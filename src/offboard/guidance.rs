@@ -64,7 +64,7 @@ pub(super) struct Guidance {
     /// The trajectory's start, as it last was a number: a planner may fail before the take-off.
     start: Reference,
     /// What its model expects there.
-    expected_at_start: Option<Expected>,
+    expected_at_start: Expected,
     /// The anchor of the present flight.
     anchor: Option<Ned>,
     /// Where the vehicle was last seen on the ground.
@@ -97,7 +97,7 @@ impl Guidance {
         let weight_n = vehicle.hover_thrust_n();
         let hover_thrust_n = trajectory.start_thrust_n().clamp(0.75 * weight_n, 1.25 * weight_n);
         let start = trajectory.sample(0.0);
-        let expected_at_start = trajectory.expected(0.0);
+        let expected_at_start = expected_at_start(trajectory.as_ref());
         Self {
             settings,
             vehicle,
@@ -173,7 +173,7 @@ impl Guidance {
     /// The expectation at rest with a share of the wind, the trims and the moments that the
     /// trajectory's model expects at its start.
     fn expected_in_part(&self, share: f64) -> Expected {
-        let start = self.expected_at_start.unwrap_or_default();
+        let start = self.expected_at_start;
         let [north, east, _] = start.acceleration.to_array();
         let more = (self.hover_thrust_n - self.vehicle.hover_thrust_n()) / self.vehicle.mass_kg;
         Expected {
@@ -291,8 +291,7 @@ impl Guidance {
         let start = self.trajectory.sample(0.0);
         if start.position.is_finite() && start.attitude.yaw.is_finite() {
             self.start = start;
-            self.expected_at_start =
-                self.trajectory.expected(0.0).filter(|expected| expected.is_finite());
+            self.expected_at_start = expected_at_start(self.trajectory.as_ref());
         }
         self.start
     }
@@ -413,21 +412,12 @@ impl Guidance {
     /// The reference along the segment, with the tilt and the attitude setpoint that hold against
     /// what is expected.
     fn along(&self, t: f64, expected: &Expected) -> Reference {
-        let at = self.segment.at(t);
         let [north, east, _] = expected.acceleration.to_array();
-        let point = DesiredPoint {
-            position: at.position,
-            velocity: at.velocity,
-            acceleration: Ned::zero(),
-            yaw: at.yaw,
-            yaw_rate: at.yaw_rate,
-        };
-        let push = Push { world: [north, east], ..Push::default() };
-        let mut reference = self.carried(&point, push);
-        let [roll, pitch, yaw] = expected.attitude;
-        let setpoint = &mut reference.feedforward.attitude;
-        *setpoint = Euler::new(setpoint.roll - roll, setpoint.pitch - pitch, setpoint.yaw - yaw);
-        reference
+        let setpoint = expected.attitude.map(|angle| -angle);
+        self.carried(
+            &self.segment.at(t),
+            Push { world: [north, east], heading: [0.0; 2], setpoint },
+        )
     }
 
     fn stay(&self, here: &State) -> Reference {
@@ -436,16 +426,8 @@ impl Guidance {
 
     fn level(&self, position: Ned, yaw: f64) -> Reference {
         let attitude = Euler::new(0.0, 0.0, yaw);
-        Reference {
-            position,
-            attitude,
-            feedforward: Setpoint {
-                thrust_n: self.hover_thrust_n,
-                attitude,
-                body_rate: Frd::zero(),
-            },
-            ..Reference::default()
-        }
+        let input = Setpoint { thrust_n: self.hover_thrust_n, attitude, body_rate: Frd::zero() };
+        Reference::led_by(input, position, Ned::zero())
     }
 
     /// The reference at a point, with the tilt and the thrust that produce its acceleration against
@@ -456,13 +438,12 @@ impl Guidance {
         let (thrust_n, attitude) = weight.carry(point);
         let thrust_n = thrust_n / self.vehicle.hover_thrust_n() * self.hover_thrust_n;
         let body_rate = Frd::new(0.0, 0.0, point.yaw_rate);
-        Reference {
-            position: point.position,
-            velocity: point.velocity,
-            attitude,
-            body_rate,
-            feedforward: Setpoint { thrust_n, attitude, body_rate },
-        }
+        let input = Setpoint { thrust_n, attitude, body_rate };
+        let mut reference = Reference::led_by(input, point.position, point.velocity);
+        let [roll, pitch, yaw] = push.setpoint;
+        let Euler { roll: r, pitch: p, yaw: y } = attitude;
+        reference.feedforward.attitude = Euler::new(r + roll, p + pitch, y + yaw);
+        reference
     }
 
     fn idle(&self, thrust: f64, here: &State) -> Guided {
@@ -470,4 +451,9 @@ impl Guidance {
         reference.feedforward.thrust_n = thrust * self.hover_thrust_n;
         Guided { feedback: false, aloft: false, ..Guided::fly(reference) }
     }
+}
+
+/// What a trajectory's model expects at its start; nothing where none leads.
+fn expected_at_start(trajectory: &dyn ReferenceSource) -> Expected {
+    trajectory.expected(0.0).filter(Expected::is_finite).unwrap_or_default()
 }

@@ -3,15 +3,15 @@
 
 use std::f64::consts::PI;
 
+use vehicle::AttitudePd;
 use vehicle::frame::{Euler, Heading, Ned};
 
-use super::planned::CommandedInput;
+use super::planned::{CommandedInput, PlannedBody};
 use super::problem::{ANGLE, RATE, StateVector, YAW};
 use super::trajectory::{DesiredPoint, Trajectory};
 use crate::model::{Model, Point};
 
-/// Desired states, and the inputs that hold them without drag, apart from the moments of
-/// [`Push::turn`].
+/// Desired states, and the inputs that hold them without drag.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Desire {
     /// `s_d,0 .. s_d,N`.
@@ -27,29 +27,33 @@ pub struct Weight {
     pub mass_kg: f64,
     /// m/s^2
     pub gravity: f64,
-    /// The horizontal acceleration at rest.
+    /// What else acts at rest.
     pub push: Push,
     /// Largest angle of the thrust axis to the vertical, rad.
     pub tilt_max_rad: f64,
 }
 
-/// The acceleration of a level vehicle at rest, and the turn: a wind pushes it in the world, a trim
-/// of its attitude in axes that turn with its yaw, and a centre of mass beside the middle turns it.
+/// What acts on a level vehicle at rest beside thrust and weight: a wind pushes it in the world, a
+/// trim of its attitude in axes that turn with its yaw, and a centre of mass beside the middle turns
+/// it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Push {
     /// North and east, m/s^2.
     pub world: [f64; 2],
     /// Front and right, m/s^2.
     pub heading: [f64; 2],
-    /// Angular acceleration, rad/s^2.
-    pub turn: [f64; 3],
+    /// Roll, pitch and yaw of the setpoint beyond the attitude's, rad: the on-board loop's moments
+    /// then hold against the turn.
+    pub setpoint: [f64; 3],
 }
 
 impl Push {
-    /// What a model predicts under the thrust `hover_n`. The accelerations in the world and in the
+    /// What a model predicts for `body` under its hover thrust, and the setpoint with which the loop
+    /// `pd` holds it: `zeta_des - zeta = -I alpha / kp`. The accelerations in the world and in the
     /// heading are the mean and half the difference of two opposite headings, which is exact for a
     /// wind and a trim.
-    pub fn of(model: &dyn Model, hover_n: f64) -> Self {
+    pub fn of(model: &dyn Model, body: &PlannedBody, pd: &AttitudePd) -> Self {
+        let hover_n = body.mass_kg * body.gravity;
         let [one, other] = [0.0, PI].map(|yaw| {
             let attitude = Euler::new(0.0, 0.0, yaw);
             let input = [hover_n, 0.0, 0.0, 0.0];
@@ -59,7 +63,7 @@ impl Push {
         Self {
             world: [mean(0), mean(1)],
             heading: [0.5 * (one[0] - other[0]), 0.5 * (one[1] - other[1])],
-            turn: [mean(3), mean(4), mean(5)],
+            setpoint: std::array::from_fn(|i| -body.inertia[i] * mean(3 + i) / pd.kp[i]),
         }
     }
 }
@@ -114,7 +118,8 @@ impl Desire {
             .zip(&thrusts)
             .map(|(state, thrust)| {
                 let [.., roll, pitch, yaw, p, q, r] = *state;
-                [*thrust, roll, pitch, yaw, p, q, r]
+                let [more_roll, more_pitch, more_yaw] = weight.push.setpoint;
+                [*thrust, roll + more_roll, pitch + more_pitch, yaw + more_yaw, p, q, r]
             })
             .collect();
         Self { states, inputs }
@@ -163,7 +168,13 @@ mod tests {
         let physics = PhysicsParameters { effects, ..PhysicsParameters::default() };
         let model = PhysicsModel::new(&vehicle, &physics).expect("physics");
         let (mass_kg, gravity) = (vehicle.mass, vehicle.gravity);
-        let push = Push::of(&model, mass_kg * gravity);
+        let body = PlannedBody {
+            mass_kg,
+            inertia: vehicle.inertia,
+            gravity,
+            thrust_full_n: vehicle.rotors.iter().map(|rotor| rotor.thrust_max_n).sum(),
+        };
+        let push = Push::of(&model, &body, &vehicle.attitude_pd.expect("a loop"));
         let [north, east] = push.world;
         assert!(north > 0.5 && east < -0.2 && push.heading[0].abs() > 0.2, "{push:?}");
         let weight = Weight { mass_kg, gravity, push, tilt_max_rad: 0.5 };

@@ -47,11 +47,6 @@ pub(super) fn model_free(trajectory: &Trajectory, t: f64, hover_thrust_n: f64) -
     let point = trajectory.sample(t);
     let attitude = Euler::new(0.0, 0.0, wrap_angle(point.yaw));
     let body_rate = Frd::new(0.0, 0.0, point.yaw_rate);
-    Reference {
-        position: point.position,
-        velocity: point.velocity,
-        attitude,
-        body_rate,
-        feedforward: Setpoint { thrust_n: hover_thrust_n, attitude, body_rate },
-    }
+    let input = Setpoint { thrust_n: hover_thrust_n, attitude, body_rate };
+    Reference::led_by(input, point.position, point.velocity)
 }

@@ -16,7 +16,7 @@ use super::discretisation::CommandedDynamics;
 use super::interior_point::InteriorPoint;
 use super::iterate::Iterate;
 use super::keep_out::KeepOut;
-use super::planned::{CommandedInput, PlannedBody};
+use super::planned::PlannedBody;
 use super::problem::{
     InputBounds, InputPreference, Problem, STATES, StateLimits, StateVector, YAW,
 };
@@ -232,9 +232,7 @@ impl Planner {
         from_s: f64,
         periods: usize,
     ) -> Result<Desire, PlannerError> {
-        let weight = self.weight();
-        let mut desire = Desire::new(trajectory, from_s, self.period_s(), periods, &weight);
-        self.hold(&mut desire.inputs, &weight.push);
+        let desire = Desire::new(trajectory, from_s, self.period_s(), periods, &self.weight());
         let bad = desire.states.iter().position(|state| !state.iter().all(|v| v.is_finite()));
         match bad {
             None => Ok(desire),
@@ -245,22 +243,13 @@ impl Planner {
         }
     }
 
-    /// Shifts the attitude setpoints so that the on-board loop's moments hold the turn at rest.
-    fn hold(&self, inputs: &mut [CommandedInput], push: &Push) {
-        let (inertia, kp) = (self.vehicle.body.inertia, self.vehicle.attitude_pd.kp);
-        for input in inputs {
-            for i in 0..3 {
-                input[1 + i] -= inertia[i] * push.turn[i] / kp[i];
-            }
-        }
-    }
-
     fn weight(&self) -> Weight {
+        let PlannedVehicle { body, attitude_pd, limits } = &self.vehicle;
         Weight {
-            mass_kg: self.vehicle.body.mass_kg,
-            gravity: self.vehicle.body.gravity,
-            push: Push::of(self.model(), self.hover_thrust_n()),
-            tilt_max_rad: self.vehicle.limits.tilt_max_rad,
+            mass_kg: body.mass_kg,
+            gravity: body.gravity,
+            push: Push::of(self.model(), body, attitude_pd),
+            tilt_max_rad: limits.tilt_max_rad,
         }
     }
 
@@ -297,9 +286,7 @@ impl Planner {
                 yaw_rate: 0.0, // follows from yaw
             }
         });
-        let weight = self.weight();
-        let Desire { states, mut inputs } = Desire::along(points, period_s, &weight);
-        self.hold(&mut inputs, &weight.push);
+        let Desire { states, inputs } = Desire::along(points, period_s, &self.weight());
         Iterate { states, inputs }
     }
 

@@ -88,8 +88,8 @@ pub struct SafetySettings {
     /// Reaction to a jump of the estimate: the new position is held.
     pub on_jump: Reaction,
     /// Longest round trip of a TIMESYNC, s. While the state is fresh, only the path to the vehicle
-    /// can lengthen it, and setpoints take as long. In simulation all control laws held a vehicle at
-    /// 0.2 s, and each lost it in some flights at 0.28 s.
+    /// can lengthen it, and setpoints take as long. The default leaves room to 0.28 s, where every
+    /// control law lost the vehicle in some simulated flights.
     pub round_trip_max_s: f64,
     /// Time above that round trip, s.
     pub round_trip_for_s: f64,

@@ -158,7 +158,7 @@ impl Recursion {
             let variance = self.covariance[(axis, axis)] + self.noise_variance;
             let innovation = seen - self.velocity[axis];
             let deviation = innovation / variance.sqrt();
-            is_surprised[axis] = self.surprise[axis].is_change(deviation, dt, SURPRISE_MIN);
+            is_surprised[axis] = self.surprise[axis].observe(deviation, dt, SURPRISE_MIN);
             if deviation.abs() < NOISE_CUT {
                 let noise = innovation * innovation - self.covariance[(axis, axis)];
                 let step = (dt / NOISE_S).min(1.0) * (noise - self.noise_variance);

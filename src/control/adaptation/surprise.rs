@@ -21,9 +21,9 @@ impl Default for Surprise {
 }
 
 impl Surprise {
-    /// Takes an innovation in standard deviations, `dt` after the last. Returns whether the mean
-    /// exceeds its usual size by the factor `least`; it then starts again.
-    pub fn is_change(&mut self, deviation: f64, dt: f64, least: f64) -> bool {
+    /// Takes an innovation in standard deviations, `dt` seconds after the last. Returns whether the
+    /// mean exceeds its usual size by the factor `least`; it then starts again.
+    pub fn observe(&mut self, deviation: f64, dt: f64, least: f64) -> bool {
         let share = (dt / AGREE_S).min(1.0);
         // Variance of the mean of white innovations with these weights.
         let white = share / (2.0 - share);
@@ -51,7 +51,7 @@ mod tests {
 
     /// Number of changes among these innovations.
     fn changes(surprise: &mut Surprise, innovations: impl Iterator<Item = f64>) -> usize {
-        innovations.filter(|innovation| surprise.is_change(*innovation, DT, 4.0)).count()
+        innovations.filter(|innovation| surprise.observe(*innovation, DT, 4.0)).count()
     }
 
     #[test]

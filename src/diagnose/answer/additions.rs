@@ -2,7 +2,8 @@
 
 use vehicle::effects::EffectId;
 
-use crate::diagnose::answer::text::{law_sentence, listed};
+use crate::diagnose::answer::finding::listed;
+use crate::diagnose::answer::text::law_sentence;
 use crate::diagnose::answer::{Answer, FullVerdict, LogAnswer, NotTestable};
 use crate::diagnose::discovery::law::LawAnswer;
 use crate::diagnose::verdict::untestable::Untestable;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use vehicle::effects::{EffectId, EffectSet, Slots};
 
-use crate::diagnose::answer::text::finding;
+use crate::diagnose::answer::finding::finding;
 use crate::diagnose::answer::{
     Answer, EffectAnswer, ExplanationAnswer, Finding, FlightAnswer, FullVerdict, Gap, NotTestable,
 };

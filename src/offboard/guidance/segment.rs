@@ -2,6 +2,8 @@
 
 use vehicle::frame::{Ned, wrap_angle};
 
+use crate::plan::trajectory::DesiredPoint;
+
 /// Shortest duration of a segment, s.
 const DURATION_MIN_S: f64 = 1.0;
 /// Peak slope of the minimum-jerk profile.
@@ -19,15 +21,6 @@ pub(super) struct Waypoint {
 pub(super) struct Speeds {
     pub speed_m_s: f64,
     pub yaw_rate_rad_s: f64,
-}
-
-/// The motion at one time.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Motion {
-    pub position: Ned,
-    pub velocity: Ned,
-    pub yaw: f64,
-    pub yaw_rate: f64,
 }
 
 /// A straight path from rest to rest with a minimum-jerk profile; yaw turns the shorter way.
@@ -74,13 +67,15 @@ impl Segment {
         (t / self.duration_s).clamp(0.0, 1.0)
     }
 
-    /// The motion `t` seconds after the start; at rest from the end on.
-    pub fn at(&self, t: f64) -> Motion {
+    /// The motion `t` seconds after the start; at rest from the end on. The acceleration is zero:
+    /// feedback provides it.
+    pub fn at(&self, t: f64) -> DesiredPoint {
         let (x, value) = (self.passed(t), self.share(t));
         let slope = 30.0 * (x * (1.0 - x)).powi(2) / self.duration_s;
-        Motion {
+        DesiredPoint {
             position: self.from.position + self.step() * value,
             velocity: self.step() * slope,
+            acceleration: Ned::zero(),
             yaw: self.from.yaw + self.yaw_step * value,
             yaw_rate: self.yaw_step * slope,
         }
