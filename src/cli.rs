@@ -198,7 +198,7 @@ pub struct DiagnoseArgs {
     #[arg(long, value_name = "FILE")]
     pub next_flight: Option<PathBuf>,
     /// Configuration file; its `collect` and `envelope` bound the next flight.
-    #[arg(long)]
+    #[arg(long, requires = "next_flight")]
     pub config: Option<PathBuf>,
     /// Mapping of the columns of CSV logs.
     #[arg(long, value_name = "FILE")]

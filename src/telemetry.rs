@@ -301,7 +301,7 @@ impl Telemetry {
         if passed < -limit || delay.seconds < -limit {
             self.forget();
             self.newest_stamp = Some(stamp);
-            return Err(if passed < 0.0 {
+            return Err(if passed < -limit {
                 TelemetryFault::Reboot { seconds: -passed }
             } else {
                 TelemetryFault::ClockJump { seconds: -delay.seconds }

@@ -176,7 +176,9 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
         delay_s,
         drift,
         rotation_rad: own.rotation(&comparison.rotation),
-        coarse_rad: common.rotation(&comparison.rotation),
+        coarse_rad: common
+            .rotation(&comparison.rotation)
+            .map(|rotation| Some(widened(rotation?, 1.0 - common.fit.explained))),
         bias: std::array::from_fn(|i| of(BIAS + i)),
         scale: std::array::from_fn(scale),
         common_scale: between(common_scale, common.fit.explained).times(unit),
@@ -184,6 +186,12 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
         pace: own.pace,
         span_s: last - first,
     })
+}
+
+/// An angle with a wider interval: what the fit leaves unexplained may be noise to which the loop
+/// responds, and which then looks like motion along another axis.
+fn widened(angle_rad: Estimate, unexplained: f64) -> Estimate {
+    Estimate { half_width: angle_rad.half_width + unexplained, ..angle_rad }
 }
 
 /// A slope between the two regressions of either on the other, whose ratio is `explained`.

@@ -10,7 +10,7 @@ use super::prediction::Baseline;
 pub(super) fn score(windows: &[FlightWindows<'_>], predictor: &Predictor<'_>) -> f64 {
     let hold = multi_step(windows, &Predictor::Baseline(Baseline::Hold));
     match (multi_step(windows, predictor), hold) {
-        (Some((errors, _)), Some((hold, _))) => relative(&errors, &hold),
+        (Some(errors), Some(hold)) => relative(&errors.all(), &hold.all()),
         _ => f64::INFINITY,
     }
 }
@@ -42,4 +42,19 @@ pub(super) fn ratios<'a>(
             a.rate_rad_s / b.rate_rad_s.max(1e-9),
         ]
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prediction_that_diverges_only_later_has_no_ratio() {
+        let good =
+            StateError { position_m: 0.1, velocity_m_s: 0.1, attitude_rad: 0.1, rate_rad_s: 0.1 };
+        let mut late = [good; 4];
+        assert!((relative(&late, &[good; 4]) - AS_HOLDING).abs() < 1e-12);
+        late[3].rate_rad_s = f64::NAN;
+        assert_eq!(relative(&late, &[good; 4]), f64::INFINITY);
+    }
 }

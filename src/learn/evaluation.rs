@@ -133,42 +133,84 @@ struct Sums {
     windows: usize,
 }
 
-/// Open-loop errors over windows of flights. Returns the errors and the number of windows, `None`
-/// if there is none.
+/// Windows in a block: 4 s of flight, longer than most gusts.
+const BLOCK: usize = 16;
+
+/// Open-loop errors over the windows of some flights, by block of consecutive windows. Errors of
+/// one block are alike; blocks are taken as independent.
+#[derive(Clone, Debug)]
+pub struct WindowErrors {
+    blocks: Vec<Sums>,
+}
+
+/// Open-loop errors over windows of flights; `None` if there is no window.
 pub fn multi_step(
     flights: &[FlightWindows<'_>],
     predictor: &Predictor<'_>,
-) -> Option<(MultiStep, usize)> {
-    let mut total = Sums::default();
+) -> Option<WindowErrors> {
+    let mut blocks = Vec::new();
     for FlightWindows { inputs, starts } in flights {
-        let pieces: Vec<Sums> = starts
-            .par_chunks(16)
-            .map(|starts| {
-                let mut sums = Sums::default();
-                for start in starts {
-                    sums.add(inputs, *start, predictor);
-                }
-                sums
-            })
-            .collect();
-        for piece in pieces {
-            for (mine, theirs) in total.squares.iter_mut().zip(piece.squares) {
-                mine.iter_mut().zip(theirs).for_each(|(a, b)| *a += b);
+        blocks.par_extend(starts.par_chunks(BLOCK).map(|starts| {
+            let mut sums = Sums::default();
+            for start in starts {
+                sums.add(inputs, *start, predictor);
             }
-            total.windows += piece.windows;
-        }
+            sums
+        }));
     }
-    (total.windows > 0).then(|| {
-        let errors = total.squares.map(|squares| {
-            let [position_m, velocity_m_s, attitude_rad, rate_rad_s] =
-                squares.map(|square| (square / total.windows as f64).sqrt());
-            StateError { position_m, velocity_m_s, attitude_rad, rate_rad_s }
-        });
-        (errors, total.windows)
-    })
+    let errors = WindowErrors { blocks };
+    (errors.windows() > 0).then_some(errors)
+}
+
+impl WindowErrors {
+    /// Number of windows.
+    pub fn windows(&self) -> usize {
+        self.blocks.iter().map(|block| block.windows).sum()
+    }
+
+    /// Number of blocks.
+    pub fn blocks(&self) -> usize {
+        self.blocks.len()
+    }
+
+    /// The errors over all windows.
+    pub fn all(&self) -> MultiStep {
+        self.blocks.iter().fold(Sums::default(), Sums::plus).errors()
+    }
+
+    /// The errors over all blocks but one.
+    pub fn without(&self, block: usize) -> MultiStep {
+        let (left, right) = self.blocks.split_at(block.min(self.blocks.len()));
+        let kept = left.iter().chain(right.iter().skip(1));
+        kept.fold(Sums::default(), Sums::plus).errors()
+    }
+
+    /// Blocks of one window with these errors, the same in every quantity at every horizon.
+    #[cfg(test)]
+    pub fn of_blocks(errors: &[f64]) -> Self {
+        let block = |error: &f64| Sums { squares: [[error * error; 4]; 4], windows: 1 };
+        Self { blocks: errors.iter().map(block).collect() }
+    }
 }
 
 impl Sums {
+    fn plus(mut self, other: &Self) -> Self {
+        for (mine, theirs) in self.squares.iter_mut().zip(&other.squares) {
+            mine.iter_mut().zip(theirs).for_each(|(a, b)| *a += b);
+        }
+        self.windows += other.windows;
+        self
+    }
+
+    /// Root mean squares; not finite without a window.
+    fn errors(&self) -> MultiStep {
+        self.squares.map(|squares| {
+            let [position_m, velocity_m_s, attitude_rad, rate_rad_s] =
+                squares.map(|square| (square / self.windows as f64).sqrt());
+            StateError { position_m, velocity_m_s, attitude_rad, rate_rad_s }
+        })
+    }
+
     fn add(&mut self, inputs: &RecordedInputs<'_>, start: f64, predictor: &Predictor<'_>) {
         let Some(state) = inputs.reported(start) else { return };
         let reported: Option<Vec<State>> =

@@ -7,6 +7,7 @@ use vehicle::VehicleParams;
 use vehicle::effects::BatterySag;
 use vehicle::frame::Ned;
 
+use super::ROW_RATE_HZ;
 use super::commands::{CommandSource, Onboard};
 use super::dataset::{Observation, ObservedFlight};
 use crate::model::actuation::Actuation;
@@ -23,8 +24,12 @@ const BALANCE_GAIN_MIN: f64 = 0.05;
 const RESOLUTION: f64 = 0.0005;
 /// Most observations in the search; more do not change the result.
 const SEARCH_ROWS: usize = 12_000;
-/// Least relative span of the pack's voltage for a fit of its exponent.
-const VOLTAGE_SPAN_MIN: f64 = 0.01;
+/// Prior standard deviation of the voltage's exponent about the vehicle file's: the batteries and
+/// motors of small quadrotors give 0 to 2.
+const EXPONENT_PRIOR: f64 = 1.0;
+/// Of this many observations one enters its fit, and the least number of these.
+const VERTICAL_STEP: usize = 10;
+const VERTICAL_ROWS_MIN: usize = 100;
 /// Range of exponents.
 const EXPONENTS: [f64; 2] = [0.0, 3.0];
 
@@ -237,8 +242,12 @@ fn specific_force_z(o: &Observation, acceleration: Ned, gravity: f64) -> f64 {
     o.attitude.to_body(acceleration - Ned::new(0.0, 0.0, gravity)).down()
 }
 
-/// The exponent of the pack's voltage in the thrust, by golden-section search on the unexplained
-/// specific force along z.
+/// The exponent of the pack's voltage in the thrust, by golden-section search.
+///
+/// Minimises `T ln(unexplained) + ((e - e_0) / EXPONENT_PRIOR)^2`: the specific force along z that
+/// thrust and drag leave unexplained, one error a second for `T` seconds of flight, and the vehicle
+/// file's exponent. Where the voltage hardly varies, or the labels err by much, the file's exponent
+/// remains.
 fn voltage_exponent(
     flights: &[FlightPart<'_>],
     onboard: &Onboard,
@@ -246,37 +255,61 @@ fn voltage_exponent(
     acceleration: AccelerationSource,
     vehicle: &VehicleParams,
 ) -> f64 {
-    // (u1 without voltage, voltage, v_z, force) at intervals of a tenth of a second.
-    let mut rows: Vec<[f64; 4]> = Vec::new();
+    let of_file = vehicle.modelled_effects.get::<BatterySag>().map_or(0.0, |sag| sag.exponent);
+    let mut rows: Vec<VerticalRow> = Vec::new();
     for FlightPart { flight, range } in flights {
         let plain = Actuation { voltage_exponent: 0.0, ..*actuation };
         let inputs = flight.inputs(onboard, &plain, range.clone());
-        for (o, input) in flight.observations[range.clone()].iter().zip(inputs).step_by(10) {
-            let (Some([u1, ..]), Some(voltage), Some(linear)) =
+        for (o, input) in
+            flight.observations[range.clone()].iter().zip(inputs).step_by(VERTICAL_STEP)
+        {
+            let (Some([thrust, ..]), Some(voltage), Some(linear)) =
                 (input, o.voltage, o.acceleration(acceleration))
             else {
                 continue;
             };
-            let force = specific_force_z(o, linear, vehicle.gravity);
-            rows.push([u1, voltage, o.attitude.to_body(o.velocity).down(), force]);
+            let along_z = |world: Ned| o.attitude.to_body(world).down();
+            let v_z = along_z(o.velocity);
+            let north = along_z(Ned::new(1.0, 0.0, 0.0));
+            let east = along_z(Ned::new(0.0, 1.0, 0.0));
+            rows.push(VerticalRow {
+                thrust,
+                voltage,
+                air: [v_z, v_z * v_z.abs(), north, east],
+                force: specific_force_z(o, linear, vehicle.gravity),
+            });
         }
     }
-    let voltages = rows.iter().map(|row| row[1]);
+    let voltages = rows.iter().map(|row| row.voltage);
     let (low, high) = voltages.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
-    if rows.len() < 100 || !(low > 0.0 && (high - low) / high > VOLTAGE_SPAN_MIN) {
-        // Too little variation: use the vehicle file's value.
-        return vehicle.modelled_effects.get::<BatterySag>().map_or(0.0, |sag| sag.exponent);
+    if rows.len() < VERTICAL_ROWS_MIN || !(low > 0.0 && high > low) {
+        return of_file;
     }
+    let seconds = rows.len() as f64 * VERTICAL_STEP as f64 / ROW_RATE_HZ;
     let cost = |exponent: f64| {
-        let mut regression = Regression::<3>::new();
-        for [u1, voltage, v_z, force] in &rows {
+        let mut regression = Regression::<5>::new();
+        for VerticalRow { thrust, voltage, air: [a, b, c, d], force } in &rows {
             let factor = (voltage / high).powf(exponent);
-            // Without a constant: thrust vanishes with u1 at any voltage.
-            regression.add([u1 * factor, *v_z, v_z * v_z.abs()], *force);
+            // Without a constant: thrust vanishes with its input at any voltage.
+            regression.add([thrust * factor, *a, *b, *c, *d], *force);
         }
-        regression.unexplained().unwrap_or(f64::INFINITY)
+        let unexplained = regression.unexplained().unwrap_or(f64::INFINITY);
+        let off = (exponent - of_file) / EXPONENT_PRIOR;
+        seconds * unexplained.max(f64::MIN_POSITIVE).ln() + off * off
     };
     golden_section(EXPONENTS, cost)
+}
+
+/// An observation for the fit of the voltage's exponent.
+struct VerticalRow {
+    /// Thrust input, as if at full voltage.
+    thrust: f64,
+    voltage: f64,
+    /// Along body z: velocity, velocity times its magnitude, and the unit vectors north and east,
+    /// along which a wind adds to the velocity.
+    air: [f64; 4],
+    /// Specific force along body z, m/s^2.
+    force: f64,
 }
 
 /// Minimum of a unimodal function between `low` and `high`.

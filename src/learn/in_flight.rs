@@ -229,11 +229,11 @@ fn judge(set: &TrainingSet<'_>, model: &dyn Model, actuation: &Actuation) -> Hel
     let errors = multi_step(&windows, &Predictor::Model(model));
     let hold = multi_step(&windows, &Predictor::Baseline(Baseline::Hold));
     let score = match (&errors, &hold) {
-        (Some((errors, _)), Some((hold, _))) => relative(errors, hold),
+        (Some(errors), Some(hold)) => relative(&errors.all(), &hold.all()),
         _ => f64::INFINITY,
     };
     let (residual_m_s2, lasting_m_s2) = residuals(&set.part(Part::Test), model);
-    let open_loop = errors.map_or(none, |(errors, _)| errors);
+    let open_loop = errors.map_or(none, |errors| errors.all());
     HeldOutErrors { open_loop, score, residual_m_s2, lasting_m_s2 }
 }
 

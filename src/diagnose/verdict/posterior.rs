@@ -142,8 +142,38 @@ impl<'a> Posterior<'a> {
     pub fn best(&self) -> usize {
         let by_mass = |a: &usize, b: &usize| self.masses[*a].total_cmp(&self.masses[*b]);
         let Some(likeliest) = (0..self.masses.len()).max_by(by_mass) else { return 0 };
-        let best = self.without_negligible(likeliest);
-        if best == likeliest { best } else { self.best_part(likeliest, best) }
+        let mut best = self.without_negligible(likeliest);
+        if best != likeliest {
+            best = self.best_part(likeliest, best);
+        }
+        self.practical_twin(best).unwrap_or(best)
+    }
+
+    /// The likeliest explanation with effects that act like those of `best` and predict the
+    /// held-out flights as well, and of which one is of practical size, where none of `best` is:
+    /// a mass may be within its tolerance only because the thrust moved to the end of its own.
+    fn practical_twin(&self, best: usize) -> Option<usize> {
+        let is_practical = |index: usize| {
+            let explained = self.explained(index);
+            explained.effects.iter().any(|effect| explained.is_practical(effect))
+        };
+        let classes = |index: usize| -> BTreeSet<&str> {
+            self.explained(index).effects.iter().map(|effect| class(effect)).collect()
+        };
+        if is_practical(best) {
+            return None;
+        }
+        let (own, left) = (classes(best), self.reported(best)?);
+        let is_twin = |index: &usize| {
+            classes(*index) == own
+                && is_practical(*index)
+                && !self.evidence.is_implausible(self.explained(*index))
+                && self
+                    .reported(*index)
+                    .is_some_and(|other| other < (1.0 + PREDICTION_SHARE_MIN) * left)
+        };
+        let twins = (0..self.masses.len()).filter(is_twin);
+        twins.max_by(|a, b| self.scores[*a].total_cmp(&self.scores[*b]))
     }
 
     /// Among the parts of an explanation with as many effects as `best`, the one that best predicts
