@@ -176,9 +176,7 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
         delay_s,
         drift,
         rotation_rad: own.rotation(&comparison.rotation),
-        coarse_rad: common
-            .rotation(&comparison.rotation)
-            .map(|rotation| Some(widened(rotation?, 1.0 - common.fit.explained))),
+        coarse_rad: common.coarse_rotation(&comparison.rotation),
         bias: std::array::from_fn(|i| of(BIAS + i)),
         scale: std::array::from_fn(scale),
         common_scale: between(common_scale, common.fit.explained).times(unit),
@@ -186,12 +184,6 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
         pace: own.pace,
         span_s: last - first,
     })
-}
-
-/// An angle with a wider interval: what the fit leaves unexplained may be noise to which the loop
-/// responds, and which then looks like motion along another axis.
-fn widened(angle_rad: Estimate, unexplained: f64) -> Estimate {
-    Estimate { half_width: angle_rad.half_width + unexplained, ..angle_rad }
 }
 
 /// A slope between the two regressions of either on the other, whose ratio is `explained`.
@@ -299,6 +291,22 @@ impl<P: Pair> Comparison<'_, P> {
 }
 
 impl ComparisonFit {
+    /// The rotation with wider intervals: what the fit leaves unexplained along the axes that a
+    /// rotation mixes may be noise to which the loop responds, and which then looks like motion
+    /// along the other one.
+    fn coarse_rotation(&self, about: &Rotation3<f64>) -> [Option<Estimate>; 3] {
+        let mut rotation = self.rotation(about);
+        for (axis, angle) in rotation.iter_mut().enumerate() {
+            let others = [(axis + 1) % 3, (axis + 2) % 3];
+            let explained =
+                others.map(|other| self.explained[other]).into_iter().fold(1.0, f64::min);
+            if let Some(angle) = angle {
+                angle.half_width += 1.0 - explained.clamp(0.0, 1.0);
+            }
+        }
+        rotation
+    }
+
     /// The rotation vector from the sensor's axes to the stream's, in the sensor's axes.
     fn rotation(&self, about: &Rotation3<f64>) -> [Option<Estimate>; 3] {
         let small = Vector3::from_column_slice(&self.fit.value[ROTATION..ROTATION + 3]);

@@ -128,6 +128,8 @@ impl Bench<'_> {
         self.end = ended.as_ref().and_then(Station::end).map(|end| format!("{end:?}"));
         let adrift_us = self.now_us + ADRIFT_US;
         while self.aircraft.ending() == Ending::Adrift && self.now_us < adrift_us {
+            // The pilot, for one, acts on.
+            self.begin_due()?;
             self.aircraft.send(self.now_us, &mut self.channel);
             while self.channel.receive_down(self.now_us).is_some() {}
             self.aircraft.listen(self.now_us, &mut self.channel, &mut self.judge);
@@ -151,14 +153,8 @@ impl Bench<'_> {
     }
 
     fn begin_faults(&mut self) -> Result<(), VehicleRefused> {
-        let script = self.script;
-        let to_us = self.now_us + 1;
-        let from_us = std::mem::replace(&mut self.begun_us, to_us);
-        for timed in script.faults.iter().filter(|it| it.begins(from_us, to_us)) {
-            self.aircraft.begin(&timed.fault, self.now_us, &mut self.judge)?;
-            if timed.fault == Fault::Restart {
-                self.station = None;
-            }
+        if self.begin_due()? {
+            self.station = None;
         }
         let is_down = self.acts(Fault::Restart);
         if self.station.is_none() && !is_down {
@@ -171,6 +167,19 @@ impl Bench<'_> {
             self.turned_us = self.now_us;
         }
         Ok(())
+    }
+
+    /// Begins the faults that are due; returns whether the station's process restarts.
+    fn begin_due(&mut self) -> Result<bool, VehicleRefused> {
+        let script = self.script;
+        let to_us = self.now_us + 1;
+        let from_us = std::mem::replace(&mut self.begun_us, to_us);
+        let mut restarts = false;
+        for timed in script.faults.iter().filter(|it| it.begins(from_us, to_us)) {
+            self.aircraft.begin(&timed.fault, self.now_us, &mut self.judge)?;
+            restarts |= timed.fault == Fault::Restart;
+        }
+        Ok(restarts)
     }
 
     /// One turn of the station's process: reads what arrived, answers, polls.

@@ -60,7 +60,8 @@ impl LimitedTicks {
             format!(
                 "{} of the setpoints along the trajectory: feedback swings from limit to limit \
                  where the vehicle file does not describe this vehicle (its mass, inertia, thrust \
-                 or attitude loop), or the trajectory demands more than [offboard.limits] allow",
+                 or attitude loop), or the trajectory demands more, in a wind above all, than \
+                 [offboard.limits] allow",
                 met.join(", ")
             )
         })
