@@ -39,7 +39,8 @@ fn check<const INPUTS: usize>(
                 let (ahead, behind) =
                     ((above[row] - here[row]) / step, (here[row] - below[row]) / step);
                 let scale = 1.0 + ahead.abs();
-                prop_assume!((ahead - behind).abs() < 1e-4 * scale);
+                // A kink puts the mean of the two off by half of their difference.
+                prop_assume!((ahead - behind).abs() < 1e-5 * scale);
                 let slope = 0.5 * (ahead + behind);
                 prop_assert!(
                     (slope - derivative(row)).abs() < 1e-5 * scale,

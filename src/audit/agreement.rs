@@ -293,7 +293,7 @@ impl<P: Pair> Comparison<'_, P> {
 impl ComparisonFit {
     /// The rotation with wider intervals: what the fit leaves unexplained along the axes that a
     /// rotation mixes may be noise to which the loop responds, and which then looks like motion
-    /// along the other one.
+    /// along the other one. A certain rotation exceeds this share, as an angle in rad, as well.
     fn coarse_rotation(&self, about: &Rotation3<f64>) -> [Option<Estimate>; 3] {
         let mut rotation = self.rotation(about);
         for (axis, angle) in rotation.iter_mut().enumerate() {
@@ -301,7 +301,7 @@ impl ComparisonFit {
             let explained =
                 others.map(|other| self.explained[other]).into_iter().fold(1.0, f64::min);
             if let Some(angle) = angle {
-                angle.half_width += 1.0 - explained.clamp(0.0, 1.0);
+                angle.half_width += (1.0 - explained.clamp(0.0, 1.0)) / CERTAIN_INTERVALS;
             }
         }
         rotation

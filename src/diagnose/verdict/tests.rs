@@ -134,6 +134,26 @@ fn effect_within_file_tolerance_is_not_named() {
 }
 
 #[test]
+fn effect_that_the_file_hides_in_a_twin_is_named() {
+    let file = explained(&[], 0.0, [8.0, 6.0]);
+    // Its fit moved the thrust to the end of its tolerance.
+    let mut mass = explained(&["mass"], 400.0, [1.1, 1.05]);
+    mass.numbers[0].unremarkable = 0.5;
+    let level = explained(&["thrust_scale"], 370.0, [1.1, 1.05]);
+    let sets = vec![file.clone(), mass.clone(), level.clone()];
+    let decision = decide(&evidence(8.0, sets));
+    assert_eq!((decision.verdict, named(&decision)), (Verdict::Effect, vec!["thrust_scale"]));
+    // Not if it predicts worse, or is within its tolerance too.
+    let worse = explained(&["thrust_scale"], 370.0, [1.5, 1.5]);
+    let mut within = level;
+    within.numbers[0].unremarkable = 0.5;
+    for twin in [worse, within] {
+        let sets = vec![file.clone(), mass.clone(), twin];
+        assert_eq!(decide(&evidence(8.0, sets)).verdict, Verdict::None);
+    }
+}
+
+#[test]
 fn effect_smaller_than_its_own_error_is_not_named() {
     let file = explained(&[], 0.0, [8.0, 6.0]);
     let mut both = explained(&["command_delay", "wind"], 400.0, [1.1, 1.05]);
