@@ -98,6 +98,9 @@ pub struct Agreement {
     /// too large to be trims.
     #[serde(skip)]
     pub(super) coarse_rad: [Option<Estimate>; 3],
+    /// Share of the motion across each axis that this fit leaves unexplained.
+    #[serde(skip)]
+    pub(super) coarse_unexplained: [f64; 3],
     /// Bias of the other sensor in its own axes and unit; `None` where the motion does not show it.
     pub bias: [Option<Estimate>; 3],
     /// Ratio of the stream's derivative to the other sensor along each of its axes, negative where
@@ -176,7 +179,8 @@ pub(super) fn agreement(pair: &impl Pair) -> Option<Agreement> {
         delay_s,
         drift,
         rotation_rad: own.rotation(&comparison.rotation),
-        coarse_rad: common.coarse_rotation(&comparison.rotation),
+        coarse_rad: common.rotation(&comparison.rotation),
+        coarse_unexplained: common.unexplained_across(),
         bias: std::array::from_fn(|i| of(BIAS + i)),
         scale: std::array::from_fn(scale),
         common_scale: between(common_scale, common.fit.explained).times(unit),
@@ -291,20 +295,13 @@ impl<P: Pair> Comparison<'_, P> {
 }
 
 impl ComparisonFit {
-    /// The rotation with wider intervals: what the fit leaves unexplained along the axes that a
-    /// rotation mixes may be noise to which the loop responds, and which then looks like motion
-    /// along the other one. A certain rotation exceeds this share, as an angle in rad, as well.
-    fn coarse_rotation(&self, about: &Rotation3<f64>) -> [Option<Estimate>; 3] {
-        let mut rotation = self.rotation(about);
-        for (axis, angle) in rotation.iter_mut().enumerate() {
-            let others = [(axis + 1) % 3, (axis + 2) % 3];
-            let explained =
-                others.map(|other| self.explained[other]).into_iter().fold(1.0, f64::min);
-            if let Some(angle) = angle {
-                angle.half_width += (1.0 - explained.clamp(0.0, 1.0)) / CERTAIN_INTERVALS;
-            }
-        }
-        rotation
+    /// Share of the motion that is left unexplained along the worse of the two axes that a rotation
+    /// about each axis mixes.
+    fn unexplained_across(&self) -> [f64; 3] {
+        std::array::from_fn(|axis| {
+            let [a, b] = [(axis + 1) % 3, (axis + 2) % 3].map(|other| self.explained[other]);
+            1.0 - a.min(b).clamp(0.0, 1.0)
+        })
     }
 
     /// The rotation vector from the sensor's axes to the stream's, in the sensor's axes.

@@ -39,9 +39,19 @@ struct FaultLimits {
     rotation_rad: f64,
     /// Sensors' scales are off by up to 3 %, estimators' velocities by up to 12 %.
     scale: f64,
+    /// Whether both streams are estimates that the vehicle's loop follows: it turns their errors
+    /// into motion, which then looks like motion along another axis.
+    are_followed: bool,
 }
 
 impl FaultLimits {
+    /// Whether a rotation is certainly beyond trims and mountings, where the fit leaves a share of
+    /// the motion across its axis unexplained.
+    fn is_implausible_rotation(&self, angle: &Estimate, unexplained: f64) -> bool {
+        let noise_rad = if self.are_followed { unexplained } else { 0.0 };
+        angle.is_beyond(self.rotation_rad + noise_rad, 0.0)
+    }
+
     /// Whether a scale is certainly beyond sensors and filters. A filter as slow as the largest
     /// delay attenuates changes at `pace`, 1/s.
     fn is_implausible_scale(&self, scale: &Estimate, pace: f64) -> bool {
@@ -71,7 +81,12 @@ pub(super) fn pairs(audit: &Audit) -> [CheckedPair; 5] {
                 unit: "rad/s",
                 advice: "the gyro's bias: subtract it",
             }),
-            fault: FaultLimits { delay_s: 0.15, rotation_rad: 0.3, scale: 0.3 },
+            fault: FaultLimits {
+                delay_s: 0.15,
+                rotation_rad: 0.3,
+                scale: 0.3,
+                are_followed: false,
+            },
         },
         CheckedPair {
             stream: "position",
@@ -85,7 +100,7 @@ pub(super) fn pairs(audit: &Audit) -> [CheckedPair; 5] {
                 unit: "m/s",
                 advice: "position and velocity come from different estimates",
             }),
-            fault: FaultLimits { delay_s: 0.15, rotation_rad: 0.3, scale: 0.3 },
+            fault: FaultLimits { delay_s: 0.15, rotation_rad: 0.3, scale: 0.3, are_followed: true },
         },
         CheckedPair {
             stream: "velocity",
@@ -99,21 +114,31 @@ pub(super) fn pairs(audit: &Audit) -> [CheckedPair; 5] {
                 unit: "m/s^2",
                 advice: "the accelerometer's bias, or a tilt of the reported attitude that the gyro does not show (0.17 m/s^2 a degree)",
             }),
-            fault: FaultLimits { delay_s: 0.3, rotation_rad: 0.3, scale: 0.3 },
+            fault: FaultLimits { delay_s: 0.3, rotation_rad: 0.3, scale: 0.3, are_followed: false },
         },
         CheckedPair {
             stream: "velocity",
             other: "the lean",
             agreement: kinematics.lean,
             report: None,
-            fault: FaultLimits { delay_s: f64::INFINITY, rotation_rad: 0.5, scale: 1.0 },
+            fault: FaultLimits {
+                delay_s: f64::INFINITY,
+                rotation_rad: 0.5,
+                scale: 1.0,
+                are_followed: false,
+            },
         },
         CheckedPair {
             stream: "attitude",
             other: "its setpoint",
             agreement: kinematics.setpoint,
             report: None,
-            fault: FaultLimits { delay_s: f64::INFINITY, rotation_rad: 0.7, scale: f64::INFINITY },
+            fault: FaultLimits {
+                delay_s: f64::INFINITY,
+                rotation_rad: 0.7,
+                scale: f64::INFINITY,
+                are_followed: false,
+            },
         },
     ]
 }
@@ -193,8 +218,11 @@ impl CheckedPair {
     }
 
     fn rotated_axes(&self, agreement: &Agreement) -> Option<Finding> {
-        let is_rotated = |r: &Estimate| r.is_beyond(self.fault.rotation_rad, 0.0);
-        if !agreement.coarse_rad.iter().flatten().any(is_rotated) {
+        let angles = agreement.coarse_rad.iter().zip(agreement.coarse_unexplained);
+        let is_rotated = |(angle, unexplained): (&Option<Estimate>, f64)| {
+            angle.is_some_and(|angle| self.fault.is_implausible_rotation(&angle, unexplained))
+        };
+        if !angles.into_iter().any(is_rotated) {
             return None;
         }
         let [x, y, z] = agreement.coarse_rad.map(|r| r.map_or(0.0, |r| r.value));
