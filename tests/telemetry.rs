@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use downwash::clock::{HostTime, VehicleTime};
 use downwash::link::received::Received;
-use downwash::link::vehicle_clock::VehicleClock;
+use downwash::link::vehicle_clock::{Delay, VehicleClock};
 use downwash::telemetry::{Sample, SampleSource, Telemetry, TelemetryFault, TelemetrySettings};
 use message::{AttitudeSource, Inbound};
 use proptest::prelude::*;
@@ -226,6 +226,15 @@ fn reset_restart_and_repeat_are_distinguished() {
     restart.host = START + Duration::from_secs(4);
     assert!(matches!(telemetry.update(&restart), Err(TelemetryFault::Reboot { .. })));
     assert!(telemetry.last_sample().is_none(), "no state from before the restart remains");
+}
+
+#[test]
+fn clock_step_beside_a_slightly_older_stamp_is_no_restart() {
+    let mut telemetry = telemetry();
+    run(&mut telemetry, &[(10_000, odometry)], 3_000_000);
+    let mut early = odometry(2_999_000);
+    early.delay = Some(Delay { seconds: -1.2, at_least_s: -1.2 });
+    assert_eq!(telemetry.update(&early), Err(TelemetryFault::ClockJump { seconds: 1.2 }));
 }
 
 /// A vehicle's messages as the link forwards them, each with its delay.

@@ -398,7 +398,10 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
     }
     if let Some(reason) = &summary.not_flyable {
         print_status(format_args!("this plan cannot be flown: {reason}"));
-        if [ModelKind::Net, ModelKind::Hybrid].iter().any(|kind| kind.name() == plan.model.kind) {
+        if [ModelKind::Net, ModelKind::Hybrid]
+            .map(ModelKind::name)
+            .contains(&plan.model.kind.as_str())
+        {
             print_status(format_args!(
                 "a plan may lead where the model's networks have seen little: try --kind physics"
             ));

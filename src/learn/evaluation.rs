@@ -133,7 +133,7 @@ struct Sums {
     windows: usize,
 }
 
-/// Windows in a block: 4 s of flight, longer than most gusts.
+/// Windows in a block: with [`WINDOW_STRIDE_S`] 4 s of flight, longer than most gusts.
 const BLOCK: usize = 16;
 
 /// Open-loop errors over the windows of some flights, by block of consecutive windows. Errors of
@@ -175,14 +175,13 @@ impl WindowErrors {
 
     /// The errors over all windows.
     pub fn all(&self) -> MultiStep {
-        self.blocks.iter().fold(Sums::default(), Sums::plus).errors()
+        Sums::over(&self.blocks).errors()
     }
 
     /// The errors over all blocks but one.
-    pub fn without(&self, block: usize) -> MultiStep {
-        let (left, right) = self.blocks.split_at(block.min(self.blocks.len()));
-        let kept = left.iter().chain(right.iter().skip(1));
-        kept.fold(Sums::default(), Sums::plus).errors()
+    pub fn without(&self, left_out: usize) -> MultiStep {
+        let kept = self.blocks.iter().enumerate().filter(|(block, _)| *block != left_out);
+        Sums::over(kept.map(|(_, sums)| sums)).errors()
     }
 
     /// Blocks of one window with these errors, the same in every quantity at every horizon.
@@ -194,12 +193,15 @@ impl WindowErrors {
 }
 
 impl Sums {
-    fn plus(mut self, other: &Self) -> Self {
-        for (mine, theirs) in self.squares.iter_mut().zip(&other.squares) {
-            mine.iter_mut().zip(theirs).for_each(|(a, b)| *a += b);
+    fn over<'a>(blocks: impl IntoIterator<Item = &'a Self>) -> Self {
+        let mut total = Self::default();
+        for block in blocks {
+            for (mine, theirs) in total.squares.iter_mut().zip(&block.squares) {
+                mine.iter_mut().zip(theirs).for_each(|(a, b)| *a += b);
+            }
+            total.windows += block.windows;
         }
-        self.windows += other.windows;
-        self
+        total
     }
 
     /// Root mean squares; not finite without a window.

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 use vehicle::VehicleParams;
-use vehicle::effects::BatterySag;
+use vehicle::effects::{BatterySag, Effect};
 use vehicle::frame::Ned;
 
 use super::ROW_RATE_HZ;
@@ -24,10 +24,7 @@ const BALANCE_GAIN_MIN: f64 = 0.05;
 const RESOLUTION: f64 = 0.0005;
 /// Most observations in the search; more do not change the result.
 const SEARCH_ROWS: usize = 12_000;
-/// Prior standard deviation of the voltage's exponent about the vehicle file's: the batteries and
-/// motors of small quadrotors give 0 to 2.
-const EXPONENT_PRIOR: f64 = 1.0;
-/// Of this many observations one enters its fit, and the least number of these.
+/// Of this many observations one enters the fit of the voltage's exponent; its least number.
 const VERTICAL_STEP: usize = 10;
 const VERTICAL_ROWS_MIN: usize = 100;
 /// Range of exponents.
@@ -244,10 +241,10 @@ fn specific_force_z(o: &Observation, acceleration: Ned, gravity: f64) -> f64 {
 
 /// The exponent of the pack's voltage in the thrust, by golden-section search.
 ///
-/// Minimises `T ln(unexplained) + ((e - e_0) / EXPONENT_PRIOR)^2`: the specific force along z that
-/// thrust and drag leave unexplained, one error a second for `T` seconds of flight, and the vehicle
-/// file's exponent. Where the voltage hardly varies, or the labels err by much, the file's exponent
-/// remains.
+/// Minimises `T ln(unexplained) + ((e - e_0) / s)^2`, twice the negative log posterior: the share of
+/// the specific force along z that thrust and drag leave unexplained, one error a second for `T`
+/// seconds of flight; the vehicle file's exponent `e_0`; and the effect's typical deviation `s` from
+/// it. Where the voltage hardly varies, or the labels err by much, the file's exponent remains.
 fn voltage_exponent(
     flights: &[FlightPart<'_>],
     onboard: &Onboard,
@@ -256,6 +253,7 @@ fn voltage_exponent(
     vehicle: &VehicleParams,
 ) -> f64 {
     let of_file = vehicle.modelled_effects.get::<BatterySag>().map_or(0.0, |sag| sag.exponent);
+    let [typical, ..] = (BatterySag::SPEC.typical)(vehicle);
     let mut rows: Vec<VerticalRow> = Vec::new();
     for FlightPart { flight, range } in flights {
         let plain = Actuation { voltage_exponent: 0.0, ..*actuation };
@@ -294,7 +292,7 @@ fn voltage_exponent(
             regression.add([thrust * factor, *a, *b, *c, *d], *force);
         }
         let unexplained = regression.unexplained().unwrap_or(f64::INFINITY);
-        let off = (exponent - of_file) / EXPONENT_PRIOR;
+        let off = (exponent - of_file) / typical;
         seconds * unexplained.max(f64::MIN_POSITIVE).ln() + off * off
     };
     golden_section(EXPONENTS, cost)
@@ -302,11 +300,12 @@ fn voltage_exponent(
 
 /// An observation for the fit of the voltage's exponent.
 struct VerticalRow {
-    /// Thrust input, as if at full voltage.
+    /// Thrust input at full voltage, N.
     thrust: f64,
+    /// Voltage of the pack, V.
     voltage: f64,
-    /// Along body z: velocity, velocity times its magnitude, and the unit vectors north and east,
-    /// along which a wind adds to the velocity.
+    /// Along body z: velocity, m/s; velocity times its magnitude; and the unit vectors north and
+    /// east, along which a wind adds to the velocity.
     air: [f64; 4],
     /// Specific force along body z, m/s^2.
     force: f64,

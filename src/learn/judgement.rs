@@ -7,24 +7,21 @@ use serde::{Deserialize, Serialize};
 use vehicle::VehicleError;
 
 use super::commands::Onboard;
+use super::comparison::{HOLD, Models, compare, summaries};
 use super::dataset::{ObservedFlight, Row};
 use super::error::TrainError;
 use super::error_ratio::{AS_HOLDING, ratios, relative};
-use super::evaluation::{
-    FlightWindows, HORIZONS_S, MultiStep, OneStep, Predictor, WindowErrors, multi_step,
-    window_starts,
-};
+use super::evaluation::{FlightWindows, MultiStep, OneStep, window_starts};
 use super::identify;
 use super::networks::Watch;
-use super::prediction::{Baseline, RecordedInputs};
-use super::split::{Part, SplitKind};
+use super::prediction::RecordedInputs;
+use super::preference::preferred;
+use super::split::Part;
 use super::summary::{MultiStepSummary, OneStepSummary, Series, TrainingSummary};
 use super::training_set::TrainingSet;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::{ACCELERATIONS, Model};
 
-/// Name of the predictor that the others are compared with.
-const HOLD: &str = "hold";
 /// Length of the plotted series of observed and predicted values, s.
 const SERIES_S: f64 = 10.0;
 /// Accelerations that are plotted: the paper's, east and roll.
@@ -95,9 +92,6 @@ pub fn evaluate(
     Ok(Evaluation { rows: rows.len(), one_step, multi_step })
 }
 
-/// A model file's models, each with its kind.
-type Models = Vec<(ModelKind, Box<dyn Model>)>;
-
 fn models(file: &ModelFile) -> Result<Models, VehicleError> {
     ModelKind::ALL.into_iter().map(|kind| Ok((kind, file.model(kind)?))).collect()
 }
@@ -158,61 +152,6 @@ fn against_hold(
         found.map(|summary| &summary.errors)
     };
     errors(kind.name()).zip(errors(HOLD))
-}
-
-/// Share of the physics' error by which another model must be better. A plan leads where networks
-/// have seen little, and there an advantage of a few per cent within the data turns into a loss.
-const ADVANTAGE_MIN: f64 = 0.05;
-/// Normal quantile of a one-sided 95 % bound.
-const NORMAL_95: f64 = 1.645;
-
-/// The model with the best open-loop predictions, or the physics, unless another is better by
-/// [`ADVANTAGE_MIN`] with a probability of 95 %: on a single flight in gusts a network can win by
-/// luck. With few flights, `split` into blocks, validation repeats the manoeuvres of the training
-/// and shows nothing of how the networks generalise: the physics is then preferred if it predicts
-/// better than holding the state. The default of the file if none can be determined.
-fn preferred(validation: &[Compared], split: SplitKind) -> ModelKind {
-    let score = |kind: ModelKind| {
-        let pair = errors_of(validation, kind.name()).zip(errors_of(validation, HOLD));
-        pair.map_or(f64::INFINITY, |(model, hold)| relative(&model.all(), &hold.all()))
-    };
-    if split == SplitKind::Blocks && score(ModelKind::Physics) < AS_HOLDING {
-        return ModelKind::Physics;
-    }
-    let is_better = |kind: ModelKind| {
-        kind == ModelKind::Physics
-            || advantage_at_least(validation, kind) > -(1.0 - ADVANTAGE_MIN).ln()
-    };
-    let scores = ModelKind::ALL.map(|kind| (kind, score(kind)));
-    let best = scores.into_iter().filter(|(kind, score)| score.is_finite() && is_better(*kind));
-    best.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(ModelKind::Hybrid, |(kind, _)| kind)
-}
-
-/// Lower 95 % bound on the logarithm of the physics' error over that of another model, by the
-/// jackknife over blocks of windows (Efron and Stein 1981); infinite if the physics has no finite
-/// error, negative infinite if there are fewer than two blocks.
-fn advantage_at_least(validation: &[Compared], kind: ModelKind) -> f64 {
-    let [model, physics, hold] =
-        [kind.name(), ModelKind::Physics.name(), HOLD].map(|name| errors_of(validation, name));
-    let (Some(model), Some(hold)) = (model, hold) else { return f64::NEG_INFINITY };
-    let Some(physics) = physics else { return f64::INFINITY };
-    let advantage = |errors: &dyn Fn(&WindowErrors) -> MultiStep| {
-        let hold = errors(hold);
-        (relative(&errors(physics), &hold) / relative(&errors(model), &hold)).ln()
-    };
-    let whole = advantage(&WindowErrors::all);
-    if whole == f64::INFINITY {
-        return whole;
-    }
-    let blocks = hold.blocks();
-    if blocks < 2 {
-        return f64::NEG_INFINITY;
-    }
-    let parts: Vec<f64> = (0..blocks)
-        .map(|block| advantage(&|errors: &WindowErrors| errors.without(block)))
-        .collect();
-    let (_, deviation) = moments(parts.into_iter());
-    whole - NORMAL_95 * ((blocks - 1) as f64).sqrt() * deviation
 }
 
 /// Open-loop results of all models on the validation part.
@@ -297,48 +236,6 @@ fn standing_of(validation: &[MultiStepSummary]) -> Standing {
     standing
 }
 
-/// The open-loop errors of a model or a baseline.
-struct Compared {
-    predictor: &'static str,
-    errors: WindowErrors,
-}
-
-fn errors_of<'a>(compared: &'a [Compared], name: &str) -> Option<&'a WindowErrors> {
-    compared.iter().find(|compared| compared.predictor == name).map(|compared| &compared.errors)
-}
-
-/// Open-loop errors of models and baselines over the same windows.
-fn compare(
-    windows: &[FlightWindows<'_>],
-    models: &[(ModelKind, Box<dyn Model>)],
-    watch: &mut dyn Watch,
-) -> Vec<Compared> {
-    let mut predictors: Vec<(&'static str, Predictor<'_>)> = Vec::new();
-    for (kind, model) in models {
-        predictors.push((kind.name(), Predictor::Model(model.as_ref())));
-    }
-    predictors.push((HOLD, Predictor::Baseline(Baseline::Hold)));
-    predictors.push(("constant velocity", Predictor::Baseline(Baseline::ConstantVelocity)));
-    predictors
-        .into_iter()
-        .filter_map(|(predictor, source)| {
-            let found = multi_step(windows, &source);
-            watch.step("test windows");
-            Some(Compared { predictor, errors: found? })
-        })
-        .collect()
-}
-
-fn summaries(compared: &[Compared]) -> Vec<MultiStepSummary> {
-    let summary = |Compared { predictor, errors }: &Compared| MultiStepSummary {
-        predictor: (*predictor).to_owned(),
-        errors: errors.all(),
-        horizons_s: HORIZONS_S.to_vec(),
-        windows: errors.windows(),
-    };
-    compared.iter().map(summary).collect()
-}
-
 /// Observed and predicted values over time, from the block of the test part with the most varied
 /// roll acceleration.
 fn series(dataset: &TrainingSet<'_>, models: &[(ModelKind, Box<dyn Model>)]) -> Vec<Series> {
@@ -399,7 +296,7 @@ pub(super) fn label_error(rows: &[&Row], deviation: &[f64; ACCELERATIONS]) -> Op
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::learn::evaluation::StateError;
+    use crate::learn::evaluation::{HORIZONS_S, StateError};
 
     /// The same error in every quantity, at every horizon.
     fn summary(predictor: &str, error: f64) -> MultiStepSummary {
@@ -415,53 +312,6 @@ mod tests {
             horizons_s: HORIZONS_S.to_vec(),
             windows: 1,
         }
-    }
-
-    /// The same errors in every quantity, in each block.
-    fn compared(predictor: &'static str, errors: &[f64]) -> Compared {
-        Compared { predictor, errors: WindowErrors::of_blocks(errors) }
-    }
-
-    const WHOLE: SplitKind = SplitKind::WholeFlights;
-
-    #[test]
-    fn physics_is_preferred_if_validation_repeats_the_training() {
-        let seen = |physics| {
-            let models = [("net", 0.1), ("physics", physics), ("hybrid", 0.1), (HOLD, 1.0)];
-            let compared = models.map(|(name, error)| compared(name, &[error, error]));
-            preferred(&compared, SplitKind::Blocks)
-        };
-        assert_eq!(seen(0.5), ModelKind::Physics);
-        assert_ne!(seen(1.1), ModelKind::Physics, "no better than holding the state");
-        assert_ne!(seen(f64::NAN), ModelKind::Physics);
-    }
-
-    #[test]
-    fn model_with_non_finite_errors_is_never_best() {
-        let seen = |net, physics, hybrid| {
-            let models = [("net", net), ("physics", physics), ("hybrid", hybrid), (HOLD, 1.0)];
-            preferred(&models.map(|(name, error)| compared(name, &[error, error])), WHOLE)
-        };
-        assert_eq!(seen(f64::NAN, 3.0, 2.0), ModelKind::Hybrid);
-        assert_eq!(seen(-f64::NAN, 2.0, f64::INFINITY), ModelKind::Physics);
-        assert_eq!(seen(0.5, f64::NAN, f64::NAN), ModelKind::Net);
-        assert_eq!(seen(0.5, 2.0, 1.0), ModelKind::Net);
-        assert_eq!(seen(2.0, 1.0, 0.97), ModelKind::Physics, "hardly worse");
-        assert_eq!(seen(2.0, 1.0, 0.94), ModelKind::Hybrid);
-        assert_eq!(preferred(&[], WHOLE), ModelKind::Hybrid);
-    }
-
-    #[test]
-    fn advantage_in_one_block_does_not_beat_the_physics() {
-        let seen = |hybrid: &[f64]| {
-            let physics = vec![1.0; hybrid.len()];
-            let models = [("physics", &physics[..]), ("hybrid", hybrid), (HOLD, &physics[..])];
-            preferred(&models.map(|(name, errors)| compared(name, errors)), WHOLE)
-        };
-        assert_eq!(seen(&[0.1, 1.1, 1.1, 1.1]), ModelKind::Physics);
-        assert_eq!(seen(&[0.7, 0.9, 0.8, 0.6]), ModelKind::Hybrid);
-        // A single block shows no spread.
-        assert_eq!(seen(&[0.5]), ModelKind::Physics);
     }
 
     #[test]

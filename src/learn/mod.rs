@@ -22,6 +22,7 @@ pub mod training;
 pub mod training_set;
 
 mod adam;
+mod comparison;
 mod error_ratio;
 mod kernel;
 mod lanes;
@@ -29,6 +30,7 @@ mod least_squares;
 mod not_finite;
 mod objective;
 mod packed;
+mod preference;
 mod rprop;
 mod window;
 

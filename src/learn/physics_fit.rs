@@ -34,6 +34,7 @@ const WIND_MAX_M_S: f64 = 30.0;
 /// Levenberg-Marquardt on the rows' labels, with each acceleration weighted by its standard
 /// deviation.
 ///
+/// # Errors
 /// The vehicle does not allow the physics.
 pub fn fit(rows: &[&Row], vehicle: &VehicleParams) -> Result<PhysicsParameters, VehicleError> {
     search(rows, vehicle, Parameters::shipped(vehicle), FIT_ROWS)

@@ -218,11 +218,11 @@ impl CheckedPair {
     }
 
     fn rotated_axes(&self, agreement: &Agreement) -> Option<Finding> {
-        let angles = agreement.coarse_rad.iter().zip(agreement.coarse_unexplained);
-        let is_rotated = |(angle, unexplained): (&Option<Estimate>, f64)| {
+        let mut angles = agreement.coarse_rad.into_iter().zip(agreement.coarse_unexplained);
+        let is_rotated = |(angle, unexplained): (Option<Estimate>, f64)| {
             angle.is_some_and(|angle| self.fault.is_implausible_rotation(&angle, unexplained))
         };
-        if !angles.into_iter().any(is_rotated) {
+        if !angles.any(is_rotated) {
             return None;
         }
         let [x, y, z] = agreement.coarse_rad.map(|r| r.map_or(0.0, |r| r.value));

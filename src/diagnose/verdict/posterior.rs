@@ -94,6 +94,12 @@ impl<'a> Posterior<'a> {
         &self.evidence.explanations[index]
     }
 
+    /// The effects of an explanation by the common names of those that act alike; a set has each
+    /// once.
+    fn classes(&self, index: usize) -> BTreeSet<&str> {
+        self.explained(index).effects.iter().map(|effect| class(effect)).collect()
+    }
+
     /// The squared gap on the flights for choosing. For the file it is at most the gap as shipped:
     /// its numbers need not be off.
     fn chosen(&self, index: usize) -> Option<f64> {
@@ -112,11 +118,7 @@ impl<'a> Posterior<'a> {
     /// The explanation with the most mass among those with these effects, or with ones that act
     /// alike.
     fn of(&self, effects: &BTreeSet<&str>) -> Option<usize> {
-        let is_it = |index: &usize| {
-            let own = &self.explained(*index).effects;
-            own.len() == effects.len() && own.iter().all(|own| effects.contains(class(own)))
-        };
-        let all = (0..self.masses.len()).filter(is_it);
+        let all = (0..self.masses.len()).filter(|index| self.classes(*index) == *effects);
         all.max_by(|a, b| self.masses[*a].total_cmp(&self.masses[*b]))
     }
 
@@ -149,23 +151,21 @@ impl<'a> Posterior<'a> {
         self.practical_twin(best).unwrap_or(best)
     }
 
-    /// The likeliest explanation with effects that act like those of `best` and predict the
-    /// held-out flights as well, and of which one is of practical size, where none of `best` is:
-    /// a mass may be within its tolerance only because the thrust moved to the end of its own.
+    /// Where no effect of `best` is of practical size, the explanation with the highest score whose
+    /// effects act like those of `best`, predict the held-out flights as well, and include one of
+    /// practical size: a mass may be within its tolerance only because the thrust moved to the end
+    /// of its own.
     fn practical_twin(&self, best: usize) -> Option<usize> {
         let is_practical = |index: usize| {
             let explained = self.explained(index);
             explained.effects.iter().any(|effect| explained.is_practical(effect))
         };
-        let classes = |index: usize| -> BTreeSet<&str> {
-            self.explained(index).effects.iter().map(|effect| class(effect)).collect()
-        };
         if is_practical(best) {
             return None;
         }
-        let (own, left) = (classes(best), self.reported(best)?);
+        let (own, left) = (self.classes(best), self.reported(best)?);
         let is_twin = |index: &usize| {
-            classes(*index) == own
+            self.classes(*index) == own
                 && is_practical(*index)
                 && !self.evidence.is_implausible(self.explained(*index))
                 && self
@@ -180,7 +180,7 @@ impl<'a> Posterior<'a> {
     /// the flights for choosing; `best` itself unless that one leaves a smaller gap by more than
     /// [`PREDICTION_SHARE_MIN`].
     fn best_part(&self, whole: usize, best: usize) -> usize {
-        let own: BTreeSet<&str> = self.explained(whole).effects.iter().map(|e| class(e)).collect();
+        let own = self.classes(whole);
         let count = self.explained(best).effects.len();
         let is_part = |index: &usize| {
             let explained = self.explained(*index);
@@ -234,7 +234,7 @@ impl<'a> Posterior<'a> {
 
     /// Whether an effect replaces one of the explanation's effects rather than joining them.
     pub fn is_alternative(&self, best: usize, effect: &str) -> bool {
-        let own: BTreeSet<&str> = self.explained(best).effects.iter().map(|e| class(e)).collect();
+        let own = self.classes(best);
         let with = self.evidence.explanations.iter().zip(&self.masses).filter(|(explained, _)| {
             explained.effects.iter().any(|other| class(other) == effect)
                 && !own.iter().all(|own| explained.effects.iter().any(|o| class(o) == *own))
