@@ -14,7 +14,11 @@ const FENCE_M: f64 = 30.0;
 const TILT_MAX_RAD: f64 = 1.2;
 /// Largest speed, m/s.
 const SPEED_MAX_M_S: f64 = 6.0;
-/// Deceleration with which any vehicle here brakes in still air, turning included, m/s^2.
+/// Time from the first setpoint that arrives until the slowest autopilot here begins to turn the
+/// vehicle, s: its delay, its filters and the rotors' lag.
+const REACT_S: f64 = 0.1;
+/// Deceleration with which any vehicle here brakes in still air from then on, turning included,
+/// m/s^2.
 const BRAKE_M_S2: f64 = 3.0;
 /// The same in any tailwind that it can be flown in, m/s^2.
 const BRAKE_LEAST_M_S2: f64 = 0.5;
@@ -137,7 +141,7 @@ impl Envelope {
         }
         let place = [north - self.origin[0], east - self.origin[1], down];
         let speed = seen.velocity.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let stop_s = speed / (2.0 * self.brake_m_s2(seen));
+        let stop_s = REACT_S + speed / (2.0 * self.brake_m_s2(seen));
         let is_near_in = |time_s: f64| {
             (0..3).all(|axis| {
                 let there = place[axis] + seen.velocity[axis] * time_s;
@@ -207,6 +211,8 @@ mod tests {
         assert_eq!(judged(0.0, 2.5, 0.0), Some(Rule::Envelope), "flown out of the envelope");
         assert_eq!(judged(0.0, 2.5, 0.3), Some(Rule::Envelope), "it could have stopped");
         assert_eq!(judged(0.0, 2.5, 0.9), None, "it could not have stopped");
+        assert_eq!(judged(0.0, 2.0, 1.1), None, "nor before it began to turn");
+        assert_eq!(judged(0.0, 2.0, 1.0), Some(Rule::Envelope), "it could have turned in time");
         assert_eq!(
             judged(2.9, 0.5, 0.0),
             Some(Rule::Envelope),
