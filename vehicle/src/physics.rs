@@ -268,13 +268,25 @@ impl Physics {
     /// As [`Physics::accelerations`], after the rotors have settled at the outputs that the
     /// firmware gives for a commanded collective (N) and moments (N m), unclipped above. A model
     /// for control about hover, without lag or upper saturation.
+    ///
+    /// The mean rotor speed is linear in the thrust, as about hover: `(1 + T / T_hover) / 2`.
+    /// Thrust grows with the square of the speed, so commands that alternate from period to period
+    /// would turn the rotors more slowly, and reduce their drag. Rotors that lag do not follow, but
+    /// a plan would use it.
     pub fn accelerations_for_wrench<T: Scalar>(
         &self,
         state: &State<T>,
         wrench: &[T; 4],
         env: &Environment,
     ) -> (Ned<T>, Frd<T>) {
-        self.accelerations(state, &self.rotors_for_wrench(wrench), env)
+        let rotors = self.rotors_for_wrench(wrench);
+        let mut loads = self.loads(&rotors, env);
+        if self.needs_rotor_speed {
+            let [a, b, c, d] = rotors.map(|s| self.fraction(s, env));
+            let inverse_hover = ROTORS as f64 * self.speed_ratio_scale * self.speed_ratio_scale;
+            loads.rotor_speed_ratio = ((a + b + c + d) * inverse_hover + 1.0) * 0.5;
+        }
+        self.accelerations_under(state, &loads, env)
     }
 
     /// The rotor states for a commanded collective (N) and moments (N m); at least 0, unclipped

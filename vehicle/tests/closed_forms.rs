@@ -207,3 +207,25 @@ fn hover_collective_is_found_under_any_effects() {
     let heavy = airborne(&vehicle, &effects(&["mass:mass_kg=3"]));
     assert!(heavy.physics().hover_collective(&heavy.physics().calm()).is_none());
 }
+
+/// Rotors lag, so commands that alternate from period to period slow them down in no vehicle. A
+/// plan may not gain from it.
+#[test]
+fn alternating_commands_leave_the_rotor_drag_alone() {
+    let vehicle = quad();
+    let plant = airborne(&vehicle, &effects(&["rotor_drag:d_xy=0.5,d_z=0.2"]));
+    let physics = plant.physics();
+    let env = physics.calm();
+    let moves = State { velocity: Ned::new(4.0, -2.0, 0.5), ..State::default() };
+    let collective = physics.hover_collective(&env).unwrap();
+    let force = |share: f64, yaw_nm: f64| {
+        let wrench = [share * collective, 0.0, 0.0, yaw_nm];
+        physics.accelerations_for_wrench(&moves, &wrench, &env).0
+    };
+    let hover = force(1.0, 0.0);
+    let (flown, _) = physics.accelerations(&moves, &[vehicle.hover_thrust; 4], &env);
+    assert!((hover - flown).norm() < 1e-5, "the plant's drag at hover");
+    assert!((force(1.0, 0.1) - hover).norm() < 1e-9, "moments");
+    let alternating = (force(0.4, 0.0) + force(1.6, 0.0)) * 0.5;
+    assert!((alternating - hover).norm() < 1e-9, "thrusts");
+}
