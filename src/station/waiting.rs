@@ -1,5 +1,6 @@
 //! Messages about what a flight waits for: within three seconds, and again when that changes.
 
+use std::iter::once;
 use std::time::Duration;
 
 use message::LandedState;
@@ -50,12 +51,25 @@ impl Wait {
 #[derive(Clone, Debug, PartialEq)]
 struct Reason {
     subject: String,
+    severity: Severity,
     line: String,
+}
+
+impl Reason {
+    /// Something that may need a cure.
+    fn warning(subject: impl Into<String>, line: impl Into<String>) -> Self {
+        Self { subject: subject.into(), severity: Severity::Warning, line: line.into() }
+    }
+
+    /// A wait of every flight.
+    fn normal(subject: impl Into<String>, line: impl Into<String>) -> Self {
+        Self { severity: Severity::Info, ..Self::warning(subject, line) }
+    }
 }
 
 impl From<Silence> for Reason {
     fn from(Silence { subject, line }: Silence) -> Self {
-        Self { subject, line }
+        Self::warning(subject, line)
     }
 }
 
@@ -76,8 +90,8 @@ impl Waiting {
         Self { due: now, wait: None, checking: None, reported: Vec::new() }
     }
 
-    /// The messages to report now, from what is awaited and why.
-    fn news(&mut self, now: HostTime, found: Option<(Wait, Vec<Reason>)>) -> Vec<String> {
+    /// The reasons to report now, from what is awaited and why.
+    fn news(&mut self, now: HostTime, found: Option<(Wait, Vec<Reason>)>) -> Vec<Reason> {
         let Some((wait, reasons)) = found else {
             (self.wait, self.reported) = (None, Vec::new());
             return Vec::new();
@@ -106,7 +120,7 @@ impl Waiting {
             |reason: &Reason| self.reported.iter().all(|(subject, _)| *subject != reason.subject);
         let news: Vec<_> = reasons.into_iter().filter(is_news).collect();
         self.reported.extend(news.iter().map(|reason| (reason.subject.clone(), now)));
-        news.into_iter().map(|reason| reason.line).collect()
+        news
     }
 }
 
@@ -119,12 +133,8 @@ impl Station {
         self.waiting.due = now + PERIOD;
         self.report_signing(now);
         let found = self.waits_for(now);
-        let severity = match &found {
-            Some((Wait::Pilot, _)) => Severity::Info,
-            _ => Severity::Warning,
-        };
-        for line in self.waiting.news(now, found) {
-            self.report(now, severity, format!("waiting: {line}"));
+        for reason in self.waiting.news(now, found) {
+            self.report(now, reason.severity, format!("waiting: {}", reason.line));
         }
     }
 
@@ -150,14 +160,15 @@ impl Station {
             return Some((Wait::Telemetry, Vec::new()));
         };
         let by_pilot = self.settings.policy == EngagePolicy::PilotSwitch;
-        let reason = |subject: &str, line: &str| {
-            vec![Reason { subject: subject.to_owned(), line: line.to_owned() }]
-        };
         match offboard.flight_state() {
             FlightState::AwaitRelease => {
-                let mut reasons = reason("mode", &self.release(offboard));
-                reasons.extend(checks(offboard, |subject| !is_of_the_state(subject)));
-                Some((Wait::Release, reasons))
+                let stands_s = self.settings.offboard.supervisor.release_s;
+                let mode = self.release(offboard).unwrap_or_else(|| {
+                    let line = format!("the mode to stay as it is for {stands_s} s");
+                    Reason::normal("mode", line)
+                });
+                let states = |subject: &str| !is_of_the_state(subject);
+                Some((Wait::Release, once(mode).chain(checks(offboard, states)).collect()))
             }
             FlightState::Connect | FlightState::AwaitTelemetry => {
                 let mut reasons = self.telemetry_reasons(now, offboard);
@@ -167,31 +178,34 @@ impl Station {
             FlightState::Preflight => Some((Wait::Checks, checks(offboard, |_| true))),
             FlightState::Standby if by_pilot => {
                 let line = "ready; the pilot switches to OFFBOARD (ArduCopter: GUIDED) to fly";
-                Some((Wait::Pilot, reason("switch", line)))
+                Some((Wait::Pilot, vec![Reason::normal("switch", line)]))
             }
             FlightState::Arm if by_pilot => {
-                Some((Wait::Pilot, reason("arming", "in OFFBOARD; the pilot arms")))
+                let line = "in OFFBOARD; the pilot arms";
+                Some((Wait::Pilot, vec![Reason::normal("arming", line)]))
             }
             _ => None,
         }
     }
 
-    fn release(&self, offboard: &OffboardController) -> String {
+    /// What keeps the vehicle's mode from counting as another one than OFFBOARD; `None` for a mode
+    /// that has just changed.
+    fn release(&self, offboard: &OffboardController) -> Option<Reason> {
         let status = offboard.telemetry().status();
         let offboard = self.profile.as_ref().and_then(|profile| profile.modes.offboard);
         let offboard = offboard.map(|mode| mode.custom_mode);
-        match (status.mode, status.intended_mode) {
-            (None, _) => "the vehicle's mode; no HEARTBEAT from its autopilot yet".to_owned(),
+        let line = match (status.mode, status.intended_mode) {
+            (None, _) => "the vehicle's mode; no HEARTBEAT from its autopilot yet",
             (mode, _) if mode == offboard => {
                 "the vehicle is in OFFBOARD (ArduCopter: GUIDED); switch it to another mode"
-                    .to_owned()
             }
             (_, intended) if intended == offboard => {
-                "the vehicle intends to enter OFFBOARD; switch it to another mode".to_owned()
+                "the vehicle intends to enter OFFBOARD; switch it to another mode"
             }
-            (_, None) => "CURRENT_MODE, which reports the vehicle's intended mode".to_owned(),
-            _ => "the mode has just changed".to_owned(),
-        }
+            (_, None) => "CURRENT_MODE, which reports the vehicle's intended mode",
+            _ => return None,
+        };
+        Some(Reason::warning("mode", line))
     }
 
     /// The link's load, and what could be dropped from it.
@@ -247,16 +261,15 @@ impl Station {
             }
             _ => None,
         };
-        let unknown = unknown
-            .map(|(subject, line)| Reason { subject: subject.to_owned(), line: line.to_owned() });
+        let unknown = unknown.map(|(subject, line)| Reason::warning(subject, line));
         let refused = self.session.refusals().iter().map(|refused| {
             let name = message_name(refused.id);
             let line = format!("{} {name} rejected: {}", refused.count, refused.refusal);
-            Reason { subject: format!("refused {name}"), line }
+            Reason::warning(format!("refused {name}"), line)
         });
         let stale_s = self.settings.offboard.safety.stale_after_s;
         let is_short = telemetry.tick_rate_hz() < needed || telemetry.age_s(now) > stale_s;
-        let rates = is_short.then_some(Reason { subject, line: rates });
+        let rates = is_short.then(|| Reason::warning(subject, rates));
         unknown.into_iter().chain(refused).chain(rates).collect()
     }
 }
@@ -264,9 +277,9 @@ impl Station {
 /// The failed checks whose subject is selected.
 fn checks(offboard: &OffboardController, is_selected: impl Fn(&str) -> bool) -> Vec<Reason> {
     let selected = offboard.failed_checks().iter().filter(|check| is_selected(&check.subject));
-    let reason = |check: &PreflightCheck| Reason {
-        subject: check.subject.clone(),
-        line: format!("{check}{}", cure(&check.subject)),
+    let reason = |check: &PreflightCheck| {
+        let line = format!("{check}{}", cure(&check.subject));
+        Reason::warning(check.subject.clone(), line)
     };
     selected.map(reason).collect()
 }
@@ -293,7 +306,7 @@ mod tests {
     use super::*;
 
     fn reason(subject: &str) -> Reason {
-        Reason { subject: subject.to_owned(), line: subject.to_owned() }
+        Reason::warning(subject, subject)
     }
 
     #[test]
@@ -311,7 +324,7 @@ mod tests {
                 40..100 => Some((Wait::Checks, vec![reason("a"), reason("b")])),
                 _ => None,
             };
-            reported.extend(waiting.news(now, found).into_iter().map(|line| (k, line)));
+            reported.extend(waiting.news(now, found).into_iter().map(|reason| (k, reason.line)));
         }
         let reported: Vec<_> = reported.iter().map(|(k, line)| (*k, line.as_str())).collect();
         assert_eq!(reported, [(25, "silence"), (43, "a"), (43, "b"), (80, "a")]);
