@@ -3,5 +3,6 @@
 
 pub mod learner;
 pub mod map;
+pub mod slung_load;
 pub mod turbulence;
 pub mod unmodelled_force;

@@ -18,6 +18,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::effects::EffectId;
 
+use crate::diagnose::residual_analysis::turbulence::EXPLAINED_MAX;
 use crate::diagnose::verdict::calibration::{Calibration, SIGNS};
 use crate::diagnose::verdict::evidence::{Evidence, ForceLeft};
 use crate::diagnose::verdict::leading::Leading;
@@ -57,6 +58,8 @@ pub enum Unexplained {
     Remainder,
     /// Two sensors agree on a force that nothing explains.
     Force,
+    /// They agree on a force that follows from the vehicle's motion like a slung load's pull.
+    SlungLoad,
     /// The nearest effects are less likely than not to be the cause.
     Doubt,
 }
@@ -198,7 +201,8 @@ fn by_predictions(
         decision.effects = vec![(EffectId::Gusts.name().to_owned(), GUST_PROBABILITY)];
     } else if is_forced && is_open {
         decision.verdict = Verdict::Unknown;
-        decision.because = Some(Unexplained::Force);
+        let is_load = evidence.slung_load > EXPLAINED_MAX;
+        decision.because = Some(if is_load { Unexplained::SlungLoad } else { Unexplained::Force });
     } else if is_open && is_left {
         decision.verdict = Verdict::Unknown;
         decision.because = Some(Unexplained::Remainder);

@@ -85,11 +85,9 @@ fn unknown(answer: &Answer) -> String {
     let head = "These flights show something that no listed effect explains";
     let gap = answer.gap.as_ref();
     let why = match answer.finding.because {
-        Some(Unexplained::Force) => answer.unmodelled_force.as_ref().map(|[_, after]| {
-            format!(
-                "{:.2} m/s^2 of force per mass remains, on which velocity and accelerometer agree",
-                after.rms()
-            )
+        Some(Unexplained::Force) => remaining_force(answer),
+        Some(Unexplained::SlungLoad) => remaining_force(answer).map(|force| {
+            force + ". It follows from the vehicle's motion like the pull of a load that hangs and swings"
         }),
         Some(Unexplained::Doubt) => gap.map(|gap| {
             format!(
@@ -110,6 +108,14 @@ fn unknown(answer: &Answer) -> String {
         None => None,
     };
     why.map_or_else(|| format!("{head}."), |why| format!("{head}: {why}."))
+}
+
+fn remaining_force(answer: &Answer) -> Option<String> {
+    let [_, after] = answer.unmodelled_force.as_ref()?;
+    Some(format!(
+        "{:.2} m/s^2 of force per mass remains, on which velocity and accelerometer agree",
+        after.rms()
+    ))
 }
 
 /// Least probability of an effect that is mentioned where none is named.

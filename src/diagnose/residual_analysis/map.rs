@@ -150,6 +150,8 @@ pub struct Sample {
     pub world: [f64; 3],
     /// The same acceleration along front, right, down of the body, m/s^2.
     pub body: [f64; 3],
+    /// Velocity along north, east, down, m/s.
+    pub velocity: [f64; 3],
     /// Velocity in body axes, m/s.
     pub body_velocity: [f64; 3],
     /// Body rate, rad/s.
@@ -162,6 +164,11 @@ impl Sample {
     /// Mean motor output, 0..1.
     pub fn throttle(&self) -> f64 {
         self.quantities[3]
+    }
+
+    /// Time since the start of the flight's airborne time, s.
+    pub fn time(&self) -> f64 {
+        self.quantities[6]
     }
 }
 
@@ -211,10 +218,12 @@ pub(in crate::diagnose) fn quantities(
 fn sample(flight: &PreparedFlight, time: f64, world: [f64; 3]) -> Sample {
     let attitude = flight.attitude.attitude_at(time);
     let [north, east, _] = flight.position.at(time);
+    let velocity = flight.velocity.at(time);
     Sample {
         world,
         body: attitude.to_body(Ned::from(world)).to_array(),
-        body_velocity: attitude.to_body(Ned::from(flight.velocity.at(time))).to_array(),
+        velocity,
+        body_velocity: attitude.to_body(Ned::from(velocity)).to_array(),
         body_rate: flight.body_rate.at(time),
         place: [north, east, attitude.yaw()],
         quantities: quantities(flight, time),

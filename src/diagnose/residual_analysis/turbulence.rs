@@ -1,15 +1,18 @@
 //! Decides whether an unexplained force is turbulence.
 //!
 //! Gusts act through the drag. Their force is mainly horizontal, equally strong along north and
-//! east, falls with frequency without a line, and is independent of the vehicle's own motion. The
-//! strength of the gusts follows from that force and the vehicle's drag.
+//! east, falls with frequency without a line, is never far beyond its usual size, and is independent
+//! of the vehicle's own motion. The strength of the gusts follows from that force and the vehicle's
+//! drag.
 
 use nalgebra::{DMatrix, DVector};
 use vehicle::VehicleParams;
-use vehicle::effects::{EffectId, EffectSet, Slots};
+use vehicle::effects::{Effect, EffectId, EffectSet, Gusts};
 
 use crate::diagnose::residual_analysis::map::Sample;
-use crate::diagnose::residual_analysis::unmodelled_force::UnmodelledForce;
+use crate::diagnose::residual_analysis::unmodelled_force::{
+    FORCE_MAX_HZ, FORCE_MIN_HZ, UnmodelledForce,
+};
 
 /// Largest ratio of power between north and east for turbulence: few gusts pass in a flight.
 const ISOTROPY_MAX: f64 = 4.0;
@@ -17,38 +20,44 @@ const ISOTROPY_MAX: f64 = 4.0;
 const LINE_RATIO_MIN: f64 = 2.5;
 /// Strongest gusts that such a vehicle flies in, m/s.
 const STORM_M_S: f64 = 20.0;
+/// Largest kurtosis of the force along one axis: normal gusts give 3 through a linear drag, and 7.6
+/// through a quadratic one. Events that are short and rare give more.
+const KURTOSIS_MAX: f64 = 8.0;
 /// Largest share of the force that the vehicle's own motion may explain.
-const EXPLAINED_MAX: f64 = 0.35;
+pub(in crate::diagnose) const EXPLAINED_MAX: f64 = 0.35;
 
-/// The gusts that explain `force` through the drag of `effects` and the file; `None` if it is not
-/// turbulence. `samples` are the residuals of the best explanation.
+/// Standard deviation, m/s, of the gusts of default shape that explain `force` through the drag of
+/// `effects` and the file; `None` if it is not turbulence. `samples` are the residuals of the best
+/// explanation, and `slung_load` is the share of the force that a load on a line would explain.
 pub fn gusts(
     vehicle: &VehicleParams,
     effects: &EffectSet,
     force: &UnmodelledForce,
     samples: &[Sample],
-) -> Option<Slots> {
+    slung_load: f64,
+) -> Option<f64> {
     let all = vehicle.modelled_effects.overlay(effects);
-    let linear = vehicle.linear_drag_n_per_m_s.filter(|_| !effects.contains(EffectId::RotorDrag));
-    let drag = Drag {
-        linear: linear.or(all.value(EffectId::RotorDrag, "d_xy", 0)).unwrap_or(0.0),
-        quadratic: 0.5
-            * vehicle.air_density
-            * all.value(EffectId::ParasiticDrag, "cda_m2", 0).unwrap_or(0.0),
+    // A fit sees the velocity over the ground, not through the air: gusts lower its drag.
+    let drag = |id: EffectId, name: &str| {
+        let values = [effects, &vehicle.modelled_effects].map(|set| set.value(id, name, 0));
+        values.into_iter().flatten().fold(0.0, f64::max)
     };
+    let linear =
+        drag(EffectId::RotorDrag, "d_xy").max(vehicle.linear_drag_n_per_m_s.unwrap_or(0.0));
+    let quadratic = 0.5 * vehicle.air_density * drag(EffectId::ParasiticDrag, "cda_m2");
+    let drag = Drag { linear, quadratic };
     let [north, east, down] = force.mean_square.map(|power| power.max(0.0));
     let (most, least) = (north.max(east), north.min(east));
     let is_level = most < ISOTROPY_MAX * least && down < most;
-    if !is_level || has_line(&force.bands) || explained_by_motion(samples)? > EXPLAINED_MAX {
+    let by_motion = explained_by_motion(samples)?.max(slung_load);
+    let along = |axis: usize| samples.iter().map(move |sample| sample.world[axis]);
+    let is_steady = 0.5 * (kurtosis(along(0)) + kurtosis(along(1))) < KURTOSIS_MAX;
+    if !is_level || has_line(&force.bands) || !is_steady || by_motion > EXPLAINED_MAX {
         return None;
     }
     let mass = all.value(EffectId::Mass, "mass_kg", 0).unwrap_or(vehicle.mass);
-    let mut slots = Slots::default();
-    for slot in EffectId::Gusts.spec().slots() {
-        slots[slot.index] = slot.parameter.default.unwrap_or(0.0);
-    }
-    slots[0] = drag.gusts((0.5 * (north + east)).sqrt() * mass)?;
-    Some(slots)
+    let share = Gusts::neutral().share_of_power(FORCE_MIN_HZ, FORCE_MAX_HZ);
+    drag.gusts((0.5 * (north + east) / share).sqrt() * mass)
 }
 
 /// A vehicle's drag along the wind: `linear` [kg/s] and `quadratic` [kg/m].
@@ -94,6 +103,15 @@ fn has_line(bands: &[[f64; 3]]) -> bool {
     })
 }
 
+/// Kurtosis of values: the fourth moment about the mean over the squared variance; not a number for
+/// values without variance.
+fn kurtosis(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let n = values.clone().count() as f64;
+    let mean = values.clone().sum::<f64>() / n;
+    let moment = |power| values.clone().map(|value| (value - mean).powi(power)).sum::<f64>() / n;
+    moment(4) / moment(2).powi(2)
+}
+
 /// Share of the force in body axes that a regression on velocity, body rate and throttle explains,
 /// less the share that as many unrelated regressors would explain.
 fn explained_by_motion(samples: &[Sample]) -> Option<f64> {
@@ -130,6 +148,10 @@ fn regressors(sample: &Sample) -> [f64; REGRESSORS] {
 
 #[cfg(test)]
 mod tests {
+    use rand::{Rng, SeedableRng};
+    use rand_distr::StandardNormal;
+    use rand_pcg::Pcg64Mcg;
+
     use super::*;
 
     #[test]
@@ -142,6 +164,21 @@ mod tests {
         let both = Drag { linear: 0.2, quadratic: 0.05 };
         assert!(both.gusts(0.3).unwrap() < 1.5);
         assert_eq!(Drag { linear: 0.0, quadratic: 0.0 }.gusts(0.3), None);
+    }
+
+    #[test]
+    fn rare_events_have_a_larger_kurtosis_than_normal_gusts() {
+        let mut rng = Pcg64Mcg::seed_from_u64(3);
+        let gusts: Vec<[f64; 3]> = (0..20_000)
+            .map(|_| std::array::from_fn(|_| rng.sample::<f64, _>(StandardNormal)))
+            .collect();
+        let linear = kurtosis(gusts.iter().map(|gust| gust[0]));
+        assert!((linear - 3.0).abs() < 0.2, "{linear}");
+        let speed = |[x, y, z]: &[f64; 3]| (x * x + y * y + z * z).sqrt();
+        let quadratic = kurtosis(gusts.iter().map(|gust| speed(gust) * gust[0]));
+        assert!((quadratic - 7.56).abs() < 1.0, "{quadratic}");
+        let bump = |k: usize| if k % 50 < 3 { 1.0 } else { 0.0 };
+        assert!(kurtosis((0..1000).map(bump)) > KURTOSIS_MAX);
     }
 
     #[test]

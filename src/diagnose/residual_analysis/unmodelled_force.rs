@@ -18,13 +18,13 @@ use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::likelihood::residuals::{Evaluator, Groups};
 
 /// Upper limit for comparing forces, Hz: above it, errors of rotors and delays appear.
-const FORCE_MAX_HZ: f64 = 4.5;
+pub(super) const FORCE_MAX_HZ: f64 = 4.5;
 /// The noise that both sensors share is measured between that limit and this, Hz.
 const NOISE_MAX_HZ: f64 = 11.5;
 /// Shared noise may not be white: it may be this much stronger at low frequencies.
 const SHARED_FACTOR: f64 = 3.0;
 /// Lower limit for comparing forces, Hz: below it, the accelerometer's bias drifts.
-const FORCE_MIN_HZ: f64 = 0.1;
+pub(super) const FORCE_MIN_HZ: f64 = 0.1;
 
 /// Residual force per mass on which velocity and accelerometer agree.
 #[derive(Clone, Debug, PartialEq, JsonSchema, Serialize)]

@@ -13,6 +13,7 @@ use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::residual_analysis::learner::Learner;
 use crate::diagnose::residual_analysis::map::samples;
+use crate::diagnose::residual_analysis::slung_load::slung_load;
 use crate::diagnose::residual_analysis::turbulence::gusts;
 use crate::diagnose::residual_analysis::unmodelled_force::unmodelled_force;
 use crate::diagnose::search::explanation::Explanation;
@@ -215,6 +216,7 @@ impl DiagnosisContext<'_> {
             outputs_logged: self.input.fitted.iter().all(|flight| flight.channels.shows_rotors()),
             force: None,
             gusts_m_s: None,
+            slung_load: 0.0,
         };
         // Only candidates for the verdict are predicted on the held-out flights.
         let scores = evidence.scores();
@@ -240,9 +242,8 @@ impl DiagnosisContext<'_> {
         }
         let learned =
             learner.and_then(|learner| over(&everything.clone().with_learner(learner), 1));
-        let (force, gusts_m_s) = self.force(found)?;
         evidence.learned = learned;
-        (evidence.force, evidence.gusts_m_s) = (force, gusts_m_s);
+        self.weigh_force(found, &mut evidence)?;
         Ok(evidence)
     }
 
@@ -253,28 +254,33 @@ impl DiagnosisContext<'_> {
         Learner::of(&self.all, self.evaluator, &candidate, &allocation)
     }
 
-    /// The residual force of the best explanation, and the gusts that it resembles.
-    fn force(
+    /// Adds the residual force of the best explanation, and the gusts or the load on a line that it
+    /// resembles.
+    fn weigh_force(
         &self,
         found: &Explanations,
-    ) -> Result<(Option<ForceLeft>, Option<f64>), DiagnoseError> {
+        evidence: &mut Evidence,
+    ) -> Result<(), DiagnoseError> {
         let best = found.best();
         let candidate = self.catalogue.candidate(&best.fit.values)?;
         let Some(after) = unmodelled_force(&self.all, self.evaluator, &candidate) else {
-            return Ok((None, None));
+            return Ok(());
         };
         let unit = (6.0_f64.sqrt() * found.noise.velocity / FORCE_TIME_S)
             .max(FORCE_MIN_WEIGHTS * self.input.vehicle.gravity);
         let samples = samples(&self.all, self.evaluator, &candidate);
         let effects = self.catalogue.effects(&best.fit.values, Some(&self.effects_of(best)));
-        let gusts = gusts(self.input.vehicle, &effects, &after, &samples);
+        let load = slung_load(&samples);
+        let gusts = gusts(self.input.vehicle, &effects, &after, &samples, load);
         let may_be = !self.input.without.contains(&EffectId::Gusts);
-        let force = ForceLeft {
+        evidence.force = Some(ForceLeft {
             rms: after.rms(),
             significance: after.significance().max(after.slow_significance),
             size: after.rms() / unit,
-        };
-        Ok((Some(force), gusts.filter(|_| may_be).map(|slots| slots[0])))
+        });
+        evidence.gusts_m_s = gusts.filter(|_| may_be);
+        evidence.slung_load = load;
+        Ok(())
     }
 }
 

@@ -64,6 +64,9 @@ pub struct Evidence {
     pub force: Option<ForceLeft>,
     /// Standard deviation of gusts that would cause the force, where it looks like turbulence, m/s.
     pub gusts_m_s: Option<f64>,
+    /// Share of the horizontal force that the pull of a load on a line would explain.
+    #[serde(default)]
+    pub slung_load: f64,
 }
 
 /// The value for stored evidence that predates the field.

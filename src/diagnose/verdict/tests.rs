@@ -237,6 +237,8 @@ fn force_confirmed_by_two_sensors_is_unknown_or_gusts() {
     let mut forced = evidence(8.0, vec![explained(&[], 0.0, [8.0, 7.9])]);
     forced.force = Some(ForceLeft { rms: 1.0, significance: 9.0, size: 3.0 });
     assert_eq!(decide(&forced).because, Some(Unexplained::Force));
+    forced.slung_load = 0.8;
+    assert_eq!(decide(&forced).because, Some(Unexplained::SlungLoad));
     forced.gusts_m_s = Some(1.5);
     assert_eq!(named(&decide(&forced)), ["gusts"]);
 }

@@ -5,6 +5,8 @@
 //! s) / (1 + tau s)^2. The standard deviations are sigma, sigma and 0.6 sigma (MIL-F-8785C forms
 //! with a constant airspeed).
 
+use std::f64::consts::{FRAC_PI_2, TAU};
+
 use rand::Rng;
 use rand_distr::StandardNormal;
 
@@ -42,6 +44,15 @@ impl Effect for Gusts {
 
     fn from_slots(&[sigma_m_s, length_m, speed_m_s, ..]: &Slots) -> Self {
         Self { sigma_m_s, length_m, speed_m_s }
+    }
+}
+
+impl Gusts {
+    /// Share of the north component's power between two frequencies, Hz: `2/pi (atan(2 pi f tau))`
+    /// from the lower to the upper.
+    pub fn share_of_power(&self, from_hz: f64, to_hz: f64) -> f64 {
+        let below = |hz: f64| (TAU * hz * self.length_m / self.speed_m_s).atan() / FRAC_PI_2;
+        below(to_hz) - below(from_hz)
     }
 }
 
@@ -133,6 +144,13 @@ mod tests {
                 assert!((found / sigma - 1.0).abs() < 0.04, "step {step}: {found} not {sigma}");
             }
         }
+    }
+
+    #[test]
+    fn half_of_the_power_lies_below_the_corner_frequency() {
+        let gusts = Gusts { sigma_m_s: 1.0, length_m: 6.0, speed_m_s: 3.0 };
+        assert!((gusts.share_of_power(0.0, 1.0 / (TAU * 2.0)) - 0.5).abs() < 1e-12);
+        assert!((gusts.share_of_power(0.0, 1e9) - 1.0).abs() < 1e-6);
     }
 
     /// Autocorrelations: exp(-t / tau) along north, (1 - t / (2 tau)) exp(-t / tau) across.
