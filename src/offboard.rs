@@ -170,6 +170,7 @@ impl OffboardController {
 
         let phase = self.supervisor.state();
         let (airborne, lifting_n) = (self.airborne(), self.controller.lifting_n());
+        self.guidance.wait_on_the_ground(self.answers_late(now));
         let moving = Sample { state: self.controller.moving(&sample.state), ..sample };
         let guided = self.guidance.guide(phase, &moving, airborne, lifting_n);
         let mut reference = guided.reference;

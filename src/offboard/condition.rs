@@ -152,6 +152,12 @@ impl OffboardController {
         self.round_trip.is_some_and(|(at, time)| now.since(at) > UNANSWERED + time)
     }
 
+    /// Whether setpoints may reach the vehicle too late to leave the ground with.
+    pub(super) fn answers_late(&self, now: HostTime) -> bool {
+        let is_slow = |time| time > self.settings.safety.round_trip_max_s;
+        self.may_be_unreachable(now) || self.round_trip_s(now).is_some_and(is_slow)
+    }
+
     /// Round trip of the newest answer, s, if one arrived recently.
     fn round_trip_s(&self, now: HostTime) -> Option<f64> {
         let (_, time) = self.round_trip.filter(|(at, _)| now.since(*at) < ANSWER_FRESH)?;

@@ -74,6 +74,12 @@ pub(super) struct Guidance {
     lowest_down: f64,
     /// Share of the horizontal feedback that thrust above weight has faded in.
     lifted: f64,
+    /// How long the take-off has been suspended, s.
+    waited_s: f64,
+    /// Whether the vehicle, if it is on the ground, waits there.
+    waits: bool,
+    /// When the last tick was.
+    seen: VehicleTime,
     state: FlightState,
     entered: VehicleTime,
     segment: Segment,
@@ -109,6 +115,9 @@ impl Guidance {
             ground: None,
             lowest_down: 0.0,
             lifted: 0.0,
+            waited_s: 0.0,
+            waits: false,
+            seen: VehicleTime::default(),
             state: FlightState::Connect,
             entered: VehicleTime::default(),
             segment: Segment::default(),
@@ -212,7 +221,10 @@ impl Guidance {
         let t = sample.vehicle.seconds_since(self.entered);
         let here = &sample.state;
         let mut guided = match state {
-            FlightState::TakeOff => self.take_off(t, here, last_thrust_n),
+            FlightState::TakeOff => {
+                let since_s = sample.vehicle.seconds_since(self.seen).max(0.0);
+                self.take_off(t, since_s, here, last_thrust_n)
+            }
             FlightState::Approach => self.approach(t, sample),
             FlightState::Track => self.track(t, here),
             FlightState::Hold | FlightState::Land => Guided::fly(self.hold(sample)),
@@ -223,7 +235,13 @@ impl Guidance {
         guided.reference.feedforward.attitude.yaw =
             wrap_angle(guided.reference.feedforward.attitude.yaw);
         self.last = Some(guided.reference);
+        self.seen = sample.vehicle;
         guided
+    }
+
+    /// Whether a vehicle that has not left the ground waits there, its take-off suspended.
+    pub fn wait_on_the_ground(&mut self, waits: bool) {
+        self.waits = waits;
     }
 
     /// Holds where the next sample shows the vehicle. The estimate jumped, and its old coordinates
@@ -244,6 +262,7 @@ impl Guidance {
             FlightState::TakeOff => {
                 self.anchor = Some(position);
                 (self.lowest_down, self.lifted) = (position.down(), 0.0);
+                (self.waited_s, self.seen) = (0.0, sample.vehicle);
                 self.goal.arrive();
                 let start = self.find_start().position + self.goal.at() + position;
                 let top = Ned::new(position.north(), position.east(), start.down());
@@ -327,18 +346,30 @@ impl Guidance {
     }
 
     /// Raises thrust on the ground without feedback, then climbs along a minimum-jerk profile.
-    fn take_off(&mut self, t: f64, here: &State, last_thrust_n: Option<f64>) -> Guided {
+    /// `t` is the time since the take-off began, `since_s` that since the last tick, s.
+    fn take_off(
+        &mut self,
+        t: f64,
+        since_s: f64,
+        here: &State,
+        last_thrust_n: Option<f64>,
+    ) -> Guided {
         let s = self.settings;
         self.lowest_down = self.lowest_down.max(here.position.down());
+        let floor = self.segment.from().down().max(self.lowest_down - FLOOR_NOISE_M);
+        let height = floor - here.position.down();
+        let risen = (height / s.feedback_height_m).clamp(0.0, 1.0);
+        let is_waiting = self.waits && risen == 0.0;
+        if is_waiting {
+            self.waited_s += since_s;
+        }
+        let t = t - self.waited_s;
         let spooled = (t / s.spool_s).min(1.0);
-        if spooled < 1.0 {
+        if spooled < 1.0 || is_waiting {
             return self.idle(s.idle_thrust + (s.spool_thrust - s.idle_thrust) * spooled, here);
         }
         let climbing = t - s.spool_s;
         let mut reference = self.along(climbing, &self.expected_at_rest());
-        let floor = self.segment.from().down().max(self.lowest_down - FLOOR_NOISE_M);
-        let height = floor - here.position.down();
-        let risen = (height / s.feedback_height_m).clamp(0.0, 1.0);
         let excess = last_thrust_n.map_or(0.0, |thrust_n| thrust_n / self.hover_thrust_n - 1.0);
         self.lifted = self.lifted.max((excess / LIFTING_EXCESS).clamp(0.0, 1.0));
         let share = risen.max(self.lifted);
