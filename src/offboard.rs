@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::adjustment::{Adjusted, Adjustment, AdjustmentSettings};
 pub use self::effective_vehicle::{EffectiveVehicle, Uncontrollable};
-use self::guidance::Guidance;
+use self::guidance::{Guidance, LiftOff};
 pub use self::guidance::{GuidanceSettings, TRAJECTORY_DONE};
 pub use self::tick::Tick;
 
@@ -169,10 +169,13 @@ impl OffboardController {
         let sample = sample?;
 
         let phase = self.supervisor.state();
-        let (airborne, lifting_n) = (self.airborne(), self.controller.lifting_n());
-        self.guidance.wait_on_the_ground(self.answers_late(now));
+        let lift_off = LiftOff {
+            airborne: self.airborne(),
+            thrust_n: self.controller.lifting_n(),
+            waits: self.answers_late(now),
+        };
         let moving = Sample { state: self.controller.moving(&sample.state), ..sample };
-        let guided = self.guidance.guide(phase, &moving, airborne, lifting_n);
+        let guided = self.guidance.guide(phase, &moving, lift_off);
         let mut reference = guided.reference;
         if guided.feedback {
             reference.feedforward.thrust_n *= self.voltage_gain();

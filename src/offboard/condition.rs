@@ -152,10 +152,9 @@ impl OffboardController {
         self.round_trip.is_some_and(|(at, time)| now.since(at) > UNANSWERED + time)
     }
 
-    /// Whether setpoints may reach the vehicle too late to leave the ground with.
+    /// Whether setpoints may reach the vehicle too late for a lift-off.
     pub(super) fn answers_late(&self, now: HostTime) -> bool {
-        let is_slow = |time| time > self.settings.safety.round_trip_max_s;
-        self.may_be_unreachable(now) || self.round_trip_s(now).is_some_and(is_slow)
+        self.may_be_unreachable(now) || self.settings.safety.is_link_slow(self.round_trip_s(now))
     }
 
     /// Round trip of the newest answer, s, if one arrived recently.

@@ -52,6 +52,17 @@ enum Latch {
     Ahead,
 }
 
+/// What shows whether the vehicle has left the ground, and may.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LiftOff {
+    /// Whether it is off the ground, as it reports.
+    pub airborne: Option<bool>,
+    /// The last thrust, N, which shows lift-off before the height does; `None` if not known.
+    pub thrust_n: Option<f64>,
+    /// Whether a vehicle that has not risen yet waits, its take-off suspended.
+    pub waits: bool,
+}
+
 /// Chooses the reference. The trajectory's origin is the anchor: the place where the vehicle took
 /// off or last stood, or else the point of the local frame's floor below it. Its axes are those of
 /// the world.
@@ -76,8 +87,6 @@ pub(super) struct Guidance {
     lifted: f64,
     /// How long the take-off has been suspended, s.
     waited_s: f64,
-    /// Whether the vehicle, if it is on the ground, waits there.
-    waits: bool,
     /// When the last tick was.
     seen: VehicleTime,
     state: FlightState,
@@ -116,7 +125,6 @@ impl Guidance {
             lowest_down: 0.0,
             lifted: 0.0,
             waited_s: 0.0,
-            waits: false,
             seen: VehicleTime::default(),
             state: FlightState::Connect,
             entered: VehicleTime::default(),
@@ -203,14 +211,9 @@ impl Guidance {
         (start.north() - position.north()).hypot(start.east() - position.east())
     }
 
-    /// The reference of this tick. The last thrust, N, shows lift-off before the height does.
-    pub fn guide(
-        &mut self,
-        state: FlightState,
-        sample: &Sample,
-        airborne: Option<bool>,
-        last_thrust_n: Option<f64>,
-    ) -> Guided {
+    /// The reference of this tick.
+    pub fn guide(&mut self, state: FlightState, sample: &Sample, lift_off: LiftOff) -> Guided {
+        let airborne = lift_off.airborne;
         if airborne == Some(false) {
             self.ground = Some(sample.state.position);
         }
@@ -221,10 +224,7 @@ impl Guidance {
         let t = sample.vehicle.seconds_since(self.entered);
         let here = &sample.state;
         let mut guided = match state {
-            FlightState::TakeOff => {
-                let since_s = sample.vehicle.seconds_since(self.seen).max(0.0);
-                self.take_off(t, since_s, here, last_thrust_n)
-            }
+            FlightState::TakeOff => self.take_off(t, sample, lift_off),
             FlightState::Approach => self.approach(t, sample),
             FlightState::Track => self.track(t, here),
             FlightState::Hold | FlightState::Land => Guided::fly(self.hold(sample)),
@@ -237,11 +237,6 @@ impl Guidance {
         self.last = Some(guided.reference);
         self.seen = sample.vehicle;
         guided
-    }
-
-    /// Whether a vehicle that has not left the ground waits there, its take-off suspended.
-    pub fn wait_on_the_ground(&mut self, waits: bool) {
-        self.waits = waits;
     }
 
     /// Holds where the next sample shows the vehicle. The estimate jumped, and its old coordinates
@@ -346,22 +341,16 @@ impl Guidance {
     }
 
     /// Raises thrust on the ground without feedback, then climbs along a minimum-jerk profile.
-    /// `t` is the time since the take-off began, `since_s` that since the last tick, s.
-    fn take_off(
-        &mut self,
-        t: f64,
-        since_s: f64,
-        here: &State,
-        last_thrust_n: Option<f64>,
-    ) -> Guided {
-        let s = self.settings;
+    /// `t` is the time since the take-off began, s.
+    fn take_off(&mut self, t: f64, sample: &Sample, lift_off: LiftOff) -> Guided {
+        let (s, here) = (self.settings, &sample.state);
         self.lowest_down = self.lowest_down.max(here.position.down());
         let floor = self.segment.from().down().max(self.lowest_down - FLOOR_NOISE_M);
         let height = floor - here.position.down();
         let risen = (height / s.feedback_height_m).clamp(0.0, 1.0);
-        let is_waiting = self.waits && risen == 0.0;
+        let is_waiting = lift_off.waits && risen == 0.0;
         if is_waiting {
-            self.waited_s += since_s;
+            self.waited_s += sample.vehicle.seconds_since(self.seen).max(0.0);
         }
         let t = t - self.waited_s;
         let spooled = (t / s.spool_s).min(1.0);
@@ -370,7 +359,7 @@ impl Guidance {
         }
         let climbing = t - s.spool_s;
         let mut reference = self.along(climbing, &self.expected_at_rest());
-        let excess = last_thrust_n.map_or(0.0, |thrust_n| thrust_n / self.hover_thrust_n - 1.0);
+        let excess = lift_off.thrust_n.map_or(0.0, |thrust_n| thrust_n / self.hover_thrust_n - 1.0);
         self.lifted = self.lifted.max((excess / LIFTING_EXCESS).clamp(0.0, 1.0));
         let share = risen.max(self.lifted);
         let (p, r, v) = (here.position, reference.position, here.velocity);

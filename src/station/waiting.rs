@@ -167,8 +167,8 @@ impl Station {
                     let line = format!("the mode to stay as it is for {stands_s} s");
                     Reason::normal("mode", line)
                 });
-                let states = |subject: &str| !is_of_the_state(subject);
-                Some((Wait::Release, once(mode).chain(checks(offboard, states)).collect()))
+                let others = checks(offboard, |subject| !is_of_the_state(subject));
+                Some((Wait::Release, once(mode).chain(others).collect()))
             }
             FlightState::Connect | FlightState::AwaitTelemetry => {
                 let mut reasons = self.telemetry_reasons(now, offboard);

@@ -192,13 +192,18 @@ pub struct FlightCondition<'a> {
 }
 
 impl SafetySettings {
+    /// Whether setpoints reach the vehicle too late; not known without a round trip, s.
+    pub fn is_link_slow(&self, round_trip_s: Option<f64>) -> bool {
+        round_trip_s.is_some_and(|time| time > self.round_trip_max_s)
+    }
+
     /// Whether the fault's condition holds now.
     pub(super) fn holds(&self, fault: Fault, c: &FlightCondition) -> bool {
         let beyond = |value: f64, limit: f64| value > limit || value.is_nan();
         match fault {
             Fault::StaleTelemetry => beyond(c.sample_age_s, self.stale_after_s),
             Fault::TelemetryJump => c.jumped,
-            Fault::SlowLink => c.round_trip_s.is_some_and(|time| time > self.round_trip_max_s),
+            Fault::SlowLink => self.is_link_slow(c.round_trip_s),
             Fault::TrackingError => beyond(c.tracking_error_m, self.tracking_error_max_m),
             Fault::Tilt => beyond(c.tilt_rad, self.tilt_max_rad),
             Fault::Geofence => {

@@ -280,11 +280,14 @@ impl Physics {
         env: &Environment,
     ) -> (Ned<T>, Frd<T>) {
         let rotors = self.rotors_for_wrench(wrench);
-        let mut loads = self.loads(&rotors, env);
+        let mut loads = self.thrust_loads(&rotors, env);
         if self.needs_rotor_speed {
             let [a, b, c, d] = rotors.map(|s| self.fraction(s, env));
             let inverse_hover = ROTORS as f64 * self.speed_ratio_scale * self.speed_ratio_scale;
             loads.rotor_speed_ratio = ((a + b + c + d) * inverse_hover + 1.0) * 0.5;
+        }
+        if self.spin_momentum_max.is_some() {
+            loads.spin_momentum = self.spin_momentum(self.rotor_speeds(&rotors, env));
         }
         self.accelerations_under(state, &loads, env)
     }
@@ -353,9 +356,34 @@ impl<L: BodyLaws> Physics<L> {
         std::array::from_fn(|i| root(self.fraction(rotors[i], env)))
     }
 
+    /// Angular momentum along down of rotors at these speeds, N m s.
+    #[inline(always)]
+    fn spin_momentum<T: Scalar>(&self, speeds: [T; ROTORS]) -> T {
+        let mut sum = T::default();
+        if let Some(momenta) = &self.spin_momentum_max {
+            for (momentum, speed) in momenta.iter().zip(speeds) {
+                sum += speed * *momentum;
+            }
+        }
+        sum
+    }
+
     /// The loads of rotors in states s_i, with constant angular momentum.
     #[inline(always)]
     pub fn loads<T: Scalar>(&self, rotors: &[T; ROTORS], env: &Environment) -> Loads<T> {
+        let mut loads = self.thrust_loads(rotors, env);
+        if self.needs_rotor_speed {
+            let speeds = self.rotor_speeds(rotors, env);
+            let [a, b, c, d] = speeds;
+            loads.rotor_speed_ratio = (a + b + c + d) * self.speed_ratio_scale;
+            loads.spin_momentum = self.spin_momentum(speeds);
+        }
+        loads
+    }
+
+    /// The loads of the thrusts and drag torques alone.
+    #[inline(always)]
+    fn thrust_loads<T: Scalar>(&self, rotors: &[T; ROTORS], env: &Environment) -> Loads<T> {
         let mut loads = Loads {
             thrust: T::default(),
             moment: [T::default(); 3],
@@ -369,16 +397,6 @@ impl<L: BodyLaws> Physics<L> {
             loads.moment[0] += thrust * -rotor.y;
             loads.moment[1] += thrust * rotor.x;
             loads.moment[2] += thrust * rotor.torque_per_thrust;
-        }
-        if self.needs_rotor_speed {
-            let speeds = self.rotor_speeds(rotors, env);
-            let [a, b, c, d] = speeds;
-            loads.rotor_speed_ratio = (a + b + c + d) * self.speed_ratio_scale;
-            if let Some(momenta) = &self.spin_momentum_max {
-                for (momentum, speed) in momenta.iter().zip(speeds) {
-                    loads.spin_momentum += speed * *momentum;
-                }
-            }
         }
         loads
     }

@@ -87,7 +87,9 @@ fn unknown(answer: &Answer) -> String {
     let why = match answer.finding.because {
         Some(Unexplained::Force) => remaining_force(answer),
         Some(Unexplained::SlungLoad) => remaining_force(answer).map(|force| {
-            force + ". It follows from the vehicle's motion like the pull of a load that hangs and swings"
+            force
+                + ". It follows from the vehicle's motion like the pull of a load that hangs and \
+                   swings"
         }),
         Some(Unexplained::Doubt) => gap.map(|gap| {
             format!(
@@ -110,6 +112,7 @@ fn unknown(answer: &Answer) -> String {
     why.map_or_else(|| format!("{head}."), |why| format!("{head}: {why}."))
 }
 
+/// The size of the force that nothing explains.
 fn remaining_force(answer: &Answer) -> Option<String> {
     let [_, after] = answer.unmodelled_force.as_ref()?;
     Some(format!(

@@ -7,8 +7,8 @@
 
 use crate::diagnose::residual_analysis::map::Sample;
 
-/// Angular frequencies, rad/s: lines of 0.2 to 2.5 m. Neighbours are closer than the width of a
-/// resonance.
+/// Angular frequencies, rad/s: lines of 0.2 to 2.5 m, each within 3 % of one of them, which is less
+/// than the width of a resonance at the least damping.
 const OMEGA_MIN_RAD_S: f64 = 2.0;
 const OMEGA_RATIO: f64 = 1.06;
 const OMEGAS: usize = 22;
@@ -22,7 +22,7 @@ const PAUSE_S: f64 = 0.6;
 const SAMPLES_MIN: usize = 40;
 
 /// Share, 0 to 1, of the power of the horizontal unexplained force of `samples` that the pull of one
-/// load explains: of whatever mass, on whatever line. 0 of few samples.
+/// load explains: of whatever mass, on whatever line. 0 if there are too few samples.
 pub fn slung_load(samples: &[Sample]) -> f64 {
     let pushes: Vec<Push> = samples.iter().map(Push::from).collect();
     largest_share(&pushes)
@@ -41,8 +41,9 @@ struct Push {
 
 impl From<&Sample> for Push {
     fn from(sample: &Sample) -> Self {
-        let ([vn, ve, _], [fn_, fe, _]) = (sample.velocity, sample.world);
-        Self { time: sample.time(), velocity: [vn, ve], force: [fn_, fe] }
+        let [velocity, force] =
+            [sample.velocity, sample.world].map(|[north, east, _]| [north, east]);
+        Self { time: sample.time(), velocity, force }
     }
 }
 

@@ -64,7 +64,7 @@ pub struct Evidence {
     pub force: Option<ForceLeft>,
     /// Standard deviation of gusts that would cause the force, where it looks like turbulence, m/s.
     pub gusts_m_s: Option<f64>,
-    /// Share of the horizontal force that the pull of a load on a line would explain.
+    /// Share of that force, horizontally, that the pull of a load on a line would explain.
     #[serde(default)]
     pub slung_load: f64,
 }
