@@ -46,6 +46,7 @@ use crate::offboard::EffectiveVehicle;
 use crate::plan::Trajectory;
 use crate::report::comparison::{Contender, Track};
 use crate::report::repair::{self, Repair};
+use crate::report::text::effects;
 use crate::station::End;
 
 /// Candidates for the hidden effect: those that the programme shows and that matter along the
@@ -405,7 +406,6 @@ impl Loop<'_> {
         };
         let logs = summary.logs.iter().enumerate();
         files.extend(logs.map(|(index, log)| (of(index).to_owned(), log.as_path())));
-        let hidden = self.truth.effects_text()?;
         let notes = [
             (
                 "flights",
@@ -424,7 +424,7 @@ impl Loop<'_> {
         let html = repair::html(&Repair {
             trajectory: &summary.trajectory,
             vehicle: &self.shipped.params.name,
-            hidden: if self.truth.effects.is_empty() { "no effects" } else { &hidden },
+            hidden: &self.truth.effects,
             finding: &summary.finding,
             gap: summary.gap.map(|gap| [gap.before, gap.after, gap.floor]),
             contenders: &summary.contenders,
@@ -435,7 +435,7 @@ impl Loop<'_> {
         write_file(&summary.report, html.as_bytes())?;
         let json = serde_json::to_vec_pretty(summary).context("summary.json")?;
         write_file(&args.out.join("summary.json"), &json)?;
-        if args.json { print_json(summary) } else { print_text(&text(summary, &hidden)) }
+        if args.json { print_json(summary) } else { print_text(&text(summary)) }
     }
 }
 
@@ -443,7 +443,8 @@ impl Loop<'_> {
 const IMPROVED: &str = "improved.toml";
 
 /// The text for stdout.
-fn text(summary: &RepairSummary, hidden: &str) -> String {
+fn text(summary: &RepairSummary) -> String {
+    let hidden = effects(&summary.hidden);
     let mut text =
         format!("flights {}\nhidden  {hidden}\nfound   {}\n", summary.end, summary.finding);
     text += &format!("{:26}{:>12}{:>12}\n", "", "as shipped", "improved");

@@ -3,12 +3,14 @@
 
 use std::path::Path;
 
+use vehicle::effects::EffectSet;
+
 use super::axis::significant;
 use super::comparison::Contender;
 use super::experiment::{errors, trajectories};
 use super::page::{Mood, Page};
 use super::table::{Table, definitions};
-use super::text::beside;
+use super::text::{beside, effects};
 
 /// What the page is about.
 pub struct Repair<'a> {
@@ -17,7 +19,7 @@ pub struct Repair<'a> {
     /// Name of the vehicle.
     pub vehicle: &'a str,
     /// What the simulated vehicle has and the vehicle file does not say.
-    pub hidden: &'a str,
+    pub hidden: &'a EffectSet,
     /// What was found.
     pub finding: &'a str,
     /// The gap on the flights along the trajectory, in units of the noise: as shipped, improved,
@@ -37,7 +39,7 @@ pub struct Repair<'a> {
 pub fn html(repair: &Repair<'_>) -> String {
     let mut page = Page::new(
         &format!("The loop closed: {}", repair.trajectory),
-        &format!("simulated vehicle {} with {}", repair.vehicle, repair.hidden),
+        &format!("simulated vehicle {} with {}", repair.vehicle, effects(repair.hidden)),
     );
     page.verdict(Mood::Plain, repair.finding, &[]);
     let mut figures: Vec<(String, String, Mood)> = Vec::new();
