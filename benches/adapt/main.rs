@@ -2,7 +2,7 @@
 //! until it matches an oracle's, and the number of lost flights.
 //!
 //! `cargo bench --bench adapt -- [--draws 40] [--seed 1] [--vehicle quad1200] [--course hover]
-//! [--change payload] [--feedback lqr+adaptive]`
+//! [--change payload] [--feedback lqr+adaptive] [--windows] [--words]`
 //!
 //! The flights are in the bundled simulator, in lockstep. Each draw has its own noise, time,
 //! direction and rotor, the same for every feedback. The oracle is `lqr+adaptive` in the same draw,
@@ -27,6 +27,8 @@ struct Options {
     feedbacks: Vec<Feedback>,
     /// Prints the messages of the adaptation in the first draw.
     words: bool,
+    /// Prints the error of every window.
+    windows: bool,
 }
 
 fn options() -> Options {
@@ -38,6 +40,7 @@ fn options() -> Options {
         changes: Vec::new(),
         feedbacks: Vec::new(),
         words: false,
+        windows: false,
     };
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
@@ -51,6 +54,7 @@ fn options() -> Options {
             "--feedback" => {
                 options.feedbacks.push(Feedback::named(&value()).expect("a feedback"));
             }
+            "--windows" => options.windows = true,
             "--words" => options.words = true,
             "--bench" => {} // cargo adds it
             other => panic!("unknown flag {other}"),
@@ -86,6 +90,9 @@ fn main() {
         for feedback in &options.feedbacks {
             let flown = fly(feedback, false);
             table::row(*change, feedback, &flown, &oracle);
+            if options.windows {
+                table::windows_of(&flown, &oracle);
+            }
             if options.words {
                 flown
                     .iter()

@@ -62,6 +62,15 @@ fn interval(lost: usize, of: usize) -> [f64; 2] {
     [(middle - half).max(0.0), (middle + half).min(1.0)]
 }
 
+/// Prints the error of every window, mm, and of the same window of the oracle's flights.
+pub fn windows_of(flown: &[Flown], oracle: &[Flown]) {
+    let (after, known) = (windows(flown, 0.0, AFTER_S), windows(oracle, 0.0, AFTER_S));
+    for (window, (after, known)) in after.into_iter().zip(known).enumerate() {
+        let (from_s, after_mm, known_mm) = (window as f64 * WINDOW_S, after * 1e3, known * 1e3);
+        println!("    {from_s:>5.2} s {after_mm:>8.2} mm {known_mm:>8.2} mm");
+    }
+}
+
 pub fn row(change: Change, feedback: &Feedback, flown: &[Flown], oracle: &[Flown]) {
     let before = rms(&windows(flown, -BEFORE_S, 0.0));
     let (after, known) = (windows(flown, 0.0, AFTER_S), windows(oracle, 0.0, AFTER_S));

@@ -217,13 +217,14 @@ impl Adaptation {
         self.event.take()
     }
 
-    /// The present estimates; drag is at least 0.
+    /// The present estimates.
     pub fn parameters(&self) -> Parameters {
-        let [thrust_share, thrust_bend, drag, north, east, front, right] = self.recursion.theta();
+        let [thrust_share, thrust_bend, drag_per_s, north, east, front, right] =
+            self.recursion.theta();
         Parameters {
             thrust_share,
             thrust_bend,
-            drag_per_s: drag.max(0.0),
+            drag_per_s,
             world: [north, east],
             body: [front, right],
             attitude: self.trims.map(|trim| trim.value),

@@ -175,6 +175,7 @@ impl Recursion {
             self.covariance -= gain * row;
         }
         self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
+        self.forbid_pushing_drag();
         self.trust(&before, dt);
         for (theta, bound) in self.theta.iter_mut().zip(self.bound) {
             learned.at_bound |= theta.abs() >= bound;
@@ -211,6 +212,20 @@ impl Recursion {
             self.covariance.row_mut(at).scale_mut(scale);
             self.covariance.column_mut(at).scale_mut(scale);
         }
+    }
+
+    /// Raises a negative drag to zero, and moves the other estimates to their most likely values
+    /// there. While a wind speeds the vehicle up, less push with a negative drag fits as well; once
+    /// the vehicle is slow again, the push would be too small by what that drag had added.
+    fn forbid_pushing_drag(&mut self) {
+        let variance = self.covariance[(AXES + DRAG, AXES + DRAG)];
+        if self.theta[DRAG] >= 0.0 || variance <= 0.0 {
+            return;
+        }
+        let step = self.covariance.column(AXES + DRAG) * (self.theta[DRAG] / variance);
+        self.velocity -= step.fixed_rows::<AXES>(0);
+        self.theta -= step.fixed_rows::<PARAMETERS>(AXES);
+        self.theta[DRAG] = 0.0;
     }
 
     /// Cuts a step back to the trust region.
@@ -299,6 +314,29 @@ mod tests {
         let seen = taught(&mut recursion, 2000..2100, excited, |_| heavier);
         assert!(seen.first().is_some_and(|tick| *tick < 2015), "{seen:?}");
         assert!((recursion.theta()[0] + 0.23).abs() < 0.03, "{:?}", recursion.theta());
+    }
+
+    #[test]
+    fn drag_is_never_negative_and_a_wind_is_not_underestimated() {
+        let mut recursion = recursion();
+        // A vehicle without drag that a wind sets into motion: its flow grows with the push.
+        let mut flow = 0.0;
+        let mut velocity = recursion.velocity;
+        for tick in 0..60 {
+            let mut slopes = Regressor::zeros();
+            slopes[(0, DRAG)] = -flow;
+            (slopes[(0, NORTH)], slopes[(1, EAST)]) = (1.0, 1.0);
+            velocity[0] += 1.2 * DT;
+            flow = velocity[0];
+            let noise = 0.01 * ((tick * 7919 % 101) as f64 / 50.0 - 1.0);
+            let seen: [f64; 3] = velocity.into();
+            let seen = Ned::from(seen) + Ned::new(noise, -noise, noise);
+            recursion.learn(&slopes, Ned::zero(), seen, DT);
+            assert!(recursion.theta()[DRAG] >= 0.0);
+        }
+        let theta = recursion.theta();
+        let push = theta[NORTH] - theta[DRAG] * flow;
+        assert!((push - 1.2).abs() < 0.05 && theta[NORTH] > 1.15, "{theta:?}");
     }
 
     #[test]
