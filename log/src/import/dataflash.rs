@@ -58,8 +58,8 @@ struct Kept {
 
 impl Kept {
     fn new(kind: u8, layout: &Layout, units: &Units) -> Option<Self> {
-        let core = ardupilot::core_of(&layout.name);
-        let name = core.map_or(layout.name.as_str(), |(name, _)| name);
+        let single = ardupilot::instance_of(&layout.name);
+        let name = single.map_or(layout.name.as_str(), |(name, _)| name);
         let source = ardupilot::SOURCES.iter().find(|s| s.spec.topic == name)?;
         // Before ArduPilot 3.3 in ms.
         let stamp = match layout.field(&["TimeUS"]) {
@@ -75,8 +75,8 @@ impl Kept {
             let default_factor = ardupilot::older_unit(layout, access).unwrap_or(*default_factor);
             Some((access, units.factor(kind, access, default_factor)))
         };
-        let field = layout.field(&INSTANCES).filter(|_| source.has_instances && core.is_none());
-        let only = Instance::Only(core.map_or(0, |(_, core)| core));
+        let field = layout.field(&INSTANCES).filter(|_| source.has_instances && single.is_none());
+        let only = Instance::Only(single.map_or(0, |(_, instance)| instance));
         let instance = field.map_or(only, Instance::Field);
         Some(Self { source: *source, stamp, instance, fields: named.map(found).collect() })
     }
