@@ -122,6 +122,74 @@ fn removed_bytes_lose_only_their_own_messages() {
     }
 }
 
+#[test]
+fn zeroed_bytes_lose_only_their_own_messages() {
+    let whole = survives(&DATAFLASH).expect("a flight").body_rate.len();
+    let middle = DATAFLASH.len() / 2;
+    for length in [100, 333, 4096] {
+        let mut log = DATAFLASH.clone();
+        log[middle..middle + length].fill(0);
+        let flight = survives(&log).expect("a flight");
+        let lost = whole - flight.body_rate.len();
+        assert!(lost <= 4 + length / 20, "{lost} of {length} bytes");
+        // At both ends of the zeros a message is cut.
+        let bytes = left_out(&flight, "byte");
+        let expected = length as u64..length as u64 + 100;
+        assert!(expected.contains(&bytes), "{bytes} of {length} bytes");
+        let loss = flight.losses.join(" ");
+        assert!(loss.contains("belong to no message"), "{loss}");
+    }
+}
+
+#[test]
+fn long_damage_is_passed_in_one_sweep() {
+    let whole = survives(&DATAFLASH).expect("a flight").body_rate.len();
+    let (before, after) = DATAFLASH.split_at(DATAFLASH.len() / 2);
+    // Marks alone, and with the types of a definition, of a message and of none.
+    let fillings: [&[u8]; 5] =
+        [&[0xA3], &[0xA3, 0x95], &[0xA3, 0x95, 128], &[0xA3, 0x95, 10], &[0xA3, 0x95, 99]];
+    for filling in fillings {
+        let damage = filling.repeat(300_000);
+        let flight = survives(&[before, &damage[..], after].concat()).expect("a flight");
+        let lost = whole - flight.body_rate.len();
+        assert!(lost <= 4, "{lost} lost with {filling:?}");
+        let bytes = left_out(&flight, "byte");
+        assert!(bytes + 100 > damage.len() as u64, "{bytes} bytes with {filling:?}");
+    }
+}
+
+/// Length of the definitions at the start of [`DATAFLASH`]: of FMT itself and of nine messages.
+const DEFINITIONS: usize = 10 * 89;
+
+#[test]
+fn dataflash_log_without_its_first_bytes_is_read_by_the_definitions_that_remain() {
+    let whole = survives(&DATAFLASH).expect("a flight");
+    // The cut is in the definition of PARM.
+    let flight = import("cut_start", "flight.bin", &DATAFLASH[130..]);
+    assert_eq!(flight.origin.format, "dataflash");
+    assert_eq!((&flight.attitude, &flight.body_rate), (&whole.attitude, &whole.body_rate));
+    assert_eq!(left_out(&flight, "without a definition"), 10, "{:?}", flight.left_out);
+    let losses = flight.losses.join("; ");
+    assert!(losses.contains("its start is lost") && losses.contains("from byte 0 on"), "{losses}");
+
+    // Messages before the definitions.
+    let (definitions, messages) = DATAFLASH.split_at(DEFINITIONS);
+    let log = [&messages[messages.len() / 2..], definitions, messages].concat();
+    let flight = import("cut_start", "later.bin", &log);
+    assert_eq!((&flight.attitude, &flight.body_rate), (&whole.attitude, &whole.body_rate));
+    assert!(left_out(&flight, "without a definition") > 100, "{:?}", flight.left_out);
+}
+
+#[test]
+fn dataflash_log_without_definitions_is_refused_with_the_remedy() {
+    let path = place("no_definitions", "flight.bin");
+    fs::write(&path, &DATAFLASH[DEFINITIONS..]).expect("a file");
+    let error = open(&path, None).expect_err("not read").to_string();
+    for said in ["flight.bin", "without the definitions (FMT)", "from the vehicle again"] {
+        assert!(error.contains(said), "{error}");
+    }
+}
+
 /// The high byte of a length: some values point to the start of another message.
 #[test]
 fn damaged_length_loses_no_later_message() {

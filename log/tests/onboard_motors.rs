@@ -2,7 +2,7 @@
 
 use crate::onboard_import::import;
 
-use crate::onboard_log::{Ulog, floats, px4_outputs};
+use crate::onboard_log::{DataFlash, Ulog, floats, px4_outputs};
 use downwash_log::import::MotorUnit;
 
 #[test]
@@ -165,4 +165,43 @@ fn rotor_speeds_are_of_the_controllers_that_drive_the_motors() {
     let flight = import("controllers", "flight.ulg", &log.bytes);
     let rpm = flight.rotor_speed.values()[3].map(|w| (w * 60.0 / std::f64::consts::TAU).round());
     assert_eq!(rpm, [7000.0, 6000.0, 5000.0, 4000.0]);
+}
+
+/// Before ArduPilot 4.1 each motor controller had its own message, before 3.6 with tens of rpm in 16
+/// bits, and before 3.3 with stamps in ms.
+#[test]
+fn rotor_speeds_are_read_from_one_message_for_each_controller() {
+    const NEWER: (&str, &str) = ("QeCCcH", "TimeUS,RPM,Volt,Curr,Temp,CTot");
+    const OLDER: (&str, &str) = ("Qcccc", "TimeUS,RPM,Volt,Curr,Temp");
+    const OLDEST: (&str, &str) = ("Icccc", "TimeMS,RPM,Volt,Curr,Temp");
+    for (format, columns) in [NEWER, OLDER, OLDEST] {
+        let mut log = DataFlash::new();
+        log.define(2, "PARM", "QNf", "TimeUS,Name,Value");
+        log.define(10, "ATT", "Qccc", "TimeUS,Roll,Pitch,Yaw");
+        (1..=8).for_each(|n: u8| log.define(20 + n, &format!("ESC{n}"), format, columns));
+        for (output, function) in [(1, 36.0), (2, 35.0), (3, 34.0), (4, 33.0)] {
+            log.parameter(&format!("SERVO{output}_FUNCTION"), function);
+        }
+        for step in 0..20_u64 {
+            let us = 5_000_000 + 100_000 * step;
+            log.message(10, &[&us.to_le_bytes()[..], &[0; 6]].concat());
+            for n in 1..=4_u8 {
+                let stamp = match columns.starts_with("TimeUS") {
+                    true => us.to_le_bytes().to_vec(),
+                    false => ((us / 1000) as u32).to_le_bytes().to_vec(),
+                };
+                let rpm = 1000 * i32::from(n);
+                let (speed, rest) = match format {
+                    "QeCCcH" => ((100 * rpm).to_le_bytes().to_vec(), 8),
+                    _ => (((rpm / 10) as i16).to_le_bytes().to_vec(), 6),
+                };
+                log.message(20 + n, &[stamp, speed, vec![0; rest]].concat());
+            }
+        }
+        let flight = import("controllers", "flight.bin", &log.bytes);
+        let speeds = &flight.rotor_speed;
+        assert_eq!((speeds.len(), speeds.times()[0]), (20, 5.0), "{columns}");
+        let rpm = speeds.values()[0].map(|w| (w * 60.0 / std::f64::consts::TAU).round());
+        assert_eq!(rpm, [4000.0, 3000.0, 2000.0, 1000.0], "{columns}");
+    }
 }

@@ -91,8 +91,15 @@ impl Codec {
 
     /// The vehicle time nearest to the newest one at which a counter of 32 bits reads `low_us`
     /// microseconds; notes it as the newest.
-    pub fn extended(&mut self, low_us: u32) -> VehicleTime {
+    pub fn extended_us(&mut self, low_us: u32) -> VehicleTime {
         let time = self.clock.extend_us(low_us);
+        self.clock.observe(time);
+        time
+    }
+
+    /// As [`extended_us`](Self::extended_us), for a counter of milliseconds since boot.
+    pub fn extended_ms(&mut self, low_ms: u32) -> VehicleTime {
+        let time = self.clock.extend_ms(low_ms);
         self.clock.observe(time);
         time
     }

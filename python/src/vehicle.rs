@@ -124,6 +124,7 @@ impl Measured {
         Ok(InitArgs {
             file,
             connect: None,
+            config: None,
             system: None,
             out: None,
             force: false,

@@ -86,6 +86,9 @@ pub struct InitArgs {
     /// Reads the parameters of the vehicle at this address, such as udpin:0.0.0.0:14540.
     #[arg(long, value_name = "URL", group = "source")]
     pub connect: Option<String>,
+    /// Configuration file of the link, such as its signing key.
+    #[arg(long, requires = "connect", conflicts_with = "file")]
+    pub config: Option<PathBuf>,
     /// System id of the vehicle, where several are on the link or in a QGroundControl file.
     #[arg(long, value_name = "ID", requires = "source")]
     pub system: Option<u8>,

@@ -1,22 +1,17 @@
 //! The parameters of a vehicle on a link, read by their names. Nothing is changed on it.
 
+use std::future::pending;
 use std::time::Duration;
 
 use anyhow::anyhow;
-use wire::Endpoint;
 
-use super::listen::OTHERS_WAIT;
-use super::setup::baud;
+use super::listen::{Listener, OTHERS_WAIT};
 use super::{Exit, ExitContext, print_status};
+use crate::cli::ListenArgs;
 use crate::clock::HostTime;
-use crate::daemon::HostClock;
-use crate::link::attitude_target::ThrustMap;
-use crate::link::connection::{Connection, Input};
 use crate::link::profile::Profile;
 use crate::link::request::{Outcome, Request};
-use crate::link::session::{Event, Session, Settings};
-use crate::link::several::choice_between;
-use crate::link::silence::Silence;
+use crate::link::session::Event;
 use crate::parameters::{Autopilot, Parameters};
 
 /// Number of requests in progress at once.
@@ -30,73 +25,46 @@ const LIMIT: Duration = Duration::from_secs(120);
 /// Longest wait between two checks of the clock.
 const TICK: Duration = Duration::from_millis(50);
 
-/// Reads the parameters that describe the vehicle at `endpoint`.
+/// Reads the parameters that describe the vehicle on the link of the flags.
 ///
 /// # Errors
 /// [`Exit::Link`] if no vehicle is heard or it answers nothing, [`Exit::Refused`] if several are heard
-/// and none is chosen, [`Exit::Usage`] if it is neither PX4 nor ArduCopter.
-pub(super) fn read(endpoint: Endpoint, system: Option<u8>) -> anyhow::Result<Parameters> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let thrust = ThrustMap::linear(1.0)?;
-    let clock = HostClock::start();
-    let settings = Settings {
-        vehicle_system: system,
-        endpoint: Some(endpoint.to_string()),
-        // Requests no streams, so that the vehicle's stay unchanged.
-        telemetry: Some(Vec::new()),
-        baud: baud(&endpoint),
-        ..Settings::new(thrust)
-    };
+/// and none is chosen, [`Exit::Usage`] if it is neither PX4 nor ArduCopter, or if the configuration or
+/// the signing key is invalid.
+pub(super) fn read(args: &ListenArgs) -> anyhow::Result<Parameters> {
     let reading = Reading {
-        session: Session::new(settings, clock.now()),
-        connection: Connection::new(endpoint),
-        clock,
-        is_chosen: system.is_some(),
+        // Requests no streams, so that the vehicle's stay unchanged.
+        listener: Listener::open(args, false)?,
         requested: Vec::new(),
         under_way: 0,
         found: Parameters::default(),
         is_reported: false,
-        failure: None,
     };
-    runtime.block_on(reading.run())
+    reading.run()
 }
 
 struct Reading {
-    session: Session,
-    connection: Connection,
-    clock: HostClock,
-    /// Whether the user chose a system.
-    is_chosen: bool,
+    listener: Listener,
     /// Names still to request, in reverse order.
     requested: Vec<String>,
     under_way: usize,
     found: Parameters,
+    /// Whether a message has said what the command waits for.
     is_reported: bool,
-    /// Why the endpoint is not open, after an attempt.
-    failure: Option<String>,
 }
 
 impl Reading {
-    async fn run(mut self) -> anyhow::Result<Parameters> {
-        let mut buffer = vec![0; 1 << 16];
-        let start = self.clock.now();
+    fn run(mut self) -> anyhow::Result<Parameters> {
+        let start = self.listener.clock.now();
         let mut is_identified = false;
         let mut found_at = start;
         loop {
-            let input = tokio::time::timeout(TICK, self.connection.recv(&mut buffer)).await;
-            let now = self.clock.now();
-            if let Ok(input) = input {
-                self.take(now, input, &buffer);
-            }
-            self.session.poll(now);
-            while let Some(event) = self.session.next_event() {
+            self.listener.wait(TICK, pending::<()>(), |_, _| {});
+            let now = self.listener.clock.now();
+            while let Some(event) = self.listener.session.next_event() {
                 match event {
                     Event::VehicleFound(_) => found_at = now,
-                    Event::AnotherAutopilot { vehicle, other } => {
-                        let endpoint = self.connection.endpoint();
-                        let error = anyhow!("{endpoint}: {}", choice_between(vehicle, other));
-                        return Err(error).or_exit(Exit::Refused);
-                    }
+                    Event::AnotherAutopilot { .. } => self.listener.check_alone()?,
                     Event::Identified { profile, .. } if !is_identified => {
                         self.request_parameters(&profile)?;
                         is_identified = true;
@@ -114,11 +82,11 @@ impl Reading {
                 && let Some(name) = self.requested.pop()
             {
                 self.under_way += 1;
-                self.session.request(now, Request::ReadParameter(name));
+                self.listener.session.request(now, Request::ReadParameter(name));
             }
-            let Self { session, connection, .. } = &mut self;
-            session.transmit(|peer, frame| connection.send(peer, frame));
-            let has_listened = self.is_chosen || now.since(found_at) >= OTHERS_WAIT;
+            self.listener.flush();
+            let is_chosen = self.listener.session.requested_system().is_some();
+            let has_listened = is_chosen || now.since(found_at) >= OTHERS_WAIT;
             let is_read = self.under_way == 0 && self.requested.is_empty();
             if is_identified && is_read && has_listened {
                 return self.answer();
@@ -127,31 +95,8 @@ impl Reading {
         }
     }
 
-    fn take(&mut self, now: HostTime, input: Input, buffer: &[u8]) {
-        match input {
-            Input::Bytes { peer, len } => {
-                let is_datagram = self.connection.is_datagram();
-                self.session.receive(now, peer, &buffer[..len], is_datagram, &mut |_| {});
-            }
-            Input::Failed { error, .. } => {
-                let failure = error.to_string();
-                if !self.is_reported {
-                    print_status(format_args!("{failure}; trying again until it opens"));
-                    self.is_reported = true;
-                }
-                self.failure = Some(failure);
-            }
-            Input::Lost(_) => self.session.transport_closed(),
-            Input::PeerClosed(peer) => {
-                self.session.peer_closed(peer);
-            }
-            Input::Opened => self.failure = None,
-            Input::PeerOpened(_) => {}
-        }
-    }
-
     fn request_parameters(&mut self, profile: &Profile) -> anyhow::Result<()> {
-        let vehicle = self.session.vehicle().map(|id| id.to_string()).unwrap_or_default();
+        let vehicle = self.listener.session.vehicle().map(|id| id.to_string()).unwrap_or_default();
         let autopilot = if profile.name == Profile::ARDUCOPTER.name {
             Autopilot::ArduCopter
         } else if profile.name == Profile::UNKNOWN.name {
@@ -175,7 +120,8 @@ impl Reading {
         is_identified: bool,
     ) -> anyhow::Result<()> {
         let waited = now.since(start);
-        let endpoint = self.connection.endpoint();
+        let listener = &self.listener;
+        let endpoint = &listener.endpoint;
         if waited > LIMIT {
             let error = anyhow!(
                 "{endpoint}: the vehicle sent only {} parameters within {LIMIT:?}; use a faster link, or \
@@ -184,22 +130,20 @@ impl Reading {
             );
             return Err(error).or_exit(Exit::Link);
         }
-        if is_identified || self.session.vehicle().is_some() {
+        if is_identified || listener.session.vehicle().is_some() {
             return Ok(());
         }
-        let bytes = self.session.stats().received.bytes;
+        let bytes = listener.session.stats().received.bytes;
         if waited > SEARCH {
-            let why = self.failure.clone();
-            let why = why.unwrap_or_else(|| Silence::of(&self.session, now).line);
-            let error = anyhow!("no vehicle was found: {why}");
+            let error = anyhow!("no vehicle was found: {}", listener.silence(now));
             return Err(error).or_exit(Exit::Link);
         }
-        if waited > WAIT_REPORTED_AFTER && !self.is_reported && self.failure.is_none() {
-            self.is_reported = true;
+        if waited > WAIT_REPORTED_AFTER && !self.is_reported && listener.failure.is_none() {
             print_status(format_args!(
                 "waiting for the HEARTBEAT of an autopilot on {endpoint}; {bytes} bytes received \
                  so far"
             ));
+            self.is_reported = true;
         }
         Ok(())
     }
@@ -208,9 +152,9 @@ impl Reading {
         if self.found.is_empty() {
             let error = anyhow!(
                 "{}: expected answers to PARAM_REQUEST_READ, found none; check that what is sent \
-                 reaches the vehicle (a vehicle that demands signing hears no one without its key), or \
-                 give a parameter file or a flight log",
-                self.connection.endpoint()
+                 reaches the vehicle (a vehicle that demands signing hears no one without its key, see \
+                 link.signing), or give a parameter file or a flight log",
+                self.listener.endpoint
             );
             return Err(error).or_exit(Exit::Link);
         }

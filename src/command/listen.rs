@@ -10,8 +10,7 @@ use wire::Endpoint;
 use wire::transport::RECEIVE_LEN;
 
 use super::fly::system_flag;
-use super::setup::endpoint;
-use super::setup::required;
+use super::setup::{baud, endpoint, required};
 use super::signing_state::SigningState;
 use super::{Exit, ExitContext, config, print_status};
 use crate::cli::ListenArgs;
@@ -36,11 +35,11 @@ pub(super) struct Listener {
     pub endpoint: Endpoint,
     pub clock: HostClock,
     pub config: Config,
+    /// Why the endpoint is not open, after an attempt.
+    pub failure: Option<String>,
     connection: Connection,
     runtime: Runtime,
     buffer: Vec<u8>,
-    /// Why the endpoint is not open, after an attempt.
-    failure: Option<String>,
     /// Stores the stamps of signed frames.
     _signing: Option<SigningState>,
 }
@@ -99,17 +98,13 @@ impl Listener {
         // No setpoint is sent, so the thrust map does not matter.
         let thrust = ThrustMap::linear(1.0)?;
         let link = &settings.link;
-        let baud = match &endpoint {
-            Endpoint::Serial { baud, .. } => Some(*baud),
-            _ => None,
-        };
         let mut session = Settings {
             system: link.system,
             component: link.component,
             vehicle_system: link.vehicle_system,
             answer_timesync: link.answer_timesync,
             telemetry: (!is_requesting).then(Vec::<MessageRate>::new),
-            baud,
+            baud: baud(&endpoint),
             endpoint: Some(endpoint.to_string()),
             signing,
             ..Settings::new(thrust)
@@ -148,6 +143,18 @@ impl Listener {
         &mut self,
         limit: Duration,
         other: impl Future<Output = T>,
+        on: impl FnMut(HostTime, Delivery<'_>),
+    ) -> Option<T> {
+        let output = self.wait(limit, other, on);
+        while self.session.next_event().is_some() {}
+        output
+    }
+
+    /// As [`look`](Self::look), and leaves the session's events to the caller.
+    pub fn wait<T>(
+        &mut self,
+        limit: Duration,
+        other: impl Future<Output = T>,
         mut on: impl FnMut(HostTime, Delivery<'_>),
     ) -> Option<T> {
         let Self { session, connection, runtime, buffer, clock, failure, .. } = self;
@@ -182,7 +189,6 @@ impl Listener {
         }
         session.poll(now);
         self.flush();
-        while self.session.next_event().is_some() {}
         output
     }
 

@@ -10,13 +10,12 @@ use vehicle::export::Peer;
 use vehicle::{Remark, SHIPPED, VehicleParams};
 
 use super::patience::Patience;
-use super::setup::endpoint;
 use super::vehicle_file::remark_text;
 use super::{
     Exit, ExitContext, error_text, link_parameters, output, print_json, print_status, print_text,
     write_file,
 };
-use crate::cli::{InitArgs, LayoutChoice, PeerChoice, VehicleCommand};
+use crate::cli::{InitArgs, LayoutChoice, ListenArgs, PeerChoice, VehicleCommand};
 use crate::log::import::{self, ImportError};
 use crate::parameters::{self, OneVehicle, ParameterFile, Parameters};
 use crate::plan::SHIPPED_TRAJECTORIES;
@@ -194,7 +193,14 @@ pub fn make(args: &InitArgs) -> anyhow::Result<Made> {
     let (source, parameters) = match (&args.file, &args.connect) {
         (Some(file), _) => (file.display().to_string(), of_file(file, args.system)?),
         (None, Some(url)) => {
-            let parameters = link_parameters::read(endpoint(url)?, args.system)?;
+            let listen = ListenArgs {
+                connect: Some(url.clone()),
+                system: args.system,
+                seconds: None,
+                config: args.config.clone(),
+                json: args.json,
+            };
+            let parameters = link_parameters::read(&listen)?;
             (format!("the parameters of the vehicle at {url}"), parameters)
         }
         (None, None) => ("measured numbers".to_owned(), Parameters::default()),
@@ -420,6 +426,15 @@ mod tests {
         let made = make(&Init::try_parse_from(arguments)?.args);
         std::fs::remove_dir_all(&folder).expect("a folder");
         made
+    }
+
+    #[test]
+    fn configuration_file_belongs_to_a_link() {
+        let is_accepted =
+            |flags: &[&str]| Init::try_parse_from(["init"].iter().chain(flags).copied()).is_ok();
+        assert!(is_accepted(&["--connect", "udpin:127.0.0.1:0", "--config", "quad.toml"]));
+        assert!(!is_accepted(&["--config", "quad.toml"]));
+        assert!(!is_accepted(&["flight.ulg", "--config", "quad.toml"]));
     }
 
     #[test]

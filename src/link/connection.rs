@@ -187,11 +187,6 @@ impl Connection {
         matches!(self.state, State::Open(_))
     }
 
-    /// The endpoint as it was given.
-    pub fn endpoint(&self) -> &Endpoint {
-        &self.endpoint
-    }
-
     /// The local address while open, with the port that the system chose.
     pub fn local_addr(&self) -> Option<SocketAddr> {
         match &self.state {

@@ -116,6 +116,24 @@ def test_setup_installs_changes_and_removes_a_key(hover, tmp_path, key_file, con
         sitl.stop()
 
 
+def test_vehicle_init_reads_a_vehicle_that_obeys_only_signed_frames(tmp_path, key_file, config):
+    options = ["--autopilot", "px4", "--signing-key", str(key_file)]
+    sitl = Sitl(CRAZYFLIE, ["udpin:127.0.0.1:0"], options)
+    try:
+        url, out = sitl.peer_url(), tmp_path / "quad.toml"
+        made = run("vehicle", "init", "--connect", url, "--config", config, "-o", out, "--json")
+    finally:
+        sitl.stop()
+    assert made.returncode == 0, made.stderr
+    assert json.loads(made.stdout)["autopilot"] == "PX4"
+    assert out.exists()
+    # Its stamps are stored, and the vehicle's stream.
+    stamps = json.loads((tmp_path / "key.stamps").read_text())
+    assert stamps["newest"] > 0 and {row["system"] for row in stamps["streams"]} == {1}
+    secret = key_file.read_text().strip()
+    assert secret not in made.stdout + made.stderr + out.read_text()
+
+
 def expected_results():
     return [(name, right, right) for name, right, _ in ATTACKS]
 

@@ -16,12 +16,14 @@ use super::tally::Tally;
 use super::{LogFault, foreign};
 use layout::{Access, Layout, Units};
 pub(super) use reader::MARKS;
-use reader::{Message, Reader};
+use reader::{MESSAGE_MAX, Message, Reader};
 
 /// The time stamp of a row, under the name that every row has here.
 const STAMP: &str = "TimeUS";
 /// Largest number of texts kept.
 const TEXTS_MAX: usize = 40;
+/// Fewest messages by which a log without its start is recognised.
+const MESSAGES_MIN: usize = 8;
 /// Fields with the number of the sensor, core or pack.
 const INSTANCES: [&str; 4] = ["I", "C", "Instance", "Inst"];
 
@@ -56,8 +58,8 @@ struct Kept {
 
 impl Kept {
     fn new(kind: u8, layout: &Layout, units: &Units) -> Option<Self> {
-        let core = ardupilot::core_of(&layout.name);
-        let name = core.map_or(layout.name.as_str(), |(name, _)| name);
+        let single = ardupilot::instance_of(&layout.name);
+        let name = single.map_or(layout.name.as_str(), |(name, _)| name);
         let source = ardupilot::SOURCES.iter().find(|s| s.spec.topic == name)?;
         // Before ArduPilot 3.3 in ms.
         let stamp = match layout.field(&["TimeUS"]) {
@@ -73,8 +75,8 @@ impl Kept {
             let default_factor = ardupilot::older_unit(layout, access).unwrap_or(*default_factor);
             Some((access, units.factor(kind, access, default_factor)))
         };
-        let field = layout.field(&INSTANCES).filter(|_| source.has_instances && core.is_none());
-        let only = Instance::Only(core.map_or(0, |(_, core)| core));
+        let field = layout.field(&INSTANCES).filter(|_| source.has_instances && single.is_none());
+        let only = Instance::Only(single.map_or(0, |(_, instance)| instance));
         let instance = field.map_or(only, Instance::Field);
         Some(Self { source: *source, stamp, instance, fields: named.map(found).collect() })
     }
@@ -99,6 +101,18 @@ struct Contents {
 pub(super) fn begins(head: &[u8]) -> bool {
     head.strip_prefix(&MARKS)
         .is_some_and(|rest| rest.first().is_none_or(|kind| *kind == layout::FMT))
+}
+
+/// Whether bytes look like a DataFlash log whose start is lost: most of the bytes between the first
+/// and the last marks belong to messages, none longer than a message can be.
+pub(super) fn has_messages(head: &[u8]) -> bool {
+    let pairs = head.windows(MARKS.len()).enumerate();
+    let starts: Vec<usize> =
+        pairs.filter(|(_, pair)| **pair == MARKS).map(|(start, _)| start).collect();
+    let (Some(first), Some(last)) = (starts.first(), starts.last()) else { return false };
+    let lengths = starts.windows(2).map(|pair| pair[1] - pair[0]);
+    let in_messages: usize = lengths.filter(|length| *length <= MESSAGE_MAX).sum();
+    starts.len() >= MESSAGES_MIN && 2 * in_messages > last - first
 }
 
 /// Reads a whole log into `flight`. Returns its messages.
@@ -143,15 +157,25 @@ pub(super) fn read(
         );
         contents.topics.push(kept.source.spec, instance, number(stamp) * seconds, &values);
     }
+    let damage = reader.damage;
     if reader.messages == 0 {
-        return Err(LogFault::Foreign("no complete message of a DataFlash log".into()));
+        let found = match damage.undefined {
+            0 => "no complete message of a DataFlash log",
+            _ => foreign::NO_DEFINITIONS,
+        };
+        return Err(LogFault::Foreign(found.into()));
     }
     if reader.defines("TIME", "StartTime") {
         return Err(LogFault::Foreign(foreign::SDLOG2.into()));
     }
-    let damage = reader.damage;
     contents.tally.add("byte that belongs to no whole message", damage.bytes);
     contents.tally.add("damaged or contradictory definition of a message", damage.definitions);
+    contents.tally.add("message without a definition (FMT) before it", damage.undefined);
+    if damage.undefined > 0 && damage.first == Some(0) {
+        contents
+            .tally
+            .lose("it does not begin with its definitions (FMT): its start is lost".into());
+    }
     if damage.bytes > 0 {
         contents.tally.lose(match (damage.cut, damage.first) {
             (Some(cut), Some(first)) if cut == first => {
@@ -210,5 +234,21 @@ impl Contents {
             "VER" => self.build = number("BU").or(self.build),
             _ => {}
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn log_without_its_start_is_recognised_by_the_marks_of_its_messages() {
+        let message = [&MARKS[..], &[10; 30]].concat();
+        assert!(has_messages(&message.repeat(20)[1..]));
+        assert!(has_messages(&[vec![0; 5000], message.repeat(20)].concat()));
+        assert!(!has_messages(&message.repeat(MESSAGES_MIN - 1)));
+        // Marks far from each other are a coincidence.
+        assert!(!has_messages(&[&MARKS[..], &[10; 5000]].concat().repeat(20)));
+        assert!(!has_messages(&[]));
     }
 }

@@ -67,6 +67,9 @@ pub(super) fn recognise(path: &Path) -> Result<Format, ImportError> {
             return Ok(Format::Tlog);
         }
     }
+    if dataflash::has_messages(&head) {
+        return Ok(Format::DataFlash);
+    }
     let found = match text(&head) {
         Some(text) => match foreign::known_text(&text) {
             None if table::looks_like_one(&text) => return Ok(Format::Csv),

@@ -34,15 +34,23 @@ const CHANNELS_BEFORE: [[&str; 2]; 14] = [
     ["Ch13", "Chan13"],
     ["Ch14", "Chan14"],
 ];
-/// Messages that each are of one core of an estimator, as ArduPilot wrote them before 4.1: the name,
-/// the message that has all cores since, and the core.
-const CORES: [(&str, &str, u8); 6] = [
+/// Messages that each are of one core of an estimator or of one motor controller, as ArduPilot wrote
+/// them before 4.1: the name, the message that has all instances since, and the instance.
+const SINGLES: [(&str, &str, u8); 14] = [
     ("XKQ1", "XKQ", 0),
     ("XKQ2", "XKQ", 1),
     ("XKF6", "XKF1", 1),
     ("NKQ1", "NKQ", 0),
     ("NKQ2", "NKQ", 1),
     ("NKF6", "NKF1", 1),
+    ("ESC1", "ESC", 0),
+    ("ESC2", "ESC", 1),
+    ("ESC3", "ESC", 2),
+    ("ESC4", "ESC", 3),
+    ("ESC5", "ESC", 4),
+    ("ESC6", "ESC", 5),
+    ("ESC7", "ESC", 6),
+    ("ESC8", "ESC", 7),
 ];
 
 /// Messages of an estimator.
@@ -63,6 +71,9 @@ const EKF3: Estimator =
 
 /// Unit of CURR's integer voltage before ArduPilot 3.4, V.
 const CENTIVOLT: f64 = 0.01;
+/// Unit of the speeds of ESC1 to ESC8 before ArduPilot 3.6, rad/s: their 16 bits count tens of rpm,
+/// and their format states hundredths.
+const THOUSAND_RPM: f64 = 1000.0 * RPM;
 /// One degree, rad.
 const DEG: f64 = std::f64::consts::PI / 180.0;
 
@@ -102,10 +113,10 @@ sources! {
         "Thrust" = 1.0, "ClimbRt" = 1.0],
 }
 
-/// The message that has all cores, and the core, for the name of an older message of one core.
-pub(super) fn core_of(message: &str) -> Option<(&'static str, u8)> {
-    let known = CORES.iter().find(|(name, ..)| *name == message);
-    known.map(|(_, all, core)| (*all, *core))
+/// The message that has all instances, and the instance, for the name of an older message of one.
+pub(super) fn instance_of(message: &str) -> Option<(&'static str, u8)> {
+    let known = SINGLES.iter().find(|(name, ..)| *name == message);
+    known.map(|(_, all, instance)| (*all, *instance))
 }
 
 /// All names that a field had over the years.
@@ -117,7 +128,11 @@ pub(super) fn names(field: &'static str) -> Vec<&'static str> {
 
 /// The SI value of a field's unit, if its format shows that the log is an old one.
 pub(super) fn older_unit(layout: &Layout, access: Access) -> Option<f64> {
-    (layout.name == "CURR" && access.is_integer()).then_some(CENTIVOLT)
+    match (layout.name.as_str(), instance_of(&layout.name)) {
+        ("CURR", _) if access.is_integer() => Some(CENTIVOLT),
+        (_, Some(("ESC", _))) if access.is_short_hundredths() => Some(THOUSAND_RPM),
+        _ => None,
+    }
 }
 
 fn stamp(row: &Row<'_>) -> f64 {
@@ -456,10 +471,11 @@ mod tests {
     }
 
     #[test]
-    fn older_messages_are_of_one_core() {
-        assert_eq!(core_of("NKF6"), Some(("NKF1", 1)));
-        assert_eq!(core_of("XKQ1"), Some(("XKQ", 0)));
-        assert_eq!(core_of("NKF1"), None);
-        assert!(CORES.iter().all(|(_, all, _)| SOURCES.iter().any(|s| s.spec.topic == *all)));
+    fn older_messages_are_of_one_instance() {
+        assert_eq!(instance_of("NKF6"), Some(("NKF1", 1)));
+        assert_eq!(instance_of("XKQ1"), Some(("XKQ", 0)));
+        assert_eq!(instance_of("ESC8"), Some(("ESC", 7)));
+        assert_eq!(instance_of("NKF1"), None);
+        assert!(SINGLES.iter().all(|(_, all, _)| SOURCES.iter().any(|s| s.spec.topic == *all)));
     }
 }

@@ -74,6 +74,11 @@ impl Access {
         matches!(self.format, b'b' | b'B' | b'h' | b'H' | b'i' | b'I')
     }
 
+    /// Whether the format is hundredths in a signed integer of 16 bits.
+    pub fn is_short_hundredths(self) -> bool {
+        self.format == b'c'
+    }
+
     /// The field's number in the unit of its label, before multipliers.
     pub fn number(self, body: &[u8]) -> Option<f64> {
         let bytes = body.get(self.offset..)?;

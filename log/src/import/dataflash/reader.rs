@@ -11,7 +11,7 @@ use super::layout::{FMT, FMT_LENGTH, HEAD, Layout};
 /// The first two bytes of every message.
 pub(in crate::import) const MARKS: [u8; 2] = [0xA3, 0x95];
 /// Length limit of a message: a definition has one byte for it.
-const MESSAGE_MAX: usize = u8::MAX as usize;
+pub(super) const MESSAGE_MAX: usize = u8::MAX as usize;
 /// Bytes read at once.
 const CHUNK: usize = 1 << 16;
 
@@ -22,6 +22,8 @@ pub(super) struct Damage {
     pub bytes: u64,
     /// Number of definitions that contradict themselves or an earlier one.
     pub definitions: u64,
+    /// Number of messages whose type no earlier message defines.
+    pub undefined: u64,
     /// Offset of the first skipped byte.
     pub first: Option<u64>,
     /// Offset of a message cut off by the end of the file.
@@ -93,6 +95,9 @@ impl<R: Read> Reader<R> {
                 {
                     self.damage.cut = Some(at);
                 }
+                let is_undefined =
+                    rest.len() >= HEAD && rest.starts_with(&MARKS) && self.length(rest).is_none();
+                self.damage.undefined += u64::from(is_undefined);
                 self.damage.first.get_or_insert(at);
                 self.damage.bytes += passed as u64;
                 self.start += passed;

@@ -69,7 +69,6 @@ impl VehicleLog {
             return;
         };
         self.messages += 1;
-        let ms = |ms: u32| Some(f64::from(ms) * 1e-3);
         match message {
             // Only the first group of four belongs to a quadrotor's rotors.
             MavMessage::ESC_STATUS(data) if data.index == 0 => {
@@ -84,15 +83,15 @@ impl VehicleLog {
             }
             MavMessage::SCALED_IMU(d) => {
                 let sample = milli([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
-                self.keep_imu(Source::ScaledImu, frame_time, ms(d.time_boot_ms), sample);
+                self.keep_scaled_imu(Source::ScaledImu, frame_time, d.time_boot_ms, sample);
             }
             MavMessage::SCALED_IMU2(d) => {
                 let sample = milli([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
-                self.keep_imu(Source::ScaledImu2, frame_time, ms(d.time_boot_ms), sample);
+                self.keep_scaled_imu(Source::ScaledImu2, frame_time, d.time_boot_ms, sample);
             }
             MavMessage::SCALED_IMU3(d) => {
                 let sample = milli([d.xacc, d.yacc, d.zacc], [d.xgyro, d.ygyro, d.zgyro]);
-                self.keep_imu(Source::ScaledImu3, frame_time, ms(d.time_boot_ms), sample);
+                self.keep_scaled_imu(Source::ScaledImu3, frame_time, d.time_boot_ms, sample);
             }
             MavMessage::SERVO_OUTPUT_RAW(data) => {
                 self.outputs_waiting.push((frame_time, data));
@@ -110,6 +109,21 @@ impl VehicleLog {
         }
     }
 
+    /// Adds a sample of a SCALED_IMU. Its stamp wraps every 49.7 days, as that of ATTITUDE does.
+    fn keep_scaled_imu(
+        &mut self,
+        source: Source,
+        frame_time: FrameTime,
+        time_boot_ms: u32,
+        sample: ImuSample,
+    ) {
+        let time = self.codec.extended_ms(time_boot_ms).as_us() as f64 * 1e-6;
+        if self.codec.knows_time() {
+            self.keep_waiting_outputs();
+        }
+        self.keep_imu(source, frame_time, Some(time), sample);
+    }
+
     /// Adds the servo outputs that wait. Their stamps wrap every 71.6 minutes and count on from the
     /// vehicle's newest time, or from 0 if no message states it.
     pub(super) fn keep_waiting_outputs(&mut self) {
@@ -125,7 +139,7 @@ impl VehicleLog {
             let last = [d.servo13_raw, d.servo14_raw, d.servo15_raw, d.servo16_raw];
             let groups = [first, next, third, last];
             let outputs = std::array::from_fn(|at| f64::from(groups[at / 4][at % 4]));
-            let time = self.codec.extended(d.time_usec).as_us() as f64 * 1e-6;
+            let time = self.codec.extended_us(d.time_usec).as_us() as f64 * 1e-6;
             self.keep(source, frame_time, Some(time), |epoch, time| {
                 epoch.servo_outputs[port].push(time, outputs)
             });
@@ -137,7 +151,10 @@ impl VehicleLog {
 mod tests {
     use wire::Encoder;
 
+    use super::super::RAW_IMU;
     use super::*;
+    use crate::import::epoch::IMUS;
+    use crate::import::flight::{Clock, Flight, Origin};
 
     /// Every 20 ms for 4 s: `messages` of a vehicle's time since boot, s.
     fn log(boot_s: f64, messages: impl Fn(f64) -> Vec<MavMessage>) -> VehicleLog {
@@ -155,8 +172,13 @@ mod tests {
         log
     }
 
+    /// The low 32 bits of a time in ms.
+    fn boot_ms(s: f64) -> u32 {
+        (s * 1e3).round() as u64 as u32
+    }
+
     fn attitude(s: f64) -> MavMessage {
-        let time_boot_ms = (s * 1e3).round() as u32;
+        let time_boot_ms = boot_ms(s);
         MavMessage::ATTITUDE(ATTITUDE_DATA { time_boot_ms, ..Default::default() })
     }
 
@@ -178,6 +200,49 @@ mod tests {
         let [epoch] = log.epochs.as_slice() else { panic!("{} epochs", log.epochs.len()) };
         assert_eq!(epoch.servo_outputs[0].len(), 200);
         assert!((epoch.servo_outputs[0].times()[0] - boot_s).abs() < 1e-9);
+    }
+
+    /// In the middle of the log, 32 bits of milliseconds wrap.
+    #[test]
+    fn imu_samples_and_voltages_continue_over_a_wrap_of_boot_milliseconds() {
+        let boot_s = 4_294_967.296 - 2.0;
+        for has_attitude in [false, true] {
+            let log = log(boot_s, |s| {
+                let (time_boot_ms, time_usec) = (boot_ms(s), (s * 1e6).round() as u64);
+                let first = SCALED_IMU_DATA { time_boot_ms, ..Default::default() };
+                let second = SCALED_IMU2_DATA { time_boot_ms, ..Default::default() };
+                let third = SCALED_IMU3_DATA { time_boot_ms, ..Default::default() };
+                let raw = RAW_IMU_DATA { time_usec, ..Default::default() };
+                let status = SYS_STATUS_DATA { voltage_battery: 12_000, ..Default::default() };
+                let mut messages = vec![
+                    MavMessage::SCALED_IMU(first),
+                    MavMessage::SCALED_IMU2(second),
+                    MavMessage::SCALED_IMU3(third),
+                    MavMessage::RAW_IMU(raw),
+                    MavMessage::SYS_STATUS(status),
+                ];
+                messages.extend(has_attitude.then(|| attitude(s)));
+                messages
+            });
+            let [epoch] = log.epochs.as_slice() else { panic!("{} epochs", log.epochs.len()) };
+            let is_whole = |times: &[f64]| {
+                times.len() == 200
+                    && (times[0] - boot_s).abs() < 2e-3
+                    && (times[199] - times[0] - 3.98).abs() < 2e-3
+            };
+            for (imu, source) in epoch.imus.iter().zip(IMUS).skip(RAW_IMU) {
+                assert!(is_whole(imu.times()), "{source:?}: {:?}", imu.times());
+            }
+            let origin = Origin {
+                path: "memory".into(),
+                run: String::new(),
+                sha256: String::new(),
+                format: "tlog",
+            };
+            let mut flight = Flight::empty(origin, Clock::Single);
+            assert!(log.finish(Vec::new(), None, &mut flight).is_ok());
+            assert!(is_whole(flight.voltage.times()), "{:?}", flight.voltage.times());
+        }
     }
 
     #[test]
