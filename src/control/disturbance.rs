@@ -127,7 +127,7 @@ impl DisturbanceObserver {
         } else {
             self.learn_constants(&mut motion, &before, state, expected, dt);
         }
-        (motion.at, motion.seen) = (at, state.attitude);
+        (motion.at, motion.seen, motion.seen_velocity) = (at, state.attitude, state.velocity);
         self.motion = Some(motion).filter(Motion::is_finite);
     }
 
@@ -160,7 +160,8 @@ impl DisturbanceObserver {
         };
         let decay = (-dt / time_constant_s).exp();
         let d = &mut self.disturbance.velocity;
-        let foreseen = before.position + (state.velocity + *d) * dt;
+        let mean = (before.seen_velocity + state.velocity) * 0.5;
+        let foreseen = before.position + (mean + *d) * dt;
         let error = state.position - foreseen;
         motion.position = foreseen + error * (1.0 - decay * decay);
         *d += error * ((1.0 - decay).powi(2) / dt);

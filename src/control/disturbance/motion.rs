@@ -17,7 +17,9 @@ pub(super) struct Motion {
     pub at: VehicleTime,
     pub position: Ned,
     pub velocity: Ned,
+    /// The measured attitude and velocity.
     pub seen: Attitude,
+    pub seen_velocity: Ned,
     /// The setpoint after the delay.
     pub delayed: Setpoint,
     pub thrust_n: f64,
@@ -33,6 +35,7 @@ impl Motion {
             position: state.position,
             velocity,
             seen: state.attitude,
+            seen_velocity: state.velocity,
             delayed: *sent,
             thrust_n: sent.thrust_n,
             attitude: state.attitude.euler(),
