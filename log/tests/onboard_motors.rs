@@ -200,7 +200,9 @@ fn rotor_speeds_are_read_from_one_message_for_each_controller() {
         }
         let flight = import("controllers", "flight.bin", &log.bytes);
         let speeds = &flight.rotor_speed;
-        assert_eq!((speeds.len(), speeds.times()[0]), (20, 5.0), "{columns}");
+        // A row needs a report of every controller.
+        assert_eq!(speeds.len(), 19, "{columns}");
+        assert!((speeds.times()[0] - 5.1).abs() < 1e-9, "{columns}");
         let rpm = speeds.values()[0].map(|w| (w * 60.0 / std::f64::consts::TAU).round());
         assert_eq!(rpm, [4000.0, 3000.0, 2000.0, 1000.0], "{columns}");
     }
