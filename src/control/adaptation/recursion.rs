@@ -19,10 +19,9 @@ pub(in crate::control) const EAST: usize = 4;
 /// Indices of the push in axes that turn with yaw.
 pub(in crate::control) const FRONT: usize = 5;
 pub(in crate::control) const RIGHT: usize = 6;
-/// The parameters that act along the thrust.
-const THRUST: std::ops::Range<usize> = THRUST_SHARE..DRAG;
-/// Memory of the thrust parameters, relative to the others': packs sag in flight.
-const THRUST_MEMORY: f64 = 0.25;
+/// Memory of each parameter relative to the pushes': packs sag in flight, while the bend of the
+/// thrust map and the drag belong to the airframe.
+const MEMORY: [f64; PARAMETERS] = [0.25, 4.0, 4.0, 1.0, 1.0, 1.0, 1.0];
 /// Axes of the velocity.
 const AXES: usize = 3;
 const STATES: usize = AXES + PARAMETERS;
@@ -47,8 +46,8 @@ const SURPRISE_MIN: f64 = 4.0;
 ///
 /// The covariance never exceeds the prior, so forgetting does not wind up without excitation. Each
 /// step of `theta` stays within a trust region, and `theta` within its bounds. Innovations that
-/// agree for a tenth of a second indicate a change: the prior covariance then applies again, and
-/// the next samples outweigh all earlier ones.
+/// agree for a tenth of a second indicate a change: the prior covariance of thrust share and pushes
+/// then applies again, and the next samples outweigh all earlier ones.
 #[derive(Clone, Debug)]
 pub(in crate::control) struct Recursion {
     prior: [f64; PARAMETERS],
@@ -184,12 +183,11 @@ impl Recursion {
         // A change of thrust does not affect the pushes, whereas a push changes the vertical load.
         let [north, east, down] = is_surprised;
         if north || east {
-            self.doubt(0..PARAMETERS);
-        } else if down {
-            self.doubt(THRUST);
+            self.doubt(NORTH..PARAMETERS);
         }
         learned.is_change = north || east || down;
         if learned.is_change {
+            self.doubt(THRUST_SHARE..THRUST_BEND);
             self.surprise.iter_mut().for_each(Surprise::restart);
         }
         learned
@@ -205,8 +203,7 @@ impl Recursion {
         }
         for (i, prior) in self.prior.into_iter().enumerate() {
             let at = AXES + i;
-            let share = if THRUST.contains(&i) { THRUST_MEMORY } else { 1.0 };
-            let forget = (0.5 * dt / (share * self.forgetting_s)).exp();
+            let forget = (0.5 * dt / (MEMORY[i] * self.forgetting_s)).exp();
             let grown = self.covariance[(at, at)].max(0.0).sqrt() * forget;
             let scale = if grown > prior { forget * prior / grown } else { forget };
             self.covariance.row_mut(at).scale_mut(scale);
