@@ -109,7 +109,7 @@ pub struct Parameters {
     pub thrust_share: f64,
     /// k: further excess per hover thrust beyond the first.
     pub thrust_bend: f64,
-    /// c: horizontal drag over speed and mass, 1/s.
+    /// c: horizontal drag over speed and mass, at least 0, 1/s.
     pub drag_per_s: f64,
     /// w: push north and east, m/s^2.
     pub world: [f64; 2],

@@ -127,7 +127,7 @@ impl DisturbanceObserver {
         } else {
             self.learn_constants(&mut motion, &before, state, expected, dt);
         }
-        (motion.at, motion.seen, motion.seen_velocity) = (at, state.attitude, state.velocity);
+        (motion.at, motion.seen) = (at, *state);
         self.motion = Some(motion).filter(Motion::is_finite);
     }
 
@@ -151,8 +151,8 @@ impl DisturbanceObserver {
         }
     }
 
-    /// Learns the velocity offset: both poles of position and velocity error at the same decay per
-    /// step.
+    /// Learns the velocity offset from the position's step and the mean of the velocities at both
+    /// ends: both poles of position and velocity error at the same decay per step.
     fn learn_velocity(&mut self, motion: &mut Motion, before: &Motion, state: &State, dt: f64) {
         let time_constant_s = match self.parameters() {
             Some(_) => self.settings.velocity_time_constant_s.max(ADAPTING_VELOCITY_S),
@@ -160,7 +160,7 @@ impl DisturbanceObserver {
         };
         let decay = (-dt / time_constant_s).exp();
         let d = &mut self.disturbance.velocity;
-        let mean = (before.seen_velocity + state.velocity) * 0.5;
+        let mean = (before.seen.velocity + state.velocity) * 0.5;
         let foreseen = before.position + (mean + *d) * dt;
         let error = state.position - foreseen;
         motion.position = foreseen + error * (1.0 - decay * decay);
@@ -179,7 +179,7 @@ impl DisturbanceObserver {
         dt: f64,
         decay: f64,
     ) {
-        let mean = before.seen.between(state.attitude, 0.5);
+        let mean = before.seen.attitude.between(state.attitude, 0.5);
         let thrust_n = 0.5 * (before.thrust_n + motion.thrust_n);
         let along = self.disturbance.along_thrust - thrust_n / self.chain.vehicle.mass_kg;
         let heading = Heading::new(mean.yaw());
@@ -391,8 +391,10 @@ mod tests {
             let sent = Setpoint { thrust_n, attitude, ..Setpoint::default() };
             observer.observe(at(tick), &state, &sent, &Expected::default());
         }
-        let Disturbance { drag_per_s, world: [north, east], body: [front, right], .. } =
-            observer.disturbance;
+        let Disturbance {
+            velocity, drag_per_s, world: [north, east], body: [front, right], ..
+        } = observer.disturbance;
+        assert!(velocity.norm() < 1e-3, "{velocity:?}");
         assert!((drag_per_s - DRAG_PER_S).abs() < 0.05, "{drag_per_s}");
         assert!((north + front - DRAG_PER_S * 2.0).abs() < 0.15, "{north} {front}");
         assert!((east + right + DRAG_PER_S).abs() < 0.15, "{east} {right}");

@@ -109,8 +109,8 @@ fn is_dataflash_text(text: &str) -> bool {
 }
 
 /// Description of a DataFlash file of which no message can be read.
-pub(super) const NO_DEFINITIONS: &str = "a log of ArduPilot (DataFlash) without the definitions (FMT) of its messages, which are at its \
-     start: the start is lost; copy or download the log from the vehicle again";
+pub(super) const NO_DEFINITIONS: &str = "a log of ArduPilot (DataFlash) without the definitions (FMT) of its messages, which are at \
+     its start: the start is lost; copy or download the log from the vehicle again";
 
 /// Description of a DataFlash file that is not ArduPilot's.
 pub(super) const SDLOG2: &str = "a log of PX4 before ULog (sdlog2, until 2016): PX4 1.4 and later \

@@ -215,14 +215,12 @@ impl Recursion {
     /// there. While a wind speeds the vehicle up, less push with a negative drag fits as well; once
     /// the vehicle is slow again, the push would be too small by what that drag had added.
     fn forbid_pushing_drag(&mut self) {
-        let variance = self.covariance[(AXES + DRAG, AXES + DRAG)];
-        if self.theta[DRAG] >= 0.0 || variance <= 0.0 {
-            return;
-        }
-        let step = self.covariance.column(AXES + DRAG) * (self.theta[DRAG] / variance);
+        let variance = self.covariance[(AXES + DRAG, AXES + DRAG)].max(f64::MIN_POSITIVE);
+        let below = self.theta[DRAG].min(0.0);
+        let step = self.covariance.column(AXES + DRAG) * (below / variance);
         self.velocity -= step.fixed_rows::<AXES>(0);
         self.theta -= step.fixed_rows::<PARAMETERS>(AXES);
-        self.theta[DRAG] = 0.0;
+        self.theta[DRAG] = self.theta[DRAG].max(0.0);
     }
 
     /// Cuts a step back to the trust region.
@@ -311,6 +309,22 @@ mod tests {
         let seen = taught(&mut recursion, 2000..2100, excited, |_| heavier);
         assert!(seen.first().is_some_and(|tick| *tick < 2015), "{seen:?}");
         assert!((recursion.theta()[0] + 0.23).abs() < 0.03, "{:?}", recursion.theta());
+    }
+
+    #[test]
+    fn change_keeps_what_is_known_of_the_airframe() {
+        let mut truth = [-0.2, 0.1, 0.4, 1.0, -0.5, 0.3, -0.2];
+        let mut recursion = recursion();
+        taught(&mut recursion, 0..3000, excited, |_| truth);
+        let deviations =
+            |recursion: &Recursion| [THRUST_BEND, DRAG].map(|at| recursion.deviation(at));
+        let known = deviations(&recursion);
+        (truth[THRUST_SHARE], truth[NORTH]) = (-0.35, 2.5);
+        let seen = taught(&mut recursion, 3000..3030, excited, |_| truth);
+        assert!(!seen.is_empty());
+        for (after, before) in deviations(&recursion).into_iter().zip(known) {
+            assert!(after < 1.5 * before, "{after} after {before}");
+        }
     }
 
     #[test]

@@ -175,7 +175,7 @@ impl DisturbanceObserver {
         dt: f64,
     ) {
         let velocity = state.velocity + self.disturbance.velocity;
-        let attitude = before.seen.between(state.attitude, 0.5);
+        let attitude = before.seen.attitude.between(state.attitude, 0.5);
         let thrust_n = 0.5 * (before.thrust_n + motion.thrust_n);
         let thrust_m_s2 = thrust_n / self.chain.vehicle.mass_kg;
         let unexplained = angle_error(state.attitude.euler(), motion.attitude);

@@ -1,6 +1,6 @@
 //! How delay, attitude loop and rotors turn setpoints into motion, step by step.
 
-use vehicle::frame::{Attitude, Euler, Frd, Ned, wrap_angle};
+use vehicle::frame::{Euler, Frd, Ned, wrap_angle};
 
 use crate::clock::VehicleTime;
 use crate::control::actuation::Actuation;
@@ -17,9 +17,8 @@ pub(super) struct Motion {
     pub at: VehicleTime,
     pub position: Ned,
     pub velocity: Ned,
-    /// The measured attitude and velocity.
-    pub seen: Attitude,
-    pub seen_velocity: Ned,
+    /// The measured state.
+    pub seen: State,
     /// The setpoint after the delay.
     pub delayed: Setpoint,
     pub thrust_n: f64,
@@ -34,8 +33,7 @@ impl Motion {
             at,
             position: state.position,
             velocity,
-            seen: state.attitude,
-            seen_velocity: state.velocity,
+            seen: *state,
             delayed: *sent,
             thrust_n: sent.thrust_n,
             attitude: state.attitude.euler(),
