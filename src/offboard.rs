@@ -436,6 +436,7 @@ fn concerns_supervisor(message: &Inbound) -> bool {
         Inbound::Heartbeat { .. }
             | Inbound::CurrentMode { .. }
             | Inbound::DoubtfulMode
+            | Inbound::DoubtfulArming
             | Inbound::LandedState(_)
             | Inbound::Battery(_)
     )

@@ -29,6 +29,9 @@ pub enum Inbound {
     /// A report of a mode that grants permission and may be a delayed duplicate. The active mode is
     /// unknown until the next report.
     DoubtfulMode,
+    /// A HEARTBEAT that reports stopped motors, out of order: it may be an old one. Whether they are
+    /// armed is unknown until the next HEARTBEAT.
+    DoubtfulArming,
     /// ATTITUDE_QUATERNION or ATTITUDE.
     Attitude {
         /// Which of the two messages; their estimates are never mixed.

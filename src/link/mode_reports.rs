@@ -26,6 +26,8 @@ pub(super) enum Newness {
     Old,
     /// A mode report that may be an old one, or the vehicle's newest.
     Doubtful,
+    /// A HEARTBEAT that reports stopped motors and may be an old one, or the vehicle's newest.
+    DoubtfulArming,
 }
 
 /// A frame that reports the mode.
@@ -37,6 +39,9 @@ pub(super) struct ModeReport<'a> {
     pub mode: u32,
     /// The mode in which setpoints are obeyed, where it is known.
     pub obeys: Option<u32>,
+    /// Whether it reports armed motors; `None` where it says nothing of them, or a newer HEARTBEAT
+    /// is known for certain.
+    pub is_armed: Option<bool>,
     /// Whether its place in the vehicle's sequence is after that of the newest report.
     pub is_newer: bool,
     /// Whether the places of the last second are certain.
@@ -51,6 +56,8 @@ pub(super) struct ModeReport<'a> {
 pub(super) struct ModeReports {
     hashes: VecDeque<u32>,
     newest: Option<u32>,
+    /// Whether the newest HEARTBEAT reports armed motors.
+    is_armed: bool,
     last_arrival: HostTime,
     /// Whether no mode was reported since the last silence.
     is_in_doubt: bool,
@@ -89,6 +96,23 @@ impl ModeReports {
 
     /// Judges a mode report.
     ///
+    /// A HEARTBEAT that reports stopped motors for the first time is not dropped even where its mode
+    /// is: whether they are armed is then doubtful.
+    pub fn judge(&mut self, report: &ModeReport) -> Newness {
+        let is_repeated = self.hashes.contains(&crc32fast::hash(report.frame));
+        let newness = self.judge_mode(report);
+        match (newness, report.is_armed) {
+            (Newness::New, Some(is_armed)) => self.is_armed = is_armed,
+            (Newness::Old | Newness::Doubtful, Some(false)) if self.is_armed && !is_repeated => {
+                return Newness::DoubtfulArming;
+            }
+            _ => {}
+        }
+        newness
+    }
+
+    /// Judges the mode of a report.
+    ///
     /// A report grants permission if setpoints are obeyed in its mode and this is not known
     /// already. Such a report is doubtful if it copies an earlier one, or if its place in the
     /// vehicle's sequence is not settled. About one in eight true reports is doubtful because it
@@ -99,8 +123,8 @@ impl ModeReports {
     /// A copy out of its place confirms no known mode, and makes another one doubtful: the vehicle
     /// may have left the copy's mode since. A copy that arrives again and again is in its place
     /// once by chance; it counts no more then.
-    pub fn judge(&mut self, report: &ModeReport) -> Newness {
-        let ModeReport { frame, mode, obeys, is_newer, is_settled, is_next } = *report;
+    fn judge_mode(&mut self, report: &ModeReport) -> Newness {
+        let ModeReport { frame, mode, obeys, is_newer, is_settled, is_next, .. } = *report;
         let is_known = !self.is_in_doubt && self.newest == Some(mode);
         if !is_newer {
             let withdraws = obeys.is_some_and(|obeys| obeys != mode) && !is_known;
@@ -145,6 +169,7 @@ mod tests {
             frame,
             mode,
             obeys: Some(OFFBOARD),
+            is_armed: None,
             is_newer: true,
             is_settled: true,
             is_next: true,
@@ -199,6 +224,23 @@ mod tests {
         assert_eq!(reports.judge(&older(true, 3)), Newness::Old);
         assert_eq!(reports.judge(&older(false, 3)), Newness::Doubtful);
         assert_eq!(reports.judge(&older(false, 6)), Newness::Old, "it would grant permission");
+    }
+
+    #[test]
+    fn stopped_motors_are_doubtful_where_the_mode_is_overtaken() {
+        let mut reports = ModeReports::default();
+        let heartbeat = |frame, is_armed| ModeReport { is_armed, ..report(frame, OFFBOARD) };
+        let overtaken = |frame| ModeReport { is_newer: false, ..heartbeat(frame, Some(false)) };
+        reports.frame_arrived(at(0));
+        assert_eq!(reports.judge(&heartbeat(b"stopped 1", Some(false))), Newness::New);
+        assert_eq!(reports.judge(&overtaken(b"stopped 2")), Newness::Old, "it is known");
+        assert_eq!(reports.judge(&heartbeat(b"armed 3", Some(true))), Newness::New);
+        assert_eq!(reports.judge(&overtaken(b"stopped 1")), Newness::Old, "received before");
+        assert_eq!(reports.judge(&overtaken(b"stopped 4")), Newness::DoubtfulArming);
+        let unsettled = ModeReport { is_settled: false, mode: 3, ..overtaken(b"stopped 5") };
+        assert_eq!(reports.judge(&unsettled), Newness::DoubtfulArming);
+        assert_eq!(reports.judge(&heartbeat(b"stopped 6", Some(false))), Newness::New);
+        assert_eq!(reports.judge(&overtaken(b"stopped 7")), Newness::Old, "it is known again");
     }
 
     #[test]

@@ -36,6 +36,9 @@ pub struct VehicleClock {
     latest: HostTime,
     newest: Option<VehicleTime>,
     quickest: Option<Quickest>,
+    /// That of the stamps before they last jumped. Where some messages have old stamps, the two
+    /// alternate, and a delay that begins meanwhile must not count as the fastest.
+    before_jump: Option<Quickest>,
     /// Whether the newest message was late, or the clock slipped.
     is_late: bool,
 }
@@ -63,7 +66,7 @@ impl VehicleClock {
             self.arrival = Arrival::default();
         }
         if had_none || matches!(answer, Answer::Jump { .. }) {
-            self.quickest = None;
+            (self.quickest, self.before_jump) = (None, None);
         }
         answer
     }
@@ -82,8 +85,9 @@ impl VehicleClock {
     /// Takes the stamp of a message that just arrived; returns the message's delay.
     pub fn observe(&mut self, now: HostTime, stamp: VehicleTime) -> Delay {
         self.latest = now;
-        if self.newest.is_some_and(|newest| stamp.seconds_since(newest) < -RESTART_S) {
-            (self.arrival, self.quickest, self.newest) = Default::default();
+        let is_back = self.newest.is_some_and(|newest| stamp.seconds_since(newest) < -RESTART_S);
+        if is_back {
+            (self.arrival, self.newest) = Default::default();
         }
         self.newest = self.newest.max(Some(stamp));
         let before = self.estimate();
@@ -94,6 +98,11 @@ impl VehicleClock {
             return Delay { seconds, at_least_s: seconds };
         };
         let error_s = error_ns as f64 * 1e-9;
+        if is_back || self.quickest.is_some_and(|it| it.seconds - seconds > RESTART_S) {
+            let is_near = |it: &Quickest| (it.seconds - seconds).abs() <= RESTART_S;
+            let returned = self.before_jump.take().filter(is_near);
+            self.before_jump = std::mem::replace(&mut self.quickest, returned);
+        }
         let first = Quickest { seconds, at_most_s: seconds + error_s };
         let quickest = self.quickest.get_or_insert(first);
         let delay = Delay {
@@ -290,6 +299,25 @@ mod tests {
             let delay = clock.observe(now, VehicleTime::from_us(u64::from(k) * 10_000));
             assert!(delay.at_least_s < 0.01 && delay.seconds < 0.01, "{delay:?}");
         }
+    }
+
+    #[test]
+    fn delay_is_seen_where_two_clocks_stamp_the_messages() {
+        let mut clock = VehicleClock::default();
+        let mut at_least_s = |k: u32, delay_s: f64| {
+            let now = START + Duration::from_millis(10) * k;
+            let sent_s = 20.0 + f64::from(k) * 0.01;
+            if k.is_multiple_of(10) {
+                let ts1 = clock.request(now);
+                clock.answer(now + Duration::from_micros(300), (sent_s * 1e9) as i64, ts1);
+            }
+            // Every third message has a stamp 3 s old.
+            let old_s = if k.is_multiple_of(3) { 3.0 } else { 0.0 };
+            let stamp = VehicleTime::from_us(((sent_s - old_s - delay_s) * 1e6) as u64);
+            clock.observe(now, stamp).at_least_s
+        };
+        assert!((0..200).all(|k| at_least_s(k, 0.0) < 0.01));
+        assert!((200..400).all(|k| at_least_s(k, 0.35) > 0.3));
     }
 
     #[test]

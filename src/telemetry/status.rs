@@ -15,7 +15,7 @@ pub struct VehicleStatus {
     pub last_received: Option<HostTime>,
     /// Whether the motors are armed; `None` before the first heartbeat.
     pub armed: Option<bool>,
-    /// When HEARTBEAT last reported `armed`.
+    /// When HEARTBEAT last reported `armed`; `None` where that report may be outdated.
     pub armed_reported: Option<HostTime>,
     /// When the motors were last stopped.
     pub disarmed: Option<HostTime>,
@@ -105,8 +105,13 @@ impl VehicleStatus {
     /// Takes the content of a message.
     pub(super) fn update(&mut self, received: &Received) {
         let now = received.host;
-        if received.message == Inbound::DoubtfulMode {
-            return self.doubt_mode();
+        match received.message {
+            Inbound::DoubtfulMode => return self.doubt_mode(),
+            Inbound::DoubtfulArming => {
+                self.armed_reported = None;
+                return self.doubt_mode();
+            }
+            _ => {}
         }
         if self.last_received.is_none_or(|at| now.since(at) > SILENCE) {
             self.silence_ended = Some(now);
@@ -168,9 +173,12 @@ impl VehicleStatus {
     }
 
     /// Whether the present mode is known: reported recently, and since the last silence ended. The
-    /// pilot may have changed an older one.
+    /// pilot may have changed an older one. A mode says nothing while it is doubtful whether the
+    /// motors are armed.
     pub fn is_mode_known(&self, now: HostTime) -> bool {
-        self.mode_reported.is_some_and(|reported| now.since(reported) <= MODE_AGE_MAX)
+        let is_arming_doubtful = self.armed.is_some() && self.armed_reported.is_none();
+        !is_arming_doubtful
+            && self.mode_reported.is_some_and(|reported| now.since(reported) <= MODE_AGE_MAX)
             && self.is_mode_newer_than_silence()
             && self.is_live(now)
     }

@@ -158,14 +158,18 @@ impl Core {
             }
             Newness::Doubtful => {
                 self.counters.repeated += 1;
-                return self.doubt_mode(now, on);
+                return self.doubt(now, Inbound::DoubtfulMode, on);
+            }
+            Newness::DoubtfulArming => {
+                self.counters.repeated += 1;
+                return self.doubt(now, Inbound::DoubtfulArming, on);
             }
         }
         self.counters.arrival(frame.id());
         self.set_state(LinkState::Connected);
         if frame.id() == TIMESYNC_DATA::ID {
             if self.timesync(now, frame) {
-                self.doubt_mode(now, on);
+                self.doubt(now, Inbound::DoubtfulMode, on);
             }
             return;
         }
@@ -181,11 +185,11 @@ impl Core {
         }
     }
 
-    /// The known mode may be outdated: nothing requested for it is repeated.
-    fn doubt_mode(&mut self, now: HostTime, on: &mut dyn FnMut(Delivery<'_>)) {
+    /// The known mode, or that the motors are armed, may be outdated: nothing requested for it is
+    /// repeated.
+    fn doubt(&mut self, now: HostTime, message: Inbound, on: &mut dyn FnMut(Delivery<'_>)) {
         self.requests.withdraw();
         self.collect_ended();
-        let message = Inbound::DoubtfulMode;
         on(Delivery::Message(Received { host: now, vehicle: None, delay: None, message }));
     }
 

@@ -36,12 +36,23 @@ fn reported_mode(frame: &Frame) -> Option<u32> {
     })
 }
 
+/// Whether a HEARTBEAT reports that the motors are armed; `None` for any other frame.
+fn reported_arming(frame: &Frame) -> Option<bool> {
+    // Behind the mode, the vehicle's type and its autopilot.
+    const FLAGS: usize = 6;
+    let flags = frame.payload().get(FLAGS).copied().unwrap_or(0);
+    let is_armed = flags & MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED.bits() != 0;
+    (frame.id() == HEARTBEAT_DATA::ID).then_some(is_armed)
+}
+
 /// The vehicle's frames received so far, as far as they decide whether another one is new.
 #[derive(Debug, Default)]
 pub(super) struct Novelty {
     sequence: Sequence,
     /// Place in the sequence of the newest message on each unstamped quantity.
     newest_places: [u64; UNSTAMPED_QUANTITIES],
+    /// Place of the newest HEARTBEAT, which alone reports whether the motors are armed.
+    newest_heartbeat: u64,
     mode_reports: ModeReports,
 }
 
@@ -90,9 +101,20 @@ impl Novelty {
             (None, true) => Newness::New,
             (None, false) => Newness::Old,
             (Some(mode), _) => {
-                let report =
-                    ModeReport { frame: frame.bytes(), mode, obeys, is_newer, is_settled, is_next };
-                self.mode_reports.judge(&report)
+                let arming = reported_arming(frame);
+                let is_overtaken = is_settled && place < self.newest_heartbeat;
+                if arming.is_some() {
+                    self.newest_heartbeat = place.max(self.newest_heartbeat);
+                }
+                self.mode_reports.judge(&ModeReport {
+                    frame: frame.bytes(),
+                    mode,
+                    obeys,
+                    is_armed: arming.filter(|_| !is_overtaken),
+                    is_newer,
+                    is_settled,
+                    is_next,
+                })
             }
         }
     }
