@@ -8,7 +8,7 @@ use vehicle::{ROTORS, VehicleError, VehicleParams};
 
 use crate::clock::HostTime;
 use crate::log::import::{OutputRange, output_ranges};
-use crate::log::record::{PARAMETER_FACT, Record, Severity, Source, Tick};
+use crate::log::record::{Record, Severity, Source, Tick, stated_parameter};
 use crate::log::sink::Listener;
 use crate::onset::cells::Sample;
 use crate::onset::change::Change;
@@ -177,11 +177,8 @@ impl Listener for Monitor {
         match record {
             Record::Tick(tick) => self.tick(tick),
             Record::Facts(facts) => {
-                let parameters = facts.iter().filter_map(|(key, value)| {
-                    let name = key.strip_prefix(PARAMETER_FACT)?;
-                    Some((name.to_owned(), value.parse().ok()?))
-                });
-                self.parameters.extend(parameters);
+                let stated = facts.iter().filter_map(|(key, value)| stated_parameter(key, value));
+                self.parameters.extend(stated);
             }
             _ if !self.is_flying => {}
             Record::Imu { stamp, specific_force, body_rate } => {

@@ -92,6 +92,13 @@ pub enum Record {
 /// follows.
 pub const PARAMETER_FACT: &str = "parameter.";
 
+/// The vehicle parameter that a fact states, and its finite value.
+pub fn stated_parameter(key: &str, value: &str) -> Option<(String, f64)> {
+    let name = key.strip_prefix(PARAMETER_FACT)?;
+    let value = value.parse().ok().filter(|value: &f64| value.is_finite())?;
+    Some((name.to_owned(), value))
+}
+
 impl Record {
     /// The stamp, if the record is a sample from the vehicle.
     pub fn stamp_mut(&mut self) -> Option<&mut Stamp> {

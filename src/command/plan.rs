@@ -41,9 +41,6 @@ use crate::plan::time_optimal::{Stop, Task};
 use crate::plan::{TimeLimit, Trajectory, TrajectoryFile};
 use crate::report::plan as page;
 
-/// Kind of the model that is the vehicle file's own physics.
-const NOMINAL: &str = "nominal";
-
 /// A model to plan with, and what a plan's file states about it.
 pub struct PlanModel {
     model: Arc<dyn Model>,
@@ -65,7 +62,7 @@ impl PlanModel {
             PhysicsModel::new(vehicle, &PhysicsParameters::default()).or_exit(Exit::Usage)?;
         Ok(Self {
             model: behind_the_map(Arc::new(model), vehicle, &effective).or_exit(Exit::Usage)?,
-            note: PlannedThrough { kind: NOMINAL.to_owned(), sha256: None },
+            note: PlannedThrough::nominal(),
             delay_s: effective.actuation.command_delay_s,
             lag_s: effective.actuation.motor_time_constant_s,
             voltage_exponent: vehicle
@@ -87,7 +84,7 @@ impl PlanModel {
 
     /// Whether this is the vehicle file's own physics.
     pub(super) fn is_nominal(&self) -> bool {
-        self.note.kind == NOMINAL
+        self.note.is_nominal()
     }
 
     /// Makes a planning model from learned accelerations and the learned rotors' response.

@@ -34,7 +34,7 @@ impl Scene {
 
     /// Adds lines to the messages, without their colours.
     pub fn print(&self, text: &[u8]) {
-        let text = without_colours(&String::from_utf8_lossy(text));
+        let text = plain(&String::from_utf8_lossy(text));
         let mut seen = self.lock();
         for line in text.lines().filter(|line| !line.trim().is_empty()) {
             if seen.messages.len() == MESSAGES {
@@ -63,15 +63,17 @@ impl Listener for Scene {
     }
 }
 
-/// The text without terminal sequences, so that none from a vehicle reaches the terminal.
-fn without_colours(text: &str) -> String {
+/// The text without terminal sequences and control characters, so that none from a vehicle reaches
+/// the terminal.
+fn plain(text: &str) -> String {
     let mut plain = String::with_capacity(text.len());
     let mut rest = text.chars();
     while let Some(character) = rest.next() {
         if character == '\u{1b}' {
-            // Skips to the letter that ends the sequence.
-            let mut sequence = rest.by_ref().skip_while(|c| *c == '[');
-            sequence.find(|c| c.is_ascii_alphabetic());
+            // A control sequence ends at a character from @ to ~; any other has two characters.
+            if rest.clone().next() != Some('\n') && rest.next() == Some('[') {
+                rest.find(|c| ('@'..='~').contains(c));
+            }
         } else if character == '\n' || !character.is_control() {
             plain.push(character);
         }
@@ -87,7 +89,8 @@ mod tests {
     fn escape_sequences_in_messages_do_not_reach_the_terminal() {
         let text =
             "\u{1b}[2m 0.1s\u{1b}[0m \u{1b}[32m INFO\u{1b}[0m vehicle: \u{1b}[2J\u{7}hi\nthere";
-        assert_eq!(without_colours(text), " 0.1s  INFO vehicle: hi\nthere");
+        assert_eq!(plain(text), " 0.1s  INFO vehicle: hi\nthere");
+        assert_eq!(plain("\u{1b}[5~42 ok\u{1b}\nnext"), "42 ok\nnext");
     }
 
     #[test]

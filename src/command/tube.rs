@@ -120,7 +120,7 @@ fn fit(args: &TubeFitArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
     }
     let Gathered { shape, shape_flights, flights } = gathered;
     let calibration = Calibration {
-        vehicle: vehicle.params.name.clone(),
+        vehicle: vehicle.params.clone(),
         model: model.note.clone(),
         position: position_of(&flights)?,
         flights: flights
@@ -136,7 +136,7 @@ fn fit(args: &TubeFitArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
     let summary = TubeSummary {
         schema: "downwash.tube.fit",
         schema_version: 1,
-        vehicle: &tube.vehicle,
+        vehicle: &tube.vehicle.name,
         flights: tube.flights,
         ended_early: tube.flights - tube.scores.len(),
         shape_flights,

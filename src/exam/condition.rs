@@ -25,7 +25,7 @@ pub enum Condition {
     Plain,
     /// Every other message of each kind is missing.
     HalfRate,
-    /// Stamps have uniform errors of up to 5 ms.
+    /// The log's stamps, not the vehicle's, have uniform errors of up to 5 ms.
     Jitter,
     /// One frame in ten is lost.
     Dropouts,

@@ -110,7 +110,10 @@ impl fmt::Display for FrameRejection {
             Refused::Ahead => f.write_str(
                 "; check the clocks of this computer and of the vehicle (link.signing.ahead_max_s)",
             ),
-            Refused::Replayed | Refused::Old | Refused::Streams => Ok(()),
+            Refused::Replayed | Refused::Old => f.write_str(
+                "; if the vehicle sent it, its clock is behind: run downwash signing setup again",
+            ),
+            Refused::Streams => Ok(()),
         }
     }
 }

@@ -92,6 +92,21 @@ pub struct PlannedThrough {
     pub sha256: Option<String>,
 }
 
+impl PlannedThrough {
+    /// Kind of the model that is the vehicle file's own physics.
+    const NOMINAL: &str = "nominal";
+
+    /// The vehicle file's own physics.
+    pub fn nominal() -> Self {
+        Self { kind: Self::NOMINAL.to_owned(), sha256: None }
+    }
+
+    /// Whether this is the vehicle file's own physics.
+    pub fn is_nominal(&self) -> bool {
+        self.kind == Self::NOMINAL
+    }
+}
+
 /// The vehicle's response to its inputs: the plan's inputs are those that act, and are sent
 /// earlier.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

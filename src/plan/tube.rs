@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use vehicle::bounded;
+use vehicle::{VehicleParams, bounded};
 
 use self::error::{AxisError, ModelError};
 use self::scale::{PERIOD_S, TrackingLoop};
@@ -29,7 +29,7 @@ use super::problem::StateVector;
 /// Identifier in the file's `schema` field.
 const SCHEMA: &str = "downwash.tube";
 /// Version of the file format; files of other versions are rejected.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Largest file, bytes.
 const SIZE_MAX: u64 = 64 << 20;
 
@@ -49,8 +49,8 @@ pub struct Shape {
 pub struct Tube {
     schema: String,
     schema_version: u32,
-    /// Name of the vehicle.
-    pub vehicle: String,
+    /// The vehicle file with which the flights were planned.
+    pub vehicle: VehicleParams,
     /// The model whose errors give the shape.
     pub model: PlannedThrough,
     /// Feedback and model errors.
@@ -69,8 +69,8 @@ pub struct Tube {
 /// The calibration flights of a tube.
 #[derive(Clone, Debug)]
 pub struct Calibration {
-    /// Name of the vehicle.
-    pub vehicle: String,
+    /// The vehicle file with which the flights were planned.
+    pub vehicle: VehicleParams,
     /// The model with which the flights were planned.
     pub model: PlannedThrough,
     /// The position whose errors the scores measure.
@@ -264,8 +264,8 @@ mod tests {
         Tube::new(
             shape,
             Calibration {
-                vehicle: "nano".to_owned(),
-                model: PlannedThrough { kind: "nominal".to_owned(), sha256: None },
+                vehicle: VehicleParams::load("crazyflie").expect("a vehicle"),
+                model: PlannedThrough::nominal(),
                 position: PositionSource::True,
                 flights: scores.iter().map(|score| ("circle".to_owned(), *score)).collect(),
             },

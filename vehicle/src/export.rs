@@ -13,7 +13,7 @@ mod rotorpy;
 
 use std::fmt::Write as _;
 
-use crate::effects::{Effect, EffectId, EffectSet, Place, RotorDrag};
+use crate::effects::{Effect, EffectId, EffectSet, Place, RotorDrag, ThrustCurve};
 use crate::frame::Ned;
 use crate::params::{VehicleError, VehicleParams};
 use crate::physics::{Constants, Physics};
@@ -111,6 +111,12 @@ impl Model<'_> {
             return Some(([drag; 3], false));
         }
         self.effect().map(|RotorDrag { d_xy, d_z }| ([d_xy, d_xy, d_z], true))
+    }
+
+    /// The a of the thrust curve: a rotor at output u gives the share (1 - a) u + a u^2 of its
+    /// largest thrust.
+    fn thrust_curve(&self) -> f64 {
+        self.effect().map_or(0.0, |ThrustCurve { a }| a)
     }
 
     /// Rotor speed at hover as a fraction of full speed.
@@ -241,11 +247,23 @@ mod tests {
     #[test]
     fn exported_names_cannot_escape_comments() {
         let mut vehicle = quad();
-        vehicle.name = "a\"]\nimport os --> <x/>".to_owned();
+        vehicle.name = "a---b\"]\nimport os --> <x/>".to_owned();
         for peer in Peer::ALL {
             let Export { text, .. } = export(&vehicle, peer).unwrap();
             let breaks = ["\nimport os", "a\"]", "<x/>"].iter().any(|part| text.contains(part));
             assert!(!breaks, "{peer:?}: {text}");
+        }
+        let Export { text, .. } = export(&vehicle, Peer::MuJoCo).unwrap();
+        let comment = text.trim_start_matches("<!--").split("-->").next().unwrap();
+        assert!(!comment.contains("--"), "{comment}");
+    }
+
+    #[test]
+    fn exports_state_the_thrust_curve() {
+        let vehicle = with(&["thrust_curve:a=0.375"]);
+        for peer in [Peer::RotorPy, Peer::DroneModels, Peer::MuJoCo] {
+            let Export { text, .. } = export(&vehicle, peer).unwrap();
+            assert!(text.contains("with a = 0.375"), "{peer:?}: {text}");
         }
     }
 }

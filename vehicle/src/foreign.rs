@@ -5,7 +5,7 @@ mod active;
 
 use serde::{Deserialize, Serialize};
 
-pub(crate) use self::active::{Active, Scene};
+pub(crate) use self::active::{Active, Surroundings};
 
 /// An external disturbance, or a law that differs from the catalogue's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

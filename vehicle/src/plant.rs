@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::battery::{Battery, BatteryConfig, PowerModel};
 use crate::contact::Floor;
 use crate::effects::{EffectSet, Gusts, Turbulence, Wrench};
-use crate::foreign::{Active, Foreign, Scene};
+use crate::foreign::{Active, Foreign, Surroundings};
 use crate::frame::{Euler, Frd, Ned};
 use crate::params::{ROTORS, VehicleError, VehicleParams};
 use crate::physics::{Environment, Loads, Physics};
@@ -161,12 +161,13 @@ impl Plant {
         self.foreign.iter().fold(*rotors, |rotors, foreign| foreign.bent(&rotors))
     }
 
-    fn advance_foreign(&mut self) {
+    /// Advances the foreign disturbances. Returns the velocity of the air that they add.
+    fn advance_foreign(&mut self) -> Ned {
         if self.foreign.is_empty() {
-            return;
+            return Ned::default();
         }
         let thrusts = self.rotor_thrusts();
-        let scene = Scene {
+        let around = Surroundings {
             rotors: &self.physics.constants().rotors,
             thrusts,
             state: &self.state,
@@ -176,14 +177,12 @@ impl Plant {
             voltage: self.battery.voltage() / self.full_voltage,
             gravity: self.gravity,
         };
-        let mut air_velocity = self.physics.wind();
+        let mut air_velocity = Ned::default();
         for foreign in &mut self.foreign {
-            foreign.advance(&scene, Self::STEP);
+            foreign.advance(&around, Self::STEP);
             air_velocity += foreign.air_velocity();
         }
-        if self.turbulence.is_none() {
-            self.environment.air_velocity = air_velocity;
-        }
+        air_velocity
     }
 
     /// Advances by [`Plant::STEP`] with the motor outputs held. Clips outputs to 0..=1 and treats
@@ -193,18 +192,20 @@ impl Plant {
         #[allow(clippy::manual_clamp)]
         let outputs = outputs.map(|u| u.max(0.0).min(1.0));
         self.outputs = outputs;
+        self.environment.time = self.began + self.time();
+        let mut air_velocity = self.physics.wind();
         if let Some((turbulence, rng)) = &mut self.turbulence {
             turbulence.advance(rng);
-            self.environment.air_velocity = self.physics.wind() + turbulence.velocity();
+            air_velocity += turbulence.velocity();
         }
-        self.environment.time = self.began + self.time();
-        self.advance_foreign();
+        air_velocity += self.advance_foreign();
+        self.environment.air_velocity = air_velocity;
         if self.steps.is_multiple_of(BATTERY_STEPS) {
             self.draw_power();
         }
-        let foreign_lag = self.foreign.iter_mut().find(|foreign| foreign.lags());
+        let (rotors, step) = (&self.rotors, Self::STEP);
         let followed =
-            foreign_lag.map(|foreign| foreign.follow(&self.rotors, &outputs, Self::STEP));
+            self.foreign.iter_mut().find_map(|foreign| foreign.follow(rotors, &outputs, step));
         self.state = if self.lag.is_none() && followed.is_none() {
             let end = self.loads_of(&outputs);
             let loads = self.physics.sudden_loads(self.loads, end, Self::STEP);

@@ -6,24 +6,26 @@ use std::time::Duration;
 use wire::Frame;
 
 use super::flight::{Clock, Flight, Origin};
-use super::frames::Frames;
-use crate::record::{FrameRecord, PARAMETER_FACT, Record};
+use super::frames::{Frames, UNREAD_FRAME};
+use crate::record::{FrameRecord, Record, stated_parameter};
 
 /// Largest number of frames kept: four minutes at the highest rate of a link, some 160 MB.
 const FRAMES_MAX: usize = 500_000;
 
-/// Makes the flight that [`open`](super::open) would read from the log of the same records.
+/// Makes the flight that [`open`](super::open) would read from the frames and parameters of the
+/// same records; it has no reference and no vehicle file.
 #[derive(Debug)]
 pub struct Collected {
-    newest: Duration,
+    /// Length of the part that is kept.
+    span: Duration,
     frames: VecDeque<FrameRecord>,
     parameters: BTreeMap<String, f64>,
 }
 
 impl Collected {
-    /// Keeps the frames of the `newest` part of a flight.
-    pub fn new(newest: Duration) -> Self {
-        Self { newest, frames: VecDeque::new(), parameters: BTreeMap::new() }
+    /// Keeps the frames of the newest part of a flight, of this length.
+    pub fn new(span: Duration) -> Self {
+        Self { span, frames: VecDeque::new(), parameters: BTreeMap::new() }
     }
 
     /// Adds a record: a frame, or facts with the vehicle's parameters. Others are ignored.
@@ -31,16 +33,13 @@ impl Collected {
         match record {
             Record::Frame(frame) => {
                 self.frames.push_back(*frame);
-                let is_old = |first: &FrameRecord| frame.host.since(first.host) > self.newest;
+                let is_old = |first: &FrameRecord| frame.host.since(first.host) > self.span;
                 while self.frames.len() > FRAMES_MAX || self.frames.front().is_some_and(is_old) {
                     self.frames.pop_front();
                 }
             }
             Record::Facts(facts) => {
-                let stated = facts.iter().filter_map(|(key, value)| {
-                    let name = key.strip_prefix(PARAMETER_FACT)?;
-                    Some((name.to_owned(), value.parse().ok().filter(|v: &f64| v.is_finite())?))
-                });
+                let stated = facts.iter().filter_map(|(key, value)| stated_parameter(key, value));
                 self.parameters.extend(stated);
             }
             _ => {}
@@ -61,7 +60,7 @@ impl Collected {
         for record in &self.frames {
             match Frame::parse(record.bytes()) {
                 Some(frame) => frames.add(Some(record.host.as_ns()), &frame),
-                None => frames.left_out("frame that is damaged or unknown to the dialect", 1),
+                None => frames.left_out(UNREAD_FRAME, 1),
             }
         }
         // Fails only if a boot is selected.

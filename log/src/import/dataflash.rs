@@ -182,7 +182,7 @@ pub(super) fn read(
                 format!("it ends within a message, at byte {cut}: it was cut short there")
             }
             (_, first) => format!(
-                "{} bytes from byte {} on belong to no message",
+                "{} bytes belong to no message, the first at byte {}",
                 damage.bytes,
                 first.unwrap_or(0)
             ),
@@ -211,8 +211,8 @@ impl Contents {
             "MSG" => {
                 if let (Some(text), true) = (text("Message"), self.texts.len() < TEXTS_MAX) {
                     let ms = number("TimeMS").map(|ms| ms * 1e3);
-                    let time = number(STAMP).or(ms).unwrap_or(f64::NAN) * 1e-6;
-                    self.texts.push(format!("{time:.3} s: {text}"));
+                    let time = number(STAMP).or(ms).map(|us| format!("{:.3} s: ", us * 1e-6));
+                    self.texts.push(time.unwrap_or_default() + text);
                 }
             }
             "UNIT" => {

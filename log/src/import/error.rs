@@ -34,8 +34,8 @@ pub enum ImportError {
     },
     /// The file does not have the chosen boot.
     #[error(
-        "{}: expected a boot from 1 to {boots} (--boot), found {boot}: the vehicle was started \
-         that many times in this file",
+        "{}: this file has {boots} boots of the vehicle; expected --boot from 1 to {boots}, found \
+         {boot}",
         path.display()
     )]
     NoBoot {

@@ -23,6 +23,8 @@ const SENDERS_MAX: usize = 32;
 const REPEATED_WITHIN: u64 = 128;
 /// A larger gap does not mean missing frames: the sender restarted, or frames are out of order.
 const MISSING_MAX: u8 = 64;
+/// Why a frame of a flight log is left out.
+pub(super) const UNREAD_FRAME: &str = "frame that is damaged or unknown to the dialect";
 /// Number of TIMESYNC requests that replies can match.
 const REQUESTS_KEPT: usize = 16;
 
@@ -72,11 +74,25 @@ impl Numbers {
         let (number, before) = std::mem::replace(slot, (self.count, hash));
         let is_recent = number > 0 && self.count - number <= REPEATED_WITHIN;
         let is_repeated = is_recent && before == hash && !self.uncounted;
-        if !is_repeated && let Some(newest) = self.newest.replace(sequence) {
-            let skipped = sequence.wrapping_sub(newest).wrapping_sub(1);
-            self.missing += if skipped <= MISSING_MAX { u32::from(skipped) } else { 0 };
+        if !is_repeated {
+            self.count_missing(sequence);
         }
         is_repeated
+    }
+
+    /// Counts the frames missing before one with this sequence number.
+    fn count_missing(&mut self, sequence: u8) {
+        let newest = self.newest.unwrap_or(sequence.wrapping_sub(1));
+        let (ahead, behind) = (sequence.wrapping_sub(newest), newest.wrapping_sub(sequence));
+        if (1..=MISSING_MAX).contains(&behind) {
+            // Others overtook it. It was counted when they came.
+            self.missing = self.missing.saturating_sub(1);
+            return;
+        }
+        if (1..=MISSING_MAX + 1).contains(&ahead) {
+            self.missing = self.missing.saturating_add(u32::from(ahead) - 1);
+        }
+        self.newest = Some(sequence);
     }
 }
 
@@ -172,7 +188,8 @@ impl Frames {
         }
     }
 
-    /// Fills `flight` with the vehicle that sent most. Returns the names of all messages.
+    /// Fills `flight` with one vehicle: autopilots first, then the one with most attitudes, then
+    /// with most messages. Returns the names of all messages.
     ///
     /// # Errors
     /// The vehicle does not have the chosen boot.

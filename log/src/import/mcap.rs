@@ -1,34 +1,25 @@
 //! Reads downwash's logs (.mcap) into flights: logs of flights, which hold every raw frame, and
 //! logs of imported flights, which hold flat channels.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::io::Read;
 
 use wire::Frame;
 
 use super::flat::{self, Taken};
 use super::flight::Flight;
-use super::frames::Frames;
+use super::frames::{Frames, UNREAD_FRAME};
 use super::references::References;
 use super::tally::Tally;
 use super::{Contents, LogFault};
 use crate::reader::{Channel, LogReader};
-use crate::record::PARAMETER_FACT;
+use crate::record::stated_parameter;
 use crate::schema::{Flat, MavlinkFrameMessage};
 
 /// Name of the attachment that is not the vehicle file.
 const CONFIG: &str = "config.toml";
 /// Largest number of foreign topics kept.
 const TOPICS_MAX: usize = 64;
-
-/// The vehicle's parameters, which the daemon read before the flight.
-fn stated_parameters(run: &BTreeMap<String, String>) -> BTreeMap<String, f64> {
-    let stated = |(key, value): (&String, &String)| {
-        let name = key.strip_prefix(PARAMETER_FACT)?;
-        Some((name.to_owned(), value.parse().ok().filter(|value: &f64| value.is_finite())?))
-    };
-    run.iter().filter_map(stated).collect()
-}
 
 /// Reads the rest of `reader` into `flight`. Returns the foreign topics in the log.
 ///
@@ -51,7 +42,7 @@ pub(super) fn read(
                     let frames = frames.get_or_insert_default();
                     frames.add(Some(message.log_time.as_ns()), &frame);
                 }
-                None => tally.add("frame that is damaged or unknown to the dialect", 1),
+                None => tally.add(UNREAD_FRAME, 1),
             }
         } else if references.take(&message, &mut flight.reference) {
             // One of the messages of a control tick.
@@ -88,7 +79,9 @@ pub(super) fn read(
     if !flat::take_facts(reader.run(), flight)
         && let Some(frames) = frames
     {
-        flight.facts.parameters = stated_parameters(reader.run());
+        let facts = reader.run().iter();
+        let stated = facts.filter_map(|(key, value)| stated_parameter(key, value));
+        flight.facts.parameters = stated.collect();
         frames.finish(boot, flight)?;
     } else if let Some(boot) = boot.filter(|boot| *boot != 1) {
         return Err(LogFault::NoBoot { boot, boots: 1 });

@@ -21,14 +21,15 @@ pub(super) fn read(
     let mut reader = Reader::new(source);
     let mut frames = Frames::default();
     while let Some(entry) = reader.read()? {
-        // A message that the dialect lacks is not counted as a loss.
+        // A message that the dialect lacks is not counted as left out. The next frame of its sender
+        // shows a gap.
         let Some(frame) = Frame::parse(&entry.frame) else { continue };
         frames.add(entry.time_us.map(|us| us.saturating_mul(1000)), &frame);
     }
     let skipped = reader.skipped_bytes();
     frames.left_out("byte that belongs to no whole frame", skipped);
     if let Some(first) = reader.first_skipped() {
-        frames.lose(format!("{skipped} bytes from byte {first} on belong to no whole frame"));
+        frames.lose(format!("{skipped} bytes belong to no whole frame, the first at byte {first}"));
     }
     let names = frames.finish(boot, flight)?;
     Ok(Contents { part: "message", names, reason: None })

@@ -151,7 +151,7 @@ impl Contents {
         if let Some(first) = damage.first {
             tally.lose(match damage.bytes {
                 0 => format!("it ends within a message, at byte {first}: it was cut short there"),
-                lost => format!("{lost} bytes from byte {first} on belong to no message"),
+                lost => format!("{lost} bytes belong to no message, the first at byte {first}"),
             });
         }
         if dropouts > 0 {

@@ -26,16 +26,20 @@ pub struct Fastest {
     rotor: [f64; 2],
     /// Body rates left to the plan, rad/s.
     body_rate_rad_s: [f64; 3],
-    /// Tilt left to the plan, rad.
+    /// Tilt left to the plan, rad; null without a limit.
     tilt_rad: Option<f64>,
-    /// m/s
+    /// Speed left to the plan, m/s; null without a limit.
     speed_m_s: Option<f64>,
 }
 
+/// Shares of the limits that the plan leaves to feedback.
 #[derive(Clone, Copy, Debug, JsonSchema, Serialize)]
 struct KeptBack {
+    /// Of each rotor's range, at either end.
     thrust: f64,
+    /// Of the body rates.
     body_rate: f64,
+    /// Of the tilt.
     tilt: f64,
 }
 
@@ -49,12 +53,15 @@ impl Fastest {
     pub(in crate::command) fn text(&self) -> String {
         let percent = |share: f64| 100.0 * share;
         let times: Vec<String> = self.passed_s.iter().map(|t| format!("{t:.2}")).collect();
+        let passages = match times.is_empty() {
+            true => String::new(),
+            false => format!(", its passages at {} s", times.join(", ")),
+        };
         format!(
-            "fastest     {:.3} s, its passages at {} s\n\
+            "fastest     {:.3} s{passages}\n\
              kept back   {:.0} % of each rotor's range at either end, {:.0} % of the body rates, \
              {:.0} % of the tilt\n",
             self.duration_s,
-            if times.is_empty() { "no".to_owned() } else { times.join(", ") },
             percent(self.kept_back.thrust),
             percent(self.kept_back.body_rate),
             percent(self.kept_back.tilt),

@@ -26,21 +26,31 @@ pub(super) struct ChosenTube {
 }
 
 impl ChosenTube {
-    /// Without `margin`, the margin has the highest confidence that the tube supports.
+    /// Without `margin`, the margin has the highest confidence that the tube supports. Its
+    /// confidence is at least the tube's.
     pub fn load(path: &Path, confidence: f64, margin: Option<f64>) -> anyhow::Result<Self> {
         let tube = Tube::load(path).or_exit(Exit::Usage)?;
         let margin_confidence = margin.unwrap_or(tube.confidence_max()).max(confidence);
         Ok(Self { path: path.to_owned(), tube, confidence, margin_confidence })
     }
 
-    /// Checks that the tube was made for this vehicle and model.
+    /// Checks that the tube was made for this vehicle and model. The effects that the file models
+    /// are a part of the model only where none was learned.
     pub fn check(&self, vehicle: &VehicleParams, model: &PlannedThrough) -> anyhow::Result<()> {
         let Tube { vehicle: of, model: made, .. } = &self.tube;
         let path = self.path.display();
-        if *of != vehicle.name {
+        let differs_in = match vehicle.difference(of) {
+            Some(difference) => Some(difference.to_string()),
+            None if made.is_nominal() && !vehicle.is_modelled_as(of) => {
+                Some("the lag, the delay or modelled_effects".to_owned())
+            }
+            None => None,
+        };
+        if let Some(difference) = differs_in {
             return Err(anyhow!(
-                "tube {path}: expected vehicle {:?}, found {of:?}; make one for this vehicle",
-                vehicle.name
+                "tube {path}: its flights were planned for another vehicle file, {:?}: {difference}; \
+                 make it again for this one",
+                of.name
             ))
             .or_exit(Exit::Usage);
         }
@@ -86,7 +96,8 @@ impl ChosenTube {
 pub(super) struct TubeOfPlan {
     /// Least probability that a whole flight stays within the tube.
     confidence: f64,
-    /// Least probability that a whole flight stays within the margin to keep-out regions.
+    /// Least probability that a whole flight strays from its plan by less than the margin that the
+    /// plan keeps to keep-out regions and to the box.
     margin_confidence: f64,
     /// The position that the tube bounds.
     position: PositionSource,
@@ -124,8 +135,8 @@ impl TubeOfPlan {
     /// Lines for people, with line ends.
     pub fn text(&self) -> String {
         format!(
-            "tube        {} %: {:.3} m on average, {:.3} m at most, for {}, from {} flights\n\
-             margin      radius of {:.2} % to keep-out regions\n",
+            "tube        {:.2} %: {:.3} m on average, {:.3} m at most, for {}, from {} flights\n\
+             margin      the radius at {:.2} %, to keep-out regions and to the sides of the box\n",
             100.0 * self.confidence,
             self.radius_mean_m,
             self.radius_max_m,

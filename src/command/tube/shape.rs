@@ -70,7 +70,7 @@ impl JudgedModel {
                 PhysicsModel::new(vehicle, &PhysicsParameters::default()).or_exit(Exit::Usage)?;
             let effective = EffectiveVehicle::new(vehicle).or_exit(Exit::Usage)?;
             return Ok(Self {
-                note: PlannedThrough { kind: "nominal".to_owned(), sha256: None },
+                note: PlannedThrough::nominal(),
                 model: Box::new(model),
                 file: None,
                 actuation: Actuation {

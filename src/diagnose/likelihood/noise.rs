@@ -218,13 +218,19 @@ fn attitude(variance: &[f64]) -> f64 {
     (sum / 3.0).sqrt()
 }
 
-/// Standard deviation of the position's noise: its increments against the velocity's integral.
+/// Longest step between positions over which the trapezoid of the velocity is accurate, s. Slower
+/// positions give no estimate.
+const STEP_MAX_S: f64 = 0.05;
+
+/// Standard deviation of the position's noise: its increments against the velocity's integral. It
+/// is 0 where no velocity is logged, or positions are rare.
 fn position(flights: &[PreparedFlight], velocity_noise: f64) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
-    for flight in flights {
+    // Without a velocity the increments are motion.
+    for flight in flights.iter().filter(|flight| !flight.velocity.is_empty()) {
         for pair in flight.position.times().windows(2) {
             let step = pair[1] - pair[0];
-            if step > 0.05 || !flight.spans.iter().any(|s| s.contains(&pair[0])) {
+            if step > STEP_MAX_S || !flight.spans.iter().any(|s| s.contains(&pair[0])) {
                 continue;
             }
             let (a, b) = (flight.position.at(pair[0]), flight.position.at(pair[1]));

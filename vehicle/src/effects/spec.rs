@@ -138,7 +138,8 @@ pub enum Need {
     Attitude,
     /// Attitude or body rate, and the output or speed of each rotor.
     Moment,
-    /// Motor outputs at a rate no slower than the rotors, where the model is driven by outputs.
+    /// Motor outputs at least as fast as the rotors' lag. Needed only where outputs, not setpoints,
+    /// drive the model.
     FastOutputs,
     /// Setpoints, or fast motor outputs.
     FastInput,

@@ -42,9 +42,10 @@ pub(super) fn text(model: &mut Model<'_>) -> String {
     let name = one_line(model.vehicle).replace(|c: char| !c.is_ascii_alphanumeric(), "_");
     let _ = write!(
         text,
-        "# Motor outputs u become speeds: rpm = {} * sqrt(u), bent by thrust_curve where there is \
-         one.\n\n[{name}]\n",
-        real(rpm)
+        "# Motor outputs u become speeds: rpm = {} * sqrt((1 - a) u + a u^2), with a = {}.\n\n\
+         [{name}]\n",
+        real(rpm),
+        real(model.thrust_curve())
     );
     let mut put = |key: &str, value: String| {
         let _ = writeln!(text, "{key} = {value}");

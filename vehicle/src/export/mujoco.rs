@@ -13,13 +13,17 @@ pub(super) fn text(model: &mut Model<'_>) -> String {
     if model.vehicle.angular_damping_nms.is_some() {
         model.lose("angular_damping_Nms");
     }
+    if model.constants.motor_time_constant > 0.0 && model.thrust_curve() != 0.0 {
+        model.lose("a thrust_curve behind the lag: here it acts before the lag");
+    }
     let name = one_line(model.vehicle);
     let lost = model.lost.iter().map(|lost| format!("  Not expressed: {}.\n", dashes(lost)));
     let mut text = format!(
-        "<!-- {}, by `downwash vehicle export`.\n{}  Controls are motor outputs u, 0 to 1, bent by \
-         thrust_curve where there is one.\n  x is front, y left, z up. -->\n",
+        "<!-- {}, by `downwash vehicle export`.\n{}  Controls are (1 - a) u + a u^2 of motor outputs u, \
+         0 to 1, with a = {}.\n  x is front, y left, z up. -->\n",
         dashes(&name),
-        lost.collect::<String>()
+        lost.collect::<String>(),
+        real(model.thrust_curve())
     );
     let [ix, iy, iz] = model.constants.inertia;
     let tau = model.constants.motor_time_constant;
@@ -61,5 +65,9 @@ pub(super) fn text(model: &mut Model<'_>) -> String {
 
 /// Breaks up double dashes, which an XML comment must not contain.
 fn dashes(text: &str) -> String {
-    text.replace("--", "- -")
+    let mut text = text.to_owned();
+    while text.contains("--") {
+        text = text.replace("--", "- -");
+    }
+    text
 }

@@ -52,9 +52,11 @@ pub(super) fn text(model: &mut Model<'_>) -> String {
     let [ix, iy, iz] = model.constants.inertia;
     let parasitic = 0.5 * model.vehicle.air_density * cda;
     let mut text = model.head("#");
-    text.push_str(
-        "#\n# Motor outputs u become speeds: w = rotor_speed_max * sqrt(u), bent by thrust_curve \
-         where there is one.\nimport numpy as np\n\nquad_params = {\n",
+    let _ = write!(
+        text,
+        "#\n# Motor outputs u become speeds: w = rotor_speed_max * sqrt((1 - a) u + a u^2), with a = \
+         {}.\nimport numpy as np\n\nquad_params = {{\n",
+        real(model.thrust_curve())
     );
     let mut put = |key: &str, value: String| {
         let _ = writeln!(text, "    '{key}': {value},");

@@ -19,13 +19,17 @@ const SHEAR_HEIGHT_MIN: f64 = 0.1;
 
 /// Smallest height of a rotor above the floor, in radii.
 const GROUND_HEIGHT_MIN: f64 = 0.5;
-/// Number of eddies on each axis, and the ratio of one eddy's length to the next.
+/// Number of eddies on each axis.
 const EDDIES: usize = 9;
+/// Ratio of one eddy's length to the next: all lengths span a factor of 170.
 const EDDY_RATIO: f64 = 1.9;
+
+/// Separates the draws of a disturbance from the plant's own draws of the same seed.
+const STREAM: u64 = 0xf0_4e16;
 
 /// The plant at the start of a step, as seen by a [`Foreign`].
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Scene<'a> {
+pub(crate) struct Surroundings<'a> {
     pub state: &'a State,
     pub rotors: &'a [RotorConstants; ROTORS],
     /// Thrust of each rotor before aerodynamic factors, N.
@@ -47,10 +51,11 @@ pub(crate) struct Active {
     time: f64,
     wrench: Wrench<f64>,
     air: Ned,
-    /// Factor on each rotor's thrust.
+    /// Factor on each rotor's effective state, hence on its thrust where the vehicle has no
+    /// thrust_curve.
     factors: [f64; ROTORS],
     swing: Swing,
-    moment: Moment,
+    event: Event,
     /// The rotors' states between the two lags of [`Foreign::LagSecondOrder`].
     between: [f64; ROTORS],
     slow_voltage: Option<f64>,
@@ -67,7 +72,7 @@ impl Eddies {
         Self(std::array::from_fn(|_| std::array::from_fn(|_| TAU * rng.random::<f64>())))
     }
 
-    /// The air's velocity after a distance of `way` longest eddies.
+    /// The air's velocity, in standard deviations, after `way` lengths of the longest eddy.
     fn velocity(&self, way: f64) -> Ned {
         // In bands of equal ratio the energy goes as the length to 2/3.
         let energy = |eddy: usize| EDDY_RATIO.powf(-2.0 / 3.0 * eddy as f64);
@@ -92,7 +97,7 @@ struct Swing {
 
 /// A short event at a random time.
 #[derive(Clone, Copy, Debug)]
-struct Moment {
+struct Event {
     begins: f64,
     ends: f64,
     direction: Ned,
@@ -101,13 +106,13 @@ struct Moment {
 impl Active {
     pub fn new(law: Foreign, seed: u64) -> Self {
         Self {
-            rng: Pcg64Mcg::seed_from_u64(seed ^ 0xf0_4e16),
+            rng: Pcg64Mcg::seed_from_u64(seed ^ STREAM),
             time: 0.0,
             wrench: Wrench { force: Frd::zero(), moment: Frd::zero() },
             air: Ned::zero(),
             factors: [1.0; ROTORS],
             swing: Swing::default(),
-            moment: Moment { begins: 0.0, ends: 0.0, direction: Ned::zero() },
+            event: Event { begins: 0.0, ends: 0.0, direction: Ned::zero() },
             between: [0.0; ROTORS],
             slow_voltage: None,
             eddies: None,
@@ -140,21 +145,16 @@ impl Active {
         })
     }
 
-    /// Whether it replaces the rotors' lag.
-    pub fn lags(&self) -> bool {
-        matches!(self.law, Foreign::LagSecondOrder { .. } | Foreign::LagAsymmetric { .. })
-    }
-
-    /// The rotors' states at the middle and end of a step.
+    /// The rotors' states at the middle and end of a step, where it replaces their lag.
     pub fn follow(
         &mut self,
         states: &[f64; ROTORS],
         outputs: &[f64; ROTORS],
         step: f64,
-    ) -> [[f64; ROTORS]; 2] {
+    ) -> Option<[[f64; ROTORS]; 2]> {
         let toward =
             |from: f64, to: f64, tau: f64, time: f64| to + (from - to) * (-time / tau).exp();
-        match self.law {
+        let followed = match self.law {
             Foreign::LagSecondOrder { tau_s } => {
                 let before = self.between;
                 for (between, output) in self.between.iter_mut().zip(outputs) {
@@ -171,8 +171,9 @@ impl Active {
                     toward(states[i], outputs[i], tau, time)
                 })
             }),
-            _ => [*outputs; 2],
-        }
+            _ => return None,
+        };
+        Some(followed)
     }
 
     /// Resets the state of the lag to these rotor states.
@@ -181,20 +182,20 @@ impl Active {
     }
 
     /// Computes force, moment, air velocity and thrust factors for the next step.
-    pub fn advance(&mut self, scene: &Scene<'_>, step: f64) {
+    pub fn advance(&mut self, around: &Surroundings<'_>, step: f64) {
         self.time += step;
-        let state = scene.state;
+        let state = around.state;
         let to_body = |force: Ned| state.attitude.to_body(force);
-        let relative = to_body(state.velocity - scene.air_velocity);
+        let relative = to_body(state.velocity - around.air_velocity);
         let mut force = Frd::zero();
         let mut moment = Frd::zero();
         match self.law.clone() {
             Foreign::SlungLoad { mass_kg, length_m, damping } => {
-                let [n, e] = self.swing.advance(state, scene.gravity / length_m, damping, step);
+                let [n, e] = self.swing.advance(state, around.gravity / length_m, damping, step);
                 force = to_body(Ned::new(mass_kg * n, mass_kg * e, 0.0));
             }
             Foreign::Payload { share } => {
-                force = Frd::new(0.0, 0.0, share / (1.0 + share) * scene.loads.thrust());
+                force = Frd::new(0.0, 0.0, share / (1.0 + share) * around.loads.thrust());
             }
             Foreign::Tether { anchor_m, slack_m, stiffness_n_m } => {
                 let line = Ned::from(anchor_m) - state.position;
@@ -213,14 +214,14 @@ impl Active {
                 force = to_body(Ned::from(force_n) * share);
             }
             Foreign::Bumps { force_n, duration_s, interval_s } => {
-                if self.in_moment(duration_s, interval_s) {
-                    let phase = (self.time - self.moment.begins) / duration_s;
+                if self.is_in_event(duration_s, interval_s) {
+                    let phase = (self.time - self.event.begins) / duration_s;
                     let size = force_n * (0.5 * TAU * phase).sin();
-                    force = to_body(self.moment.direction * size);
+                    force = to_body(self.event.direction * size);
                 }
             }
             Foreign::ThrustBursts { rotor, loss, duration_s, interval_s } => {
-                let lost = if self.in_moment(duration_s, interval_s) { loss } else { 0.0 };
+                let lost = if self.is_in_event(duration_s, interval_s) { loss } else { 0.0 };
                 self.factors[rotor.min(ROTORS - 1)] = 1.0 - lost;
             }
             Foreign::YawRateForce { force_ns } => {
@@ -237,19 +238,19 @@ impl Active {
                 force += Frd::new(0.0, 0.0, -cross * (x * x + y * y));
             }
             Foreign::GroundExponential { gain, length_m } => {
-                let more = gain * (-scene.height.max(0.0) / length_m).exp();
-                let [roll, pitch] = scene.loads.tilting_moments();
-                force = Frd::new(0.0, 0.0, -more * scene.loads.thrust());
+                let more = gain * (-around.height.max(0.0) / length_m).exp();
+                let [roll, pitch] = around.loads.tilting_moments();
+                force = Frd::new(0.0, 0.0, -more * around.loads.thrust());
                 moment = Frd::new(more * roll, more * pitch, 0.0);
             }
             Foreign::SagRecovery { exponent, recovery_s } => {
-                let slow = self.slow_voltage.get_or_insert(scene.voltage);
-                *slow += (scene.voltage - *slow) * (step / recovery_s).min(1.0);
+                let slow = self.slow_voltage.get_or_insert(around.voltage);
+                *slow += (around.voltage - *slow) * (step / recovery_s).min(1.0);
                 self.factors = [slow.powf(exponent); ROTORS];
             }
             Foreign::SagAffine { slope, recovery_s } => {
-                let slow = self.slow_voltage.get_or_insert(scene.voltage);
-                *slow += (scene.voltage - *slow) * (step / recovery_s).min(1.0);
+                let slow = self.slow_voltage.get_or_insert(around.voltage);
+                *slow += (around.voltage - *slow) * (step / recovery_s).min(1.0);
                 self.factors = [(1.0 - slope * (1.0 - *slow)).max(0.0); ROTORS];
             }
             Foreign::DragPlates { quadratic } => {
@@ -257,9 +258,9 @@ impl Active {
                 force = Frd::new(-x * x.abs(), -y * y.abs(), -z * z.abs()).scale_by(quadratic);
             }
             Foreign::GroundPerRotor { radius_m } => {
-                for (rotor, thrust) in scene.rotors.iter().zip(scene.thrusts) {
+                for (rotor, thrust) in around.rotors.iter().zip(around.thrusts) {
                     let arm = state.attitude.to_world(Frd::new(rotor.x, rotor.y, 0.0));
-                    let height = (scene.height - arm.down()).max(GROUND_HEIGHT_MIN * radius_m);
+                    let height = (around.height - arm.down()).max(GROUND_HEIGHT_MIN * radius_m);
                     let share = (radius_m / (4.0 * height)).powi(2);
                     let more = thrust * share / (1.0 - share);
                     force += Frd::new(0.0, 0.0, -more);
@@ -270,8 +271,8 @@ impl Active {
                 let [x, y, _] = relative.to_array();
                 let speed2 = x * x + y * y;
                 let more = gain * speed2 / (speed2 + speed_m_s * speed_m_s);
-                let [roll, pitch] = scene.loads.tilting_moments();
-                force = Frd::new(0.0, 0.0, -more * scene.loads.thrust());
+                let [roll, pitch] = around.loads.tilting_moments();
+                force = Frd::new(0.0, 0.0, -more * around.loads.thrust());
                 moment = Frd::new(more * roll, more * pitch, 0.0);
             }
             Foreign::RotorWear { rotor, loss, torque_share } => {
@@ -279,12 +280,12 @@ impl Active {
                 self.factors[rotor] = 1.0 - loss;
                 // `thrusts` already include the loss.
                 let kept = loss * (1.0 - torque_share) / (1.0 - loss).max(1e-9);
-                let torque = scene.thrusts[rotor] * scene.rotors[rotor].torque_per_thrust;
+                let torque = around.thrusts[rotor] * around.rotors[rotor].torque_per_thrust;
                 moment = Frd::new(0.0, 0.0, kept * torque);
             }
             Foreign::YawTorquePower { by, apart, power, hover_n } => {
                 let mut yaw = 0.0;
-                for (rotor, thrust) in scene.rotors.iter().zip(scene.thrusts) {
+                for (rotor, thrust) in around.rotors.iter().zip(around.thrusts) {
                     let bent = (thrust / hover_n).max(0.0).powf(power - 1.0);
                     let factor = (1.0 + by + apart * rotor.spin) * bent;
                     yaw += thrust * rotor.torque_per_thrust * (factor - 1.0);
@@ -300,7 +301,7 @@ impl Active {
                 moment = Frd::new(-y, x, 0.0) * (sunk_m * drag_ns_m);
             }
             Foreign::WindShear { velocity_m_s: [north, east], exponent } => {
-                let height = scene.height.max(SHEAR_HEIGHT_MIN) / SHEAR_HEIGHT;
+                let height = around.height.max(SHEAR_HEIGHT_MIN) / SHEAR_HEIGHT;
                 self.air = Ned::new(north, east, 0.0) * height.powf(exponent);
             }
             Foreign::LagSecondOrder { .. }
@@ -312,32 +313,33 @@ impl Active {
     }
 
     /// Whether an event is in progress; draws the next one once an event has passed.
-    fn in_moment(&mut self, duration_s: f64, interval_s: f64) -> bool {
-        if self.time >= self.moment.ends {
+    fn is_in_event(&mut self, duration_s: f64, interval_s: f64) -> bool {
+        if self.time >= self.event.ends {
             let wait: f64 = Exp1.sample(&mut self.rng);
             let begins = self.time + interval_s * wait;
             let direction: [f64; 3] =
                 std::array::from_fn(|_| self.rng.sample::<f64, _>(StandardNormal));
             let direction = Ned::from(direction);
             let direction = direction * direction.norm().max(1e-9).recip();
-            self.moment = Moment { begins, ends: begins + duration_s, direction };
+            self.event = Event { begins, ends: begins + duration_s, direction };
         }
-        self.time >= self.moment.begins
+        self.time >= self.event.begins
     }
 }
 
 impl Swing {
-    /// Advances the load; returns its force over its mass, north and east, m/s^2.
-    fn advance(&mut self, state: &State, stiffness: f64, damping: f64, step: f64) -> [f64; 2] {
+    /// Advances the load, whose pendulum has the square `frequency2` of its angular frequency,
+    /// 1/s^2. Returns the load's force over its mass, north and east, m/s^2.
+    fn advance(&mut self, state: &State, frequency2: f64, damping: f64, step: f64) -> [f64; 2] {
         let before = self.velocity.replace(state.velocity).unwrap_or(state.velocity);
         let [n, e, _] = ((state.velocity - before) * step.recip()).to_array();
-        let friction = 2.0 * damping * stiffness.sqrt();
+        let friction = 2.0 * damping * frequency2.sqrt();
         let acceleration = [n, e];
         std::array::from_fn(|i| {
             let (place, rate) = (&mut self.place[i], &mut self.rate[i]);
-            *rate += step * (-stiffness * *place - friction * *rate - acceleration[i]);
+            *rate += step * (-frequency2 * *place - friction * *rate - acceleration[i]);
             *place += step * *rate;
-            stiffness * *place + acceleration[i]
+            frequency2 * *place + acceleration[i]
         })
     }
 }

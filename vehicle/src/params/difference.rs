@@ -80,6 +80,13 @@ fn first_difference<'a>(this: &'a Value, other: &'a Value) -> (String, &'a Value
 }
 
 impl VehicleParams {
+    /// Whether the file's own physics has the same effects, lag and delay as another file's.
+    pub fn is_modelled_as(&self, other: &Self) -> bool {
+        self.modelled_effects == other.modelled_effects
+            && self.motor_time_constant_s == other.motor_time_constant_s
+            && self.command_delay_s == other.command_delay_s
+    }
+
     /// The first difference from `other` in the numbers that identify a vehicle: the body, the
     /// rotors, the on-board law, the pack and gravity. A field that only one file has does not
     /// count: a file that gains a line describes the same vehicle. Estimates of the same vehicle do
@@ -153,6 +160,21 @@ mod tests {
             v.modelled_effects.insert_argument("motor_lag:tau_s=0.05").unwrap();
         });
         assert_eq!(belief, None);
+    }
+
+    #[test]
+    fn modelled_effects_lag_and_delay_make_another_model() {
+        let changes: [fn(&mut VehicleParams); 3] = [
+            |v| v.command_delay_s += 0.001,
+            |v| v.motor_time_constant_s += 0.001,
+            |v| v.modelled_effects.insert_argument("wind:north_m_s=2").unwrap(),
+        ];
+        assert!(quad().is_modelled_as(&quad()));
+        for change in changes {
+            let mut other = quad();
+            change(&mut other);
+            assert!(!quad().is_modelled_as(&other));
+        }
     }
 
     #[test]

@@ -53,8 +53,9 @@ pub enum Refused {
     /// The stream already had this stamp, or one that is too much later.
     #[error("stamp already used, or too old for its stream: a replay or a copy")]
     Replayed,
-    /// The stream is new and its stamp is more than a minute behind.
-    #[error("a new stream whose stamp is more than a minute old")]
+    /// The stream is new, and its stamp is more than a minute behind the newest accepted stamp or
+    /// the clock, whichever is later.
+    #[error("a new stream whose stamp is more than a minute behind the newest known time")]
     Old,
     /// The stamp is further ahead of the clock than the settings allow.
     #[error("stamp too far ahead of this computer's clock")]
@@ -114,7 +115,7 @@ struct Window {
 
 impl Window {
     fn new(floor: Stamp) -> Self {
-        Self { floor, seen: VecDeque::with_capacity(SEEN_MAX) }
+        Self { floor, seen: VecDeque::with_capacity(SEEN_MAX + 1) }
     }
 
     /// Accepts a stamp, unless it was, or may have been, accepted before.
@@ -124,7 +125,7 @@ impl Window {
             return false;
         }
         self.seen.insert(place, stamp);
-        if self.seen.len() >= SEEN_MAX {
+        if self.seen.len() > SEEN_MAX {
             self.floor = self.seen.pop_front().unwrap_or(self.floor);
         }
         true
