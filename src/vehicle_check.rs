@@ -13,7 +13,7 @@ use serde::Serialize;
 use vehicle::{ROTORS, VehicleParams};
 
 use crate::learn::segments::in_air;
-use crate::log::import::Flight;
+use crate::log::import::{Flight, VehicleFacts};
 
 /// Share of the hover output above which a mean output carries the vehicle.
 const LIFTS: f64 = 0.5;
@@ -73,16 +73,22 @@ const FLIGHT_MIN_S: f64 = 5.0;
 /// Length of the blocks that show the chance variation, s.
 const BLOCK_S: f64 = 4.0;
 
+/// What a log's vehicle is, where the log states that it is no quadrotor.
+pub fn other_vehicle(facts: &VehicleFacts) -> Option<String> {
+    let motors = facts.motors.filter(|motors| *motors as usize != ROTORS);
+    match facts.stated_otherwise() {
+        Some(stated) => Some(format!("{} ({})", stated.kind, stated.by)),
+        None => motors.map(|motors| format!("a vehicle with {motors} motors")),
+    }
+}
+
 /// Compares `vehicle` with `flight`, one sentence for each number.
 ///
 /// # Errors
 /// [`NotHeld`] where the log shows no flight, or its outputs have no unit.
 pub fn held(flight: &Flight, vehicle: &VehicleParams) -> Result<Vec<Held>, NotHeld> {
-    if let Some(stated) = flight.facts.stated_otherwise() {
-        return Err(NotHeld::OtherVehicle(format!("{} ({})", stated.kind, stated.by)));
-    }
-    if let Some(motors) = flight.facts.motors.filter(|motors| *motors as usize != ROTORS) {
-        return Err(NotHeld::OtherVehicle(format!("a vehicle with {motors} motors")));
+    if let Some(kind) = other_vehicle(&flight.facts) {
+        return Err(NotHeld::OtherVehicle(kind));
     }
     let mut shares = flight.clone();
     shares.normalise_outputs(vehicle)?;

@@ -11,6 +11,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::{AttitudeCascade, BatteryParams};
 
+use crate::log::import::StatedKind;
 use crate::parameters::{Autopilot, Parameters};
 
 /// Default gravity, m/s^2.
@@ -147,14 +148,14 @@ pub struct Draft {
 }
 
 /// Why this vehicle cannot have a vehicle file.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NoQuadrotor {
     /// It does not have four motors.
     #[error("its parameters describe a vehicle with {0} motors; only quadrotors are supported")]
     Motors(u32),
     /// It is not a multirotor.
-    #[error("CA_AIRFRAME is {0}, which is not a multirotor; only quadrotors are supported")]
-    Airframe(f64),
+    #[error("its parameters describe {} ({}); only quadrotors are supported", .0.kind, .0.by)]
+    Kind(StatedKind),
 }
 
 impl Draft {
@@ -167,8 +168,8 @@ impl Draft {
         parameters: &Parameters,
         measured: &Measured,
     ) -> Result<Self, NoQuadrotor> {
-        if let Some(class) = parameters.number("CA_AIRFRAME").filter(|class| *class != 0.0) {
-            return Err(NoQuadrotor::Airframe(class));
+        if let Some(stated) = StatedKind::otherwise(parameters) {
+            return Err(NoQuadrotor::Kind(stated));
         }
         if let Some(count) = parameters.motor_count().filter(|count| *count != 4) {
             return Err(NoQuadrotor::Motors(count));
@@ -275,6 +276,7 @@ mod tests {
     use vehicle::VehicleParams;
 
     use super::*;
+    use crate::log::import::VehicleKind;
     use crate::parameters::ParameterFile;
 
     const SIH: &str = include_str!("../message/tests/parameters/px4_sih.params");
@@ -408,7 +410,18 @@ mod tests {
         let refused = Draft::new("a test", &parameters(&six), &Measured::default());
         assert_eq!(refused, Err(NoQuadrotor::Motors(6)));
         let wing = SIH.replace("CA_AIRFRAME 0", "CA_AIRFRAME 1");
-        let refused = Draft::new("a test", &parameters(&wing), &Measured::default());
-        assert_eq!(refused, Err(NoQuadrotor::Airframe(1.0)));
+        let helicopter = COPTER.replace("FRAME_CLASS,1", "FRAME_CLASS,6");
+        let hovering = format!("{COPTER}\nQ_ENABLE,1");
+        for (text, kind) in [
+            (wing, VehicleKind::FixedWing),
+            (helicopter, VehicleKind::Helicopter),
+            (hovering, VehicleKind::Vtol),
+        ] {
+            let refused = Draft::new("a test", &parameters(&text), &Measured::default());
+            assert!(
+                matches!(&refused, Err(NoQuadrotor::Kind(stated)) if stated.kind == kind),
+                "{refused:?}"
+            );
+        }
     }
 }

@@ -118,7 +118,7 @@ pub fn export_topic<R: Read>(
 /// all are complete.
 ///
 /// # Errors
-/// [`ExportError`].
+/// [`ExportError`]; also if every topic is in another encoding.
 pub fn export_all<R: Read>(
     reader: &mut LogReader<R>,
     directory: &Path,
@@ -128,9 +128,11 @@ pub fn export_all<R: Read>(
         .map_err(|source| ExportError::Create { path: directory.into(), source })?;
     let mut outputs: BTreeMap<String, Output> = BTreeMap::new();
     let mut names = BTreeSet::new();
+    let mut foreign: Option<Arc<Channel>> = None;
     while let Some(message) = reader.next_message()? {
         let channel = &message.channel;
         if channel.message_encoding != "protobuf" {
+            foreign.get_or_insert_with(|| channel.clone());
             continue;
         }
         if !outputs.contains_key(&channel.topic) {
@@ -145,6 +147,10 @@ pub fn export_all<R: Read>(
             table.write(&message, file)?;
             *rows += 1;
         }
+    }
+    if let Some(channel) = foreign.filter(|_| outputs.is_empty()) {
+        let (topic, encoding) = (channel.topic.clone(), channel.message_encoding.clone());
+        return Err(ExportError::Encoding { topic, encoding });
     }
     let mut written = Vec::new();
     for Output { path, file, rows, .. } in outputs.into_values() {

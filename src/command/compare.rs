@@ -14,9 +14,10 @@ use super::plan::sha256_of;
 use super::{Exit, ExitContext, print_json, print_status, print_text, write_file};
 use crate::cli::{AlignChoice, CompareArgs, PairChoice};
 use crate::log::LogReader;
-use crate::log::import::{self, Flight, ImportError, tell_apart};
+use crate::log::import::{self, Flight, tell_apart};
 use crate::report::side_by_side::{Alignment, Comparison, Entry, Outcome, Pairing};
 use crate::report::{FlightReport, Recording};
+use crate::vehicle_check::other_vehicle;
 
 /// Facts of a run that do not distinguish groups: they differ in every flight, or in none.
 const NO_FACTS: [&str; 4] = ["run", "frames", "units", "log_version"];
@@ -57,7 +58,7 @@ pub struct Compared {
 pub fn compared(args: &CompareArgs) -> anyhow::Result<Compared> {
     let mapping = args.mapping.as_deref();
     let read = |logs: &[PathBuf]| -> anyhow::Result<Vec<Entry>> {
-        logs.par_iter().map(|log| entry(log, mapping).or_exit(Exit::Usage)).collect()
+        logs.par_iter().map(|log| entry(log, mapping)).collect()
     };
     let is_option = |log: &&PathBuf| log.to_string_lossy().starts_with('-') && !log.exists();
     if let Some(option) = args.b.iter().find(is_option) {
@@ -114,8 +115,8 @@ fn refuse_copies(logs: &[PathBuf]) -> anyhow::Result<()> {
 /// Reads a flight for a comparison: along its trajectory where it is one of this program's.
 ///
 /// # Errors
-/// The file is no flight log.
-pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
+/// The file is no flight log, or no quadrotor's.
+pub fn entry(log: &Path, mapping: Option<&Path>) -> anyhow::Result<Entry> {
     let own = LogReader::open(log).ok().and_then(|mut reader| {
         let report = FlightReport::read(&mut reader).ok()?;
         if !report.summary().log_finished {
@@ -138,7 +139,12 @@ pub fn entry(log: &Path, mapping: Option<&Path>) -> Result<Entry, ImportError> {
             return Ok(entry);
         }
     }
-    let flight = flight?;
+    let flight = flight.or_exit(Exit::Usage)?;
+    if let Some(kind) = other_vehicle(&flight.facts) {
+        let log = log.display();
+        let error = anyhow!("{log}: the log is of {kind}; only quadrotors are compared");
+        return Err(error).or_exit(Exit::Usage);
+    }
     if is_own {
         print_status(format_args!(
             "{}: no trajectory was followed; comparing the whole flight",

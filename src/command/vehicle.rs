@@ -19,7 +19,7 @@ use crate::cli::{InitArgs, LayoutChoice, ListenArgs, PeerChoice, VehicleCommand}
 use crate::log::import::{self, ImportError};
 use crate::parameters::{self, OneVehicle, ParameterFile, Parameters};
 use crate::plan::SHIPPED_TRAJECTORIES;
-use crate::vehicle_check::{self, Held, Verdict};
+use crate::vehicle_check::{self, Held, Verdict, other_vehicle};
 use crate::vehicle_init::{Draft, Layout, Measured, Wanting};
 
 /// An inch in m.
@@ -357,6 +357,10 @@ fn of_file(file: &Path, system: Option<u8>) -> anyhow::Result<Parameters> {
             "--system chooses a vehicle on a link or in a parameter file, and {name} is a flight log of \
              one vehicle: leave --system out"
         );
+        return Err(error).or_exit(Exit::Usage);
+    }
+    if let Some(kind) = other_vehicle(&flight.facts) {
+        let error = anyhow!("{name}: the log is of {kind}; only quadrotors are supported");
         return Err(error).or_exit(Exit::Usage);
     }
     let found = Parameters::from(flight.facts.parameters);

@@ -66,6 +66,12 @@ impl StatedKind {
     pub(super) fn new(kind: Option<VehicleKind>, by: impl FnOnce() -> String) -> Option<Self> {
         kind.map(|kind| Self { kind, by: by() })
     }
+
+    /// The first of PX4's or ArduPilot's parameters that state another kind than a multirotor.
+    pub fn otherwise(parameters: &BTreeMap<String, f64>) -> Option<Self> {
+        let mut stated = of_parameters(parameters).into_iter();
+        stated.find(|stated| stated.kind != VehicleKind::Multirotor)
+    }
 }
 
 /// Kind from MAV_TYPE; `None` for the generic type and for types that are not vehicles.

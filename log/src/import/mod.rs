@@ -92,6 +92,10 @@ pub fn open_chosen(path: &Path, choice: Choice<'_>) -> Result<Flight, ImportErro
         }
         (_, None) => None,
     };
+    // A table has one.
+    if let (Some(_), Some(boot @ (0 | 2..))) = (&mapping, choice.boot) {
+        return Err(ImportError::NoBoot { path: path.to_owned(), boot, boots: 1 });
+    }
     let origin = source::origin(path, format)?;
     let file = File::open(path).map_err(io)?;
     let mut flight = Flight::empty(origin, Clock::Single);

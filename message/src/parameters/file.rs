@@ -146,7 +146,9 @@ impl ParameterFile {
     /// [`NotParameters`] if a line or element fits no format, or the file has no parameters.
     pub fn parse(bytes: &[u8]) -> Result<Self, NotParameters> {
         let mut file = Self::default();
-        if is_bson(bytes) {
+        if let Some(text) = utf16(bytes) {
+            file.read_lines(&text)?;
+        } else if is_bson(bytes) {
             let set = bson(bytes)
                 .ok_or_else(|| NotParameters("its BSON document is damaged".to_owned()))?;
             file.sets.insert(None, set);
@@ -305,6 +307,19 @@ fn name_of(name: &str) -> Option<String> {
     is_name.then(|| name.to_owned())
 }
 
+/// The text of a file in UTF-16, by its byte order mark: Windows shells redirect output so.
+fn utf16(bytes: &[u8]) -> Option<String> {
+    let (from, bytes): (fn([u8; 2]) -> u16, _) = match bytes {
+        [0xff, 0xfe, rest @ ..] => (u16::from_le_bytes, rest),
+        [0xfe, 0xff, rest @ ..] => (u16::from_be_bytes, rest),
+        _ => return None,
+    };
+    let units = bytes.as_chunks().0.iter().map(|unit| from(*unit));
+    Some(
+        char::decode_utf16(units).map(|unit| unit.unwrap_or(char::REPLACEMENT_CHARACTER)).collect(),
+    )
+}
+
 fn is_bson(bytes: &[u8]) -> bool {
     bytes.len() > 5 && bytes.last() == Some(&0) && bytes.get(..4).is_some_and(|b| b.contains(&0))
 }
@@ -354,6 +369,18 @@ mod tests {
     fn refusal(bytes: &[u8], system: Option<u8>) -> String {
         let file = ParameterFile::parse(bytes).expect("parameters");
         file.vehicle(system).expect_err("not one vehicle").to_string()
+    }
+
+    #[test]
+    fn utf16_file_is_read_as_its_text() {
+        let text = "MC_ROLL_P 6.5\r\nSYS_AUTOSTART 4001\r\n";
+        let little = [0xfffe_u16.swap_bytes()].into_iter().chain(text.encode_utf16());
+        let little: Vec<u8> = little.flat_map(u16::to_le_bytes).collect();
+        let big = [0xfeff_u16].into_iter().chain(text.encode_utf16());
+        let big: Vec<u8> = big.flat_map(u16::to_be_bytes).collect();
+        for bytes in [little, big] {
+            assert_eq!(pairs(&bytes), expected());
+        }
     }
 
     fn expected() -> [(String, f64); 2] {
