@@ -276,7 +276,7 @@ pub struct OnsetArgs {
     #[arg(long, value_name = "FILE")]
     pub mapping: Option<PathBuf>,
     /// Mean time between false alarms that sets the bound on the evidence, h of flight.
-    #[arg(long, value_name = "H", default_value_t = FALSE_ALARM_H)]
+    #[arg(long, value_name = "H", default_value_t = FALSE_ALARM_H, value_parser = hours)]
     pub false_alarm_h: f64,
     /// Folder for report.html and report.json; created if missing.
     #[arg(long, value_name = "DIR")]
@@ -373,10 +373,22 @@ pub struct ExamArgs {
     )]
     pub fleet: Option<usize>,
     /// Vehicles of a fleet.
-    #[arg(long, value_name = "COUNT", default_value_t = 50, requires = "fleet")]
+    #[arg(
+        long,
+        value_name = "COUNT",
+        default_value_t = 50,
+        requires = "fleet",
+        value_parser = count
+    )]
     pub vehicles: usize,
     /// Share of a fleet's vehicles that have their own effect.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.2, requires = "fleet")]
+    #[arg(
+        long,
+        value_name = "SHARE",
+        default_value_t = 0.2,
+        requires = "fleet",
+        value_parser = share
+    )]
     pub damaged: f64,
     /// Folder for each case's key, answer and the evidence behind its verdict; created if missing.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["practice", "decide"])]
@@ -389,7 +401,7 @@ pub struct ExamArgs {
     #[arg(long)]
     pub seed: Option<u64>,
     /// Length of each of a case's flights, s.
-    #[arg(long, default_value_t = 22.5)]
+    #[arg(long, default_value_t = 22.5, value_parser = seconds)]
     pub seconds: f64,
     /// Least and greatest strength of single effects with --exact: prediction errors that they
     /// cause over those of noise.
@@ -409,7 +421,7 @@ pub struct ExamArgs {
     #[arg(long)]
     pub keep: bool,
     /// Exits with code 10 if a rate or the Brier score misses its bound.
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["fleet", "laws", "onsets"])]
     pub fail_on_miss: bool,
     /// Prints the result as JSON.
     #[arg(long)]
@@ -441,12 +453,39 @@ pub struct ConfigArgs {
 /// Longest time that a flag takes, s.
 const SECONDS_MAX: f64 = 1e6;
 
+/// Longest time between false alarms that a flag takes, h: a century.
+const HOURS_MAX: f64 = 876_600.0;
+
+/// Takes a number above 0 and at most `most`, in `unit`.
+fn above_zero(text: &str, most: f64, unit: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("expected a number, found {text:?}"))?;
+    let is_sensible = value > 0.0 && value <= most;
+    let refusal = || format!("expected above 0 and at most {most} {unit}, found {value}");
+    is_sensible.then_some(value).ok_or_else(refusal)
+}
+
 /// Takes a time above 0 s.
 fn seconds(text: &str) -> Result<f64, String> {
+    above_zero(text, SECONDS_MAX, "s")
+}
+
+/// Takes a time above 0 h.
+fn hours(text: &str) -> Result<f64, String> {
+    above_zero(text, HOURS_MAX, "h")
+}
+
+/// Takes a share from 0 to 1.
+fn share(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| format!("expected a number, found {text:?}"))?;
-    let is_sensible = value > 0.0 && value <= SECONDS_MAX;
-    let refusal = || format!("expected above 0 and at most {SECONDS_MAX} s, found {value}");
-    is_sensible.then_some(value).ok_or_else(refusal)
+    let refusal = || format!("expected a share from 0 to 1, found {value}");
+    (0.0..=1.0).contains(&value).then_some(value).ok_or_else(refusal)
+}
+
+/// Takes a number of at least 1.
+fn count(text: &str) -> Result<usize, String> {
+    let value: usize =
+        text.parse().map_err(|_| format!("expected a whole number, found {text:?}"))?;
+    (value > 0).then_some(value).ok_or_else(|| "expected at least 1, found 0".to_owned())
 }
 
 /// Takes the id of a control law; its help is the table of laws.
@@ -470,6 +509,26 @@ mod tests {
     #[test]
     fn command_flags_do_not_conflict() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn numbers_without_a_meaning_are_refused() {
+        let refused =
+            |flags: &[&str]| Cli::try_parse_from(["downwash"].iter().chain(flags)).is_err();
+        let onset = ["onset", "a.mcap", "--vehicle", "crazyflie", "--false-alarm-h"];
+        for hours in ["0", "-1", "nan", "inf", "1e300"] {
+            assert!(refused(&[&onset[..], &[hours]].concat()), "{hours}");
+        }
+        assert!(!refused(&[&onset[..], &["100"]].concat()));
+        for flags in [
+            ["exam", "--seconds", "nan"],
+            ["campaign", "--flights", "0"],
+            ["exam", "--fleet=1", "--vehicles=0"],
+            ["exam", "--fleet=1", "--damaged=7"],
+            ["exam", "--fleet=1", "--fail-on-miss"],
+        ] {
+            assert!(refused(&flags), "{flags:?}");
+        }
     }
 
     #[derive(Parser)]

@@ -10,10 +10,11 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
-use vehicle::bounded;
+use vehicle::{SHIPPED, bounded};
 
 use self::check::{check_adaptation, check_numbers, check_offboard};
 pub use self::settings::{FormSetting, LinkSettings, Settings, SigningSettings};
+use crate::plan::SHIPPED_TRAJECTORIES;
 
 /// Version of the configuration's schema.
 pub const SCHEMA_VERSION: u32 = 1;
@@ -232,7 +233,17 @@ impl Config {
         let relocate = |table: &mut Table, keys: &[&str]| {
             for key in keys {
                 if let Some(Value::String(value)) = table.get_mut(*key) {
-                    *value = folder.join(&*value).to_string_lossy().into_owned();
+                    let path = folder.join(&*value);
+                    let is_shipped = match *key {
+                        "vehicle" => SHIPPED.iter().any(|shipped| shipped.name == value),
+                        "trajectory" => {
+                            SHIPPED_TRAJECTORIES.iter().any(|shipped| shipped.name == value)
+                        }
+                        _ => false,
+                    };
+                    if path.exists() || !is_shipped {
+                        *value = path.to_string_lossy().into_owned();
+                    }
                 }
             }
         };
@@ -339,7 +350,7 @@ mod tests {
         let path = folder.join("c.toml");
         std::fs::write(
             &path,
-            "vehicle = 'v.toml'\n[envelope]\ntilt_max_deg = 20\nspeed_max_m_s = 1.5\n",
+            "vehicle = 'v.toml'\ntrajectory = 'hover'\n[envelope]\ntilt_max_deg = 20\nspeed_max_m_s = 1.5\n",
         )
         .expect("written");
         let environment = [("DOWNWASH_ENVELOPE__TILT_MAX_DEG", "25.5"), ("OTHER", "1")];
@@ -347,6 +358,7 @@ mod tests {
         assert_eq!(config.settings.envelope.tilt_max_deg, 25.5);
         assert_eq!(config.settings.envelope.speed_max_m_s, 1.5);
         assert_eq!(config.settings.vehicle, Some(folder.join("v.toml")));
+        assert_eq!(config.settings.trajectory, Some("hover".into()), "a shipped one");
         assert_eq!(origin_of(&config, "envelope.tilt_max_deg"), "$DOWNWASH_ENVELOPE__TILT_MAX_DEG");
         assert_eq!(origin_of(&config, "envelope.speed_max_m_s"), path.display().to_string());
         assert_eq!(origin_of(&config, "envelope.radius_max_m"), "default");

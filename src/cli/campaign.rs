@@ -11,7 +11,7 @@ use super::Shard;
 #[derive(Debug, Args)]
 pub struct CampaignArgs {
     /// Number of flights in the campaign.
-    #[arg(long, value_name = "COUNT", default_value_t = 300)]
+    #[arg(long, value_name = "COUNT", default_value_t = 300, value_parser = super::count)]
     pub flights: usize,
     /// Seed that every flight is drawn from.
     #[arg(long, default_value_t = 1)]

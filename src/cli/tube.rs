@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, value_parser};
 
 use super::SimulationArgs;
 use crate::model::file::ModelKind;
@@ -70,7 +70,7 @@ pub struct TubeCheckArgs {
     /// Plan from `plan --tube`.
     pub plan: PathBuf,
     /// Flights to simulate. None repeats a flight of `tube fit`, whatever the seeds.
-    #[arg(long, value_name = "COUNT", default_value_t = 1000)]
+    #[arg(long, value_name = "COUNT", default_value_t = 1000, value_parser = value_parser!(u32).range(1..))]
     pub flights: u32,
     /// Vehicle file, or the name of a shipped one [default: crazyflie].
     #[arg(long)]

@@ -116,7 +116,7 @@ pub(super) fn run(args: &CollectArgs, preparation: Interruption) -> anyhow::Resu
         (None, Some(_)) => {
             VehicleFile::load(&required(&config.settings.vehicle, "--vehicle", "vehicle")?)?
         }
-        (None, None) => VehicleFile::built_in()?,
+        (None, None) => VehicleFile::chosen(None, &config.settings)?,
     };
     let (summary, exit) = gather(args, &config, &vehicle, Some(preparation))?;
     if args.json {

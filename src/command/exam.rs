@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
 use std::time::Instant;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -64,6 +64,9 @@ pub(super) struct ExamSummary<'a> {
     cases: &'a [Row],
 }
 
+/// What an exam of any kind leaves in its folder.
+const OUTPUTS: [&str; 3] = ["cases", "answers", "summary.json"];
+
 pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     let seed = args.seed.unwrap_or_else(entropy);
     if args.practice.is_none() && args.decide.is_empty() {
@@ -76,6 +79,11 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
     create_folder("--out", &args.out)?;
     // The processes that diagnose have other working directories.
     let out = args.out.canonicalize().with_context(|| args.out.display().to_string())?;
+    if let Some(other) = OUTPUTS.iter().map(|name| out.join(name)).find(|path| path.exists()) {
+        let (out, other) = (args.out.display(), other.display());
+        let error = anyhow!("--out {out}: {other} is another exam's; give each its own folder");
+        return Err(error).or_exit(Exit::Usage);
+    }
     let jobs = args.jobs.or(thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
     let hall = Hall { args, out: &out, seed, jobs, interrupted: &interrupted };
     if let Some(set) = &args.practice {
@@ -199,10 +207,6 @@ impl Hall<'_> {
     fn fly(&self, orders: &[Order]) -> anyhow::Result<Vec<Flown>> {
         let args = self.args;
         let settings = settings(args.seconds, &args.strengths, args.exact)?;
-        let cases = self.out.join("cases");
-        if cases.exists() {
-            bail!("{} already exists; give every exam its own --out", cases.display());
-        }
         let flown = self.each(orders.len(), "flying", |number| {
             let name = format!("case_{number:03}");
             let case = match Case::fly(&settings, self.seed, number as u64, &name, &orders[number])

@@ -13,7 +13,7 @@ use super::{Exit, print_status};
 use crate::log::partial;
 
 /// Time that a command may take to keep its work after a signal.
-const GRACE: Duration = Duration::from_millis(1200);
+pub(super) const GRACE: Duration = Duration::from_millis(1200);
 
 /// Whether the end of the command is requested.
 pub(super) struct Interruption {
@@ -70,7 +70,8 @@ impl Interruption {
     }
 }
 
-fn end() {
+/// Ends the program as interrupted, without its incomplete files.
+pub(super) fn end() {
     partial::discard_unfinished();
     print_status(format_args!("interrupted"));
     std::process::exit(Exit::Interrupted.code().into());

@@ -13,7 +13,7 @@ use super::patience::Patience;
 use super::{Exit, ExitContext, audit, import, print_json, print_status, summary, write_file};
 use crate::cli::{ExportFormat, LogCommand};
 use crate::log::LogReader;
-use crate::log::export::{Format, export_all, export_topic};
+use crate::log::export::{ExportError, Format, export_all, export_topic};
 use crate::log::import::{Choice, format_of, open_chosen};
 use crate::log::info::LogInfo;
 use crate::log::reader::ReadError;
@@ -142,8 +142,12 @@ fn export(
                 check_output(out, [file])?;
             }
             let mut sink = Output::to(out.as_deref())?;
-            let rows = export_topic(&mut reader, topic, format, &mut sink);
-            rows.with_context(name).or_exit(Exit::Usage).and_then(|_| sink.finish())
+            let named = || out.as_ref().map_or_else(name, |out| out.display().to_string());
+            match export_topic(&mut reader, topic, format, &mut sink) {
+                Ok(_) => sink.finish(),
+                Err(error @ ExportError::Write(_)) => Err(error).with_context(named),
+                Err(error) => Err(error).with_context(name).or_exit(Exit::Usage),
+            }
         }
         (None, Some(folder)) => {
             // The files are named after topics: the log can be one of them only if it has such a

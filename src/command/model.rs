@@ -13,6 +13,7 @@ use vehicle::VehicleParams;
 use super::logs::{Logs, check_named, listed};
 use super::output::{Output, check_output};
 use super::progress::StageBar;
+use super::vehicle_file::warn;
 use super::{Exit, ExitContext, print_json, print_status, print_text, write_file};
 use crate::cli::ModelCommand;
 use crate::learn::commands::Onboard;
@@ -67,7 +68,9 @@ fn either(file: Option<PathBuf>, flag: Option<PathBuf>) -> anyhow::Result<PathBu
 fn load(path: &Path, vehicle: Option<&Path>) -> anyhow::Result<ModelFile> {
     let file = ModelFile::load(path).or_exit(Exit::Usage)?;
     if let Some(vehicle) = vehicle {
-        let vehicle = VehicleParams::load(vehicle).or_exit(Exit::Usage)?;
+        let name = vehicle;
+        let vehicle = VehicleParams::load(name).or_exit(Exit::Usage)?;
+        warn(name, &vehicle);
         file.check_vehicle(&vehicle, path).or_exit(Exit::Usage)?;
     }
     Ok(file)

@@ -28,7 +28,7 @@ use super::{
     Exit, ExitContext, Interruption, config, print_json, print_status, print_text, write_file,
 };
 use crate::cli::PlanArgs;
-use crate::config::Config;
+use crate::config::{Config, Settings};
 use crate::model::Model;
 use crate::model::actuation::Actuation;
 use crate::model::file::{ModelFile, ModelKind};
@@ -269,8 +269,8 @@ impl Watch {
     }
 }
 
-/// The vehicle of the flags, of the model file, or the built-in one.
-fn vehicle_of(args: &PlanArgs) -> anyhow::Result<VehicleParams> {
+/// The vehicle of the flags, of the model file, of the settings, or the built-in one.
+fn vehicle_of(args: &PlanArgs, settings: &Settings) -> anyhow::Result<VehicleParams> {
     Ok(match (&args.vehicle, &args.model) {
         (Some(path), _) => {
             let vehicle = VehicleParams::load(path).or_exit(Exit::Usage)?;
@@ -278,7 +278,7 @@ fn vehicle_of(args: &PlanArgs) -> anyhow::Result<VehicleParams> {
             vehicle
         }
         (None, Some(model)) => ModelFile::load(model).or_exit(Exit::Usage)?.vehicle,
-        (None, None) => VehicleFile::built_in()?.params,
+        (None, None) => VehicleFile::chosen(None, settings)?.params,
     })
 }
 
@@ -354,7 +354,7 @@ pub(super) fn run(args: &PlanArgs, interruption: &Interruption) -> anyhow::Resul
     if let Some(limit) = args.time_limit {
         config.settings.plan.time_limit_s = limit;
     }
-    let vehicle = vehicle_of(args)?;
+    let vehicle = vehicle_of(args, &config.settings)?;
     let watch = Watch::begin(&config, interruption);
     let (plan, fastest) = match TrajectoryFile::load(&args.trajectory).or_exit(Exit::Usage)? {
         TrajectoryFile::Desired(trajectory) => {

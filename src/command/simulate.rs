@@ -181,11 +181,9 @@ impl Simulation {
     /// A file or setting is missing or wrong, or the trajectory is outside the envelope.
     pub fn load(inputs: &Inputs) -> anyhow::Result<Self> {
         let config = configuration(inputs.config.as_deref(), &inputs.settings)?;
-        let vehicle = match &inputs.vehicle {
-            Some(path) => VehicleFile::load(path)?,
-            None => VehicleFile::built_in()?,
-        };
-        let course = match &inputs.trajectory {
+        let settings = &config.settings;
+        let vehicle = VehicleFile::chosen(inputs.vehicle.as_deref(), settings)?;
+        let course = match inputs.trajectory.as_ref().or(settings.trajectory.as_ref()) {
             Some(path) => Course::load(path, &vehicle, &config)?,
             None => Course::Desired(built_in_trajectory()?),
         };

@@ -78,7 +78,7 @@ pub struct Sweep<'a> {
 }
 
 pub(super) fn run(args: &SweepArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
-    let manifest = Manifest::load(&args.manifest).or_exit(Exit::Usage)?;
+    let manifest = load(&args.manifest)?;
     if args.list {
         return list(&manifest, args);
     }
@@ -107,6 +107,16 @@ pub(super) fn run(args: &SweepArgs, interruption: &Interruption) -> anyhow::Resu
     Ok(Exit::Ok)
 }
 
+/// Reads a manifest and checks its settings.
+fn load(path: &Path) -> anyhow::Result<Manifest> {
+    let manifest = Manifest::load(path).or_exit(Exit::Usage)?;
+    if manifest.subject() == Subject::Simulate {
+        let checked = simulation::check(&manifest);
+        checked.with_context(|| format!("manifest {}", path.display())).or_exit(Exit::Usage)?;
+    }
+    Ok(manifest)
+}
+
 impl Sweep<'_> {
     /// Does the shard's missing points in this thread pool, and writes the table once every point
     /// has a row. `progress` receives the number of the shard's points done, and of all its points.
@@ -118,7 +128,7 @@ impl Sweep<'_> {
         stop: &Arc<AtomicBool>,
         progress: &(dyn Fn(u64, u64) + Sync),
     ) -> anyhow::Result<SweepSummary> {
-        let manifest = Manifest::load(self.manifest).or_exit(Exit::Usage)?;
+        let manifest = load(self.manifest)?;
         let header = Header {
             schema: "downwash.sweep".to_owned(),
             schema_version: 1,

@@ -105,10 +105,7 @@ fn fit(args: &TubeFitArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
         .or_exit(Exit::Usage);
     }
     let config = config::load(args.config.as_deref(), vec![])?;
-    let vehicle = match &args.vehicle {
-        Some(path) => VehicleFile::load(path)?,
-        None => VehicleFile::built_in()?,
-    };
+    let vehicle = VehicleFile::chosen(args.vehicle.as_deref(), &config.settings)?;
     let model = JudgedModel::new(&vehicle.params, args.model.as_deref(), args.kind)?;
     let gathered = if args.along.is_empty() {
         of_logs(args, &config, &vehicle, &model)?

@@ -10,7 +10,7 @@ use vehicle::export::Peer;
 use vehicle::{Remark, SHIPPED, VehicleParams};
 
 use super::patience::Patience;
-use super::vehicle_file::remark_text;
+use super::vehicle_file::{remark_text, warn};
 use super::{
     Exit, ExitContext, error_text, link_parameters, output, print_json, print_status, print_text,
     write_file,
@@ -89,6 +89,7 @@ fn export(file: &Path, to: PeerChoice, out: Option<&Path>, force: bool) -> anyho
         refuse_old(out, Some(file), force)?;
     }
     let vehicle = VehicleParams::load(file).or_exit(Exit::Usage)?;
+    warn(file, &vehicle);
     let exported = vehicle::export::export(&vehicle, peer).or_exit(Exit::Usage)?;
     for lost in &exported.lost {
         print_status(format_args!("{} does not express {lost}", peer.name()));

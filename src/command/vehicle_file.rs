@@ -8,6 +8,7 @@ use vehicle::{Doubt, Remark, VehicleParams};
 
 use super::improved::{Additions, Form};
 use super::{Exit, ExitContext, print_status};
+use crate::config::Settings;
 
 /// A vehicle file with its text, as the log keeps it.
 #[derive(Clone, Debug)]
@@ -66,6 +67,14 @@ impl VehicleFile {
     pub fn to_text(&self, out: &Path) -> anyhow::Result<String> {
         let forms = [Form::of(Path::new(""), &self.text), Form::of(out, "")];
         Additions::of_effects(&EffectSet::new())?.to_file(&self.text, &self.params, forms)
+    }
+
+    /// The vehicle of a flag, else of the settings, else the built-in nano quadrotor.
+    ///
+    /// # Errors
+    /// As [`VehicleFile::load`].
+    pub fn chosen(flag: Option<&Path>, settings: &Settings) -> anyhow::Result<Self> {
+        flag.or(settings.vehicle.as_deref()).map_or_else(Self::built_in, Self::load)
     }
 
     /// The built-in nano quadrotor.

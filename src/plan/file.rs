@@ -153,21 +153,30 @@ fn load(path: &Path) -> Result<TrajectoryFile, TrajectoryError> {
     parse(&TrajectoryFile::text(path)?, path)
 }
 
+/// Reads a table of positions, whatever its name.
+fn load_table(path: &Path) -> Result<TrajectoryFile, TrajectoryError> {
+    parse_table(&TrajectoryFile::text(path)?, path)
+}
+
+fn parse_table(text: &str, path: &Path) -> Result<TrajectoryFile, TrajectoryError> {
+    let table = Table::parse(text)
+        .map_err(|message| TrajectoryError::Syntax { path: path.into(), message })?;
+    let found = table.duration();
+    if found > DURATION_MAX_S {
+        return Err(TrajectoryError::Value {
+            path: path.into(),
+            field: "t_s",
+            expected: "at most 86400 s from the first row to the last, in seconds",
+            found,
+        });
+    }
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    Ok(TrajectoryFile::Desired(Trajectory::new(name, Shape::Table(table))))
+}
+
 fn parse(text: &str, path: &Path) -> Result<TrajectoryFile, TrajectoryError> {
     if path.extension().is_some_and(|extension| extension == "csv") {
-        let table = Table::parse(text)
-            .map_err(|message| TrajectoryError::Syntax { path: path.into(), message })?;
-        let found = table.duration();
-        if found > DURATION_MAX_S {
-            return Err(TrajectoryError::Value {
-                path: path.into(),
-                field: "t_s",
-                expected: "at most 86400 s from the first row to the last, in seconds",
-                found,
-            });
-        }
-        let name = path.file_stem().unwrap_or_default().to_string_lossy();
-        return Ok(TrajectoryFile::Desired(Trajectory::new(name, Shape::Table(table))));
+        return parse_table(text, path);
     }
     let family: Family = toml::from_str(text).map_err(|error| TrajectoryError::Syntax {
         path: path.into(),
@@ -223,6 +232,23 @@ mod tests {
         let error = loaded.expect_err("refused").to_string();
         assert!(error.contains("t_s: expected at most 86400 s"), "{error}");
         assert!(error.contains("found 20000000"), "{error}");
+        Ok(())
+    }
+
+    #[test]
+    fn table_of_any_name_is_the_one_that_is_flown() -> std::io::Result<()> {
+        let folder = std::env::temp_dir().join(format!("downwash-tables-{}", std::process::id()));
+        std::fs::create_dir_all(&folder)?;
+        let table = |end_s: u32| format!("t_s,n_m,e_m,d_m\n0,0,0,-1\n{end_s},1,0,-1\n");
+        std::fs::write(folder.join("mission.csv"), table(2))?;
+        std::fs::write(folder.join("mission.v2"), table(10))?;
+        let duration = |file: &str| {
+            let text = format!("family = 'csv'\nfile = '{file}'");
+            Trajectory::parse(&text, &folder.join("t.toml")).expect("a trajectory").duration()
+        };
+        let durations = [duration("mission.v2"), duration("mission.csv"), duration("mission")];
+        std::fs::remove_dir_all(&folder)?;
+        assert_eq!(durations, [10.0, 2.0, 2.0]);
         Ok(())
     }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use indicatif::ProgressBar;
@@ -13,6 +13,7 @@ use indicatif::ProgressBar;
 use super::FlightRow;
 use super::kept::{LogOf, metadata};
 use crate::command::course::Course;
+use crate::command::interruption::{GRACE, end};
 use crate::command::simulation::{SimulatedFlight, Truth};
 use crate::command::stop::StopSignals;
 use crate::command::vehicle_file::VehicleFile;
@@ -66,13 +67,19 @@ impl Simulator<'_> {
         };
         thread::scope(|scope| {
             let workers: Vec<_> = (0..jobs.min(ahead.len())).map(|_| scope.spawn(worker)).collect();
+            let mut stopped: Option<Instant> = None;
             while !workers.iter().all(|worker| worker.is_finished()) {
                 if signals.wait(WATCH_PERIOD).is_some()
                     && !self.stopping.swap(true, Ordering::AcqRel)
                 {
+                    stopped = Some(Instant::now());
+                }
+                if stopped.is_some_and(|at| at.elapsed() > GRACE) {
                     print_status(format_args!(
-                        "stopping: waiting for the simulated flights in the air to end"
+                        "stopping: the simulated flights in the air are not kept; the same command flies \
+                         them again"
                     ));
+                    end();
                 }
             }
             for worker in workers {

@@ -8,7 +8,7 @@ use toml::Value;
 use vehicle::effects::{EffectSet, Schedule};
 
 use super::manifest::{Manifest, Point};
-use crate::command::simulate::{Inputs, Row, Simulation};
+use crate::command::simulate::{Inputs, Row, Simulation, configuration};
 
 /// The inputs as the manifest gives them.
 #[derive(Deserialize)]
@@ -47,6 +47,13 @@ pub(super) fn inputs(manifest: &Manifest, point: &Point) -> anyhow::Result<Input
         settings: given.set,
         seed: point.seed,
     })
+}
+
+/// Checks the settings of the first point: an unknown one would fail at every point.
+pub(super) fn check(manifest: &Manifest) -> anyhow::Result<()> {
+    let Some(first) = (manifest.points > 0).then(|| manifest.point(0)) else { return Ok(()) };
+    let inputs = inputs(manifest, &first)?;
+    configuration(inputs.config.as_deref(), &inputs.settings).map(drop)
 }
 
 /// Flies it.

@@ -76,10 +76,7 @@ struct Outcome {
 
 pub(super) fn run(args: &TubeCheckArgs, stop: &AtomicBool) -> anyhow::Result<Exit> {
     let config = config::load(args.config.as_deref(), vec![])?;
-    let vehicle = match &args.vehicle {
-        Some(path) => VehicleFile::load(path)?,
-        None => VehicleFile::built_in()?,
-    };
+    let vehicle = VehicleFile::chosen(args.vehicle.as_deref(), &config.settings)?;
     let base = Truth::load(&args.simulation, &vehicle.params)?;
     let plan = Arc::new(Plan::load(&args.plan).or_exit(Exit::Usage)?);
     let Some(tube) = &plan.tube else {

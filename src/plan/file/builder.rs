@@ -10,7 +10,7 @@ use super::family::{
     YawRotation,
 };
 use super::multisine::Multisine;
-use super::{DURATION_MAX_S, TrajectoryError, TrajectoryFile, load};
+use super::{DURATION_MAX_S, TrajectoryError, TrajectoryFile, load_table};
 use crate::plan::curve::{Envelope, Harmonic, HarmonicCurve};
 use crate::plan::path::{MinimumJerkPath, Pace, Waypoint};
 use crate::plan::trajectory::{DesiredPoint, Shape, Trajectory};
@@ -43,7 +43,11 @@ impl Builder<'_> {
             Family::Waypoints(f) => ("waypoints", self.waypoints(&f)?),
             Family::Csv(f) => {
                 let folder = self.origin.parent().unwrap_or(Path::new("."));
-                return load(&folder.join(f.file).with_extension("csv"));
+                let mut path = folder.join(f.file);
+                if path.extension().is_none() {
+                    path.set_extension("csv");
+                }
+                return load_table(&path);
             }
             Family::TimeOptimal(f) => return Ok(TrajectoryFile::Task(self.task(&f)?)),
         };

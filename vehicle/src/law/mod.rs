@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use self::check::Fault;
 pub use parser::{Constant, LENGTH_MAX};
@@ -105,7 +105,7 @@ pub struct LawText {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub about: Option<String>,
     /// Formulas by the name of their channel: `force_x = "-c * air_x"`.
-    #[serde(flatten)]
+    #[serde(flatten, deserialize_with = "formulas")]
     pub formulas: BTreeMap<String, String>,
     /// Named numbers with their units: `c = "0.012 kg/s"`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
@@ -122,6 +122,19 @@ pub struct LawText {
     /// Bound on the moment about each axis, N m.
     #[serde(default, rename = "max_moment_Nm", skip_serializing_if = "Option::is_none")]
     pub max_moment_nm: Option<f64>,
+}
+
+/// Formulas by their keys; an error names the key.
+fn formulas<'de, D: Deserializer<'de>>(source: D) -> Result<BTreeMap<String, String>, D::Error> {
+    let values = BTreeMap::<String, toml::Value>::deserialize(source)?;
+    let text = |(key, value): (String, toml::Value)| match value {
+        toml::Value::String(text) => Ok((key, text)),
+        other => Err(serde::de::Error::custom(format!(
+            "{key}: expected a formula such as force_x = \"-0.1 [kg/s] * air_x\", or one of the law's other \
+             keys, found {other}"
+        ))),
+    };
+    values.into_iter().map(text).collect()
 }
 
 /// Why a law is refused.

@@ -38,6 +38,8 @@ fn wrong_units_are_refused_with_both_units() {
     assert!(reason("thrust = height").contains("expected 1"));
     assert!(reason("lag = 0.01[s] * tilt").contains("only constants and numbers"));
     assert!(reason("push = 1").contains("unknown key"));
+    let number = toml::from_str::<LawText>("max_forceN = 1").unwrap_err().to_string();
+    assert!(number.contains("max_forceN: expected a formula"), "{number}");
     assert!(line("moment_x = -1e-6[N m s] * rate_x; lag = 0.01[s]").is_ok());
     assert!(line("force_x = -0.01[kg/s] * air_x * (airspeed / 1[m/s])^0.3").is_ok());
 }

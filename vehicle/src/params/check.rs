@@ -36,6 +36,8 @@ const LOOP_DAMPING: [f64; 2] = [0.3, 4.0];
 const RATE_LOOP_LAG: f64 = 3.0;
 /// Most of `command_delay_s` that the rate loop sees, s. The rest is the link's.
 const ONBOARD_DELAY_MAX_S: f64 = 0.01;
+/// Voltage of a full cell, V: from nickel-metal hydride to the highest of lithium.
+const CELL_FULL_V: [f64; 2] = [1.2, 4.6];
 /// The axes' names in messages.
 const AXES: [&str; 3] = ["roll", "pitch", "yaw"];
 
@@ -81,6 +83,7 @@ impl VehicleParams {
         remarks.extend(self.rotor_remarks().into_iter().filter(|_| arm.is_none()));
         remarks.extend(arm);
         remarks.extend(self.loop_remarks());
+        remarks.extend(self.battery_remark());
         remarks.sort_by_key(|remark| std::cmp::Reverse(remark.doubt));
         remarks
     }
@@ -207,6 +210,28 @@ impl VehicleParams {
         remarks.collect()
     }
 
+    /// The pack's voltages are its cells', as `battery.cells` counts them.
+    fn battery_remark(&self) -> Option<Remark> {
+        let found = self.battery.full_v / f64::from(self.battery.cells);
+        let [least, most] = CELL_FULL_V;
+        if (least..=most).contains(&found) {
+            return None;
+        }
+        Some(Remark {
+            doubt: Doubt::Unlikely,
+            field: "battery.full_V",
+            found,
+            expected: CELL_FULL_V,
+            unit: "V",
+            what: format!(
+                "battery.full_V is {} V for {} cells, {} V each, expected {least} to {most} V",
+                brief(self.battery.full_v),
+                self.battery.cells,
+                brief(found)
+            ),
+        })
+    }
+
     fn loop_remarks(&self) -> Vec<Remark> {
         let Some(pd) = self.attitude_loop_pd() else { return Vec::new() };
         let field = if self.attitude_pd.is_some() { "attitude_pd" } else { "attitude_cascade" };
@@ -253,6 +278,20 @@ impl VehicleParams {
                     ),
                 );
             }
+            // A step that corrects more than the whole error overshoots, and twice it never settles.
+            let least = kd / moment;
+            remark(
+                pd.rate_hz,
+                [least, f64::MAX],
+                "Hz",
+                format!(
+                    "the on-board loop runs at {} Hz, but follows rates in {name} within {} s; expected \
+                     at least {} Hz",
+                    brief(pd.rate_hz),
+                    brief(moment / kd),
+                    brief(least)
+                ),
+            );
             let behind = kd / moment * lag;
             remark(
                 behind,
@@ -359,6 +398,13 @@ mod tests {
         assert_eq!(field(&normalised), Some("attitude_pd"));
         let slow = remarks(|v| v.motor_time_constant_s = 0.3);
         assert!(slow[0].what.contains("rotors lag by 0.305 s"), "{}", slow[0].what);
+        let rare = |v: &mut VehicleParams| {
+            v.attitude_pd =
+                v.attitude_pd.as_ref().map(|pd| AttitudePd { rate_hz: 1.0, ..pd.clone() });
+        };
+        assert!(remarks(rare)[0].what.contains("runs at 1.00 Hz"), "{:?}", remarks(rare));
+        let millivolts = |v: &mut VehicleParams| v.battery.full_v = 16800.0;
+        assert_eq!(field(&millivolts), Some("battery.full_V"));
         let strong = remarks(|v| v.rotors.iter_mut().for_each(|r| r.thrust_max_n = 60.0));
         assert_eq!((strong[0].doubt, strong[0].field), (Doubt::Unlikely, "mass"));
     }

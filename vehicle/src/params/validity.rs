@@ -59,10 +59,12 @@ impl VehicleParams {
         let rho = self.air_density;
         self.require("air_density", rho, rho > 0.0 && rho < 100.0, "a density in 0..100 kg/m^3")?;
         if let Some(k) = self.linear_drag_n_per_m_s {
-            self.require("linear_drag_N_per_m_s", k, k >= 0.0, "0 or more N per m/s")?;
+            let expected = "0 or more N per m/s, at most 1e6";
+            self.require("linear_drag_N_per_m_s", k, (0.0..=MOST).contains(&k), expected)?;
         }
         for k in self.angular_damping_nms.into_iter().flatten() {
-            self.require("angular_damping_Nms", k, k >= 0.0, "0 or more N m s")?;
+            let expected = "0 or more N m s, at most 1e6";
+            self.require("angular_damping_Nms", k, (0.0..=MOST).contains(&k), expected)?;
         }
         Ok(())
     }
