@@ -24,7 +24,7 @@ pub(super) use heading::Heading;
 pub(super) use propose::propose;
 pub(super) use row::{Cell, Outputs, Row, RowReader};
 pub use shipped::SHIPPED;
-pub(super) use unit_word::is_line as is_line_of_units;
+pub(super) use unit_word::{is_line as is_line_of_units, is_none as is_no_unit};
 
 /// The content of a mapping file.
 #[derive(Clone, Debug, Deserialize)]

@@ -282,6 +282,12 @@ mod tests {
     fn flight_in(unit: &str, times: impl IntoIterator<Item = f64>) -> Flight {
         let rows = times.into_iter().map(|time| format!("{time},1.5,2.5,3.5\n"));
         let table = format!("t,x,y,z\n{}", rows.collect::<String>());
+        let mapping = MAPPING.replace("unit = \"s\"", &format!("unit = {unit:?}"));
+        imported(&table, &mapping).expect("a table")
+    }
+
+    /// The flight of a table, or why it is refused.
+    fn imported(table: &str, mapping: &str) -> Result<Flight, String> {
         let origin = Origin {
             path: "memory".into(),
             run: String::new(),
@@ -289,10 +295,27 @@ mod tests {
             format: "csv",
         };
         let mut flight = Flight::empty(origin, Clock::Single);
-        let mapping = MAPPING.replace("unit = \"s\"", &format!("unit = {unit:?}"));
-        let mapping = Mapping::parse(&mapping).expect("a mapping");
-        read(table.as_bytes(), &mapping, &mut flight).expect("a table");
-        flight
+        let mapping = Mapping::parse(mapping).expect("a mapping");
+        match read(table.as_bytes(), &mapping, &mut flight) {
+            Ok(_) => Ok(flight),
+            Err(TableError::Unmapped(why)) => Err(why),
+            Err(TableError::Io(error)) => panic!("{error}"),
+        }
+    }
+
+    #[test]
+    fn one_unknown_unit_does_not_hide_the_others() {
+        let table = |units: &str| format!("t,x,y,z,state\n{units}\n0,1,2,3,4\n1,1,2,3,4\n");
+        let flight = imported(&table("sec,Meters,metre,furlong,enum"), MAPPING).expect("a flight");
+        assert_eq!((flight.position.len(), flight.left_out.len()), (2, 0));
+        let note = "the unit \"furlong\" of column 4 (z) is unknown and was not compared";
+        assert_eq!(flight.facts.notes, [note]);
+        for (units, column) in
+            [("s,m,millimeters,m,enum", "3 (y)"), ("ms,words,words,words,enum", "1 (t)")]
+        {
+            let refusal = imported(&table(units), MAPPING).expect_err("a contradiction");
+            assert!(refusal.contains(&format!("column {column} is in")), "{refusal}");
+        }
     }
 
     #[test]

@@ -7,6 +7,7 @@ use super::row::{
     AttitudeReader, Columns, ForceReader, MotorReader, Outputs, Rotation, RowReader, TimeReader,
     VectorReader,
 };
+use super::unit_word;
 use super::{
     AccelerationUnit, AngleUnit, AttitudeMap, Axes, Column, ForceMap, ForceMeaning, LengthText,
     LengthUnit, Mapping, MotorMap, MotorMeaning, Place, PositionMap, RateMap, RateUnit, Rotates,
@@ -86,6 +87,25 @@ impl Binder<'_> {
             *factor *= name.sign();
         }
         Ok(Columns { at, factors })
+    }
+
+    /// Whether a line of units is below the names: one of the cells below the columns in use is a
+    /// unit. Notes those that are no known units.
+    fn units(&mut self) -> bool {
+        let Some(units) = self.heading.units else { return false };
+        let used = units.iter().enumerate().filter(|(at, _)| self.used.get(*at) == Some(&true));
+        let words = used.filter(|(_, cell)| !unit_word::is_none(cell));
+        let (known, unknown): (Vec<_>, Vec<_>) =
+            words.partition(|(_, cell)| unit_word::of_cell(cell).is_some());
+        if known.is_empty() {
+            return false;
+        }
+        let unknown = unknown.iter().map(|(at, cell)| {
+            let column = self.heading.pointed_out(*at);
+            format!("the unit {cell:?} of column {column} is unknown and was not compared")
+        });
+        self.notes.extend(unknown);
+        true
     }
 
     fn world(&self) -> Result<WorldFrame, String> {
@@ -411,7 +431,9 @@ impl RowReader {
         if let Some((what, _)) = turned.iter().find(|(_, needs)| *needs && attitude.is_none()) {
             return Err(format!("{what} needs the attitude: write [attitude]"));
         }
+        let has_units = binder.units();
         Ok(Self {
+            has_units,
             // A missing frame is not needed: everything that needs it has checked it above.
             world: mapping.world_frame.unwrap_or(WorldFrame::NED),
             body: mapping.body_frame.unwrap_or(BodyFrame::FRD),

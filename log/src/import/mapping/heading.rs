@@ -14,7 +14,7 @@ pub struct Heading<'a> {
     pub above: &'a [Vec<String>],
     /// The names of the columns; `None` if no line names them.
     pub names: Option<&'a [String]>,
-    /// The units in a line below the names.
+    /// The line below the names, if it may have their units: none of its cells is a number.
     pub units: Option<&'a [String]>,
     /// Number of columns.
     pub width: usize,

@@ -132,6 +132,7 @@ pub struct RowReader {
     pub(super) setpoint_thrust: Option<Columns<1>>,
     pub(super) outputs: Outputs,
     pub(super) used: Vec<bool>,
+    pub(super) has_units: bool,
     pub(super) notes: Vec<String>,
 }
 
@@ -152,6 +153,11 @@ impl RowReader {
     /// Notes on the columns that the mapping identifies by number.
     pub fn notes(&self) -> &[String] {
         &self.notes
+    }
+
+    /// Whether the line below the names has their units.
+    pub fn has_units(&self) -> bool {
+        self.has_units
     }
 
     /// Whether the mapping names a column.

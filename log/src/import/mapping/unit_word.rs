@@ -72,6 +72,29 @@ const UNITS: [(&str, &str); 62] = [
     ("m", "m"),
 ];
 
+/// Words spelt out, each also with an s at its end, and how [`UNITS`] writes them.
+const SPELT: [(&str, &str); 19] = [
+    ("second", "s"),
+    ("sec", "s"),
+    ("millisecond", "ms"),
+    ("microsecond", "us"),
+    ("nanosecond", "ns"),
+    ("minute", "min"),
+    ("hour", "hours"),
+    ("meter", "m"),
+    ("metre", "m"),
+    ("millimeter", "mm"),
+    ("millimetre", "mm"),
+    ("centimeter", "cm"),
+    ("centimetre", "cm"),
+    ("foot", "ft"),
+    ("radian", "rad"),
+    ("degree", "deg"),
+    ("volt", "v"),
+    ("millivolt", "mv"),
+    ("squared", "2"),
+];
+
 /// Cells of a unit line for columns without a unit.
 const NONE: [&str; 4] = ["", "1", "none", "frame"];
 
@@ -102,8 +125,22 @@ pub(super) fn split(words: &str) -> (String, Option<&'static str>) {
 
 /// The unit in a cell, alone or in brackets.
 pub(super) fn of_cell(cell: &str) -> Option<&'static str> {
+    let short = |word: &str| {
+        let is_it = |(spelt, _): &&(&str, &str)| {
+            word.strip_prefix(spelt).is_some_and(|rest| matches!(rest, "" | "s"))
+        };
+        SPELT.iter().find(is_it).map_or_else(|| word.to_owned(), |(_, short)| (*short).to_owned())
+    };
     let words = words(cell);
+    let words: Vec<String> =
+        words.split(UNDERSCORE).filter(|word| *word != "per").map(short).collect();
+    let words = words.join("_");
     UNITS.iter().find(|(written, _)| *written == words).map(|(_, unit)| *unit)
+}
+
+/// Whether a cell below a name says that the column has no unit.
+pub(in crate::import) fn is_none(cell: &str) -> bool {
+    NONE.contains(&words(cell).as_str())
 }
 
 /// The unit in brackets at the end of a name.
@@ -112,15 +149,11 @@ pub(super) fn in_brackets(name: &str) -> Option<&'static str> {
     name.ends_with([')', ']']).then(|| of_cell(name.get(open..)?)).flatten()
 }
 
-/// Whether the cells of a line are units, at least one, and otherwise empty or without a unit.
+/// Whether most cells of a line that say anything are units.
 pub(in crate::import) fn is_line(cells: &[String]) -> bool {
-    let is_none = |cell: &String| NONE.contains(&words(cell).as_str());
-    let mut any = false;
-    cells.iter().all(|cell| {
-        let is_unit = of_cell(cell).is_some();
-        any |= is_unit;
-        is_unit || is_none(cell)
-    }) && any
+    let (units, others): (Vec<&String>, Vec<&String>) =
+        cells.iter().filter(|cell| !is_none(cell)).partition(|cell| of_cell(cell).is_some());
+    units.len() > others.len()
 }
 
 /// The SI value of one of a unit.
@@ -164,6 +197,15 @@ mod tests {
             ("[m s^-2]", "m/s2"),
             ("°/s", "deg/s"),
             ("Deg", "deg"),
+            ("Meters", "m"),
+            ("[Seconds]", "s"),
+            ("Volt", "V"),
+            ("metres/second", "m/s"),
+            ("meters per second squared", "m/s2"),
+            ("degrees/sec", "deg/s"),
+            ("radian", "rad"),
+            ("milliseconds", "ms"),
+            ("hours", "h"),
         ] {
             assert_eq!(of_cell(cell), Some(unit), "{cell}");
         }
@@ -179,6 +221,7 @@ mod tests {
         let line = |text: &str| is_line(&text.split(',').map(str::to_owned).collect::<Vec<_>>());
         assert!(line(",,rad,rad,rad,mm,mm,mm"));
         assert!(line("[s],[m],[m],[-],[-]"));
+        assert!(line("-,s,m,m,m,deg,deg,deg,enum"));
         assert!(!line("t,px,py,pz"));
         assert!(!line("0,1,2"));
         assert!(!line(",,"));

@@ -3,7 +3,7 @@
 
 use std::io::{self, BufRead};
 
-use super::super::mapping::{Cell, Heading, Mapping, RowReader, is_line_of_units};
+use super::super::mapping::{Cell, Heading, Mapping, RowReader, is_line_of_units, is_no_unit};
 use super::super::read_ahead::read_ahead;
 use super::dates;
 use super::numbers::Numbers;
@@ -129,8 +129,7 @@ impl Head {
             let named = || {
                 (offset..lines.len()).find_map(|at| {
                     let found = by_name(mapping, &lines, at).ok()?;
-                    let has_units = lines.get(at + 1).is_some_and(|line| is_line_of_units(line));
-                    Some((at - offset + 1 + usize::from(has_units), found))
+                    Some((at - offset + 1 + usize::from(found.0.has_units()), found))
                 })
             };
             if let Some((records_above, (reader, cells))) = numbered.or_else(named) {
@@ -261,7 +260,11 @@ fn by_name(
 ) -> Result<(RowReader, [usize; 2]), String> {
     let (above, rest) = lines.split_at(at.min(lines.len()));
     let names = rest.first().map(|line| names(line)).unwrap_or_default();
-    let units = rest.get(1).filter(|line| is_line_of_units(line)).map(Vec::as_slice);
+    let mut numbers = Numbers::new(mapping.decimal);
+    let is_word = |cell: &String| {
+        is_no_unit(cell) || !matches!(numbers.read(cell.as_bytes()), Cell::Number(_))
+    };
+    let units = rest.get(1).filter(|line| line.iter().all(is_word)).map(Vec::as_slice);
     let heading = Heading { above, names: Some(&names), units, width: names.len() };
     let least = names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1);
     Ok((RowReader::new(mapping, heading)?, [least, names.len()]))
