@@ -249,6 +249,18 @@ pub struct AttitudeMap {
     rotates: Option<Rotates>,
 }
 
+impl AttitudeMap {
+    /// The columns of all forms.
+    fn columns(&self) -> impl Iterator<Item = &Column> {
+        let forms = [
+            self.quaternion.as_ref().map(<[Column; 4]>::as_slice),
+            self.euler.as_ref().map(<[Column; 3]>::as_slice),
+            self.matrix.as_ref().map(<[Column; 9]>::as_slice),
+        ];
+        forms.into_iter().flatten().flatten()
+    }
+}
+
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum QuaternionOrder {
@@ -386,6 +398,33 @@ impl Mapping {
         let text = shipped::text(path)?;
         Self::parse(&text)
             .map_err(|message| ImportError::Mapping { path: path.to_owned(), message })
+    }
+
+    /// All columns that the mapping names.
+    pub(super) fn columns(&self) -> impl Iterator<Item = &Column> {
+        let setpoint = self.setpoint.as_ref();
+        let attitudes = [self.attitude.as_ref(), setpoint.and_then(|map| map.attitude.as_ref())];
+        let rates = [self.body_rate.as_ref(), setpoint.and_then(|map| map.body_rate.as_ref())];
+        let single = [
+            self.time.as_ref().and_then(|map| map.column.as_ref()),
+            self.voltage.as_ref().map(|map| &map.column),
+            setpoint.and_then(|map| map.thrust_fraction.as_ref()),
+        ];
+        let several = [
+            self.position.as_ref().map(|map| map.columns.as_slice()),
+            self.velocity.as_ref().map(|map| map.columns.as_slice()),
+            self.specific_force.as_ref().map(|map| map.columns.as_slice()),
+            self.motors.as_ref().map(|map| map.columns.as_slice()),
+            self.rotor_speed.as_ref().map(|map| map.columns.as_slice()),
+        ];
+        let rates = rates.into_iter().flatten().flat_map(|map| &map.columns);
+        let attitudes = attitudes.into_iter().flatten().flat_map(AttitudeMap::columns);
+        single
+            .into_iter()
+            .flatten()
+            .chain(several.into_iter().flatten().flatten())
+            .chain(rates)
+            .chain(attitudes)
     }
 
     /// Parses a mapping in TOML; the error says what is wrong.

@@ -319,6 +319,25 @@ mod tests {
     }
 
     #[test]
+    fn a_refusal_is_that_of_the_separator_with_the_columns() {
+        // Spaces cut the line of names into more cells than commas do.
+        let mapping = MAPPING.replace("\"t\"", "\"the time of it [s]\"");
+        let names = "the time of it [s],x,y,z,an error of the mean value";
+        let table = |names: &str| format!("{names}\n0,1,2,3,4\n1,1,2,3,4\n");
+        assert!(imported(&table(names), &mapping).is_ok());
+        let refusal = imported(&table(&names.replace("[s]", "[ms]")), &mapping);
+        let refusal = refusal.expect_err("another name");
+        assert!(refusal.contains("it has the time of it [ms], x, y, z, an error"), "{refusal}");
+        let refusal = imported(&table(names), &mapping.replace("\"s\"", "\"ms\""));
+        assert!(refusal.as_ref().is_err_and(|why| why.contains("is in \"s\"")), "{refusal:?}");
+        // No column is known, but the rows are as wide as the line of names.
+        let other = mapping.replace("the time of it [s]", "u");
+        let other = other.replace("\"x\", \"y\", \"z\"", "\"a\", \"b\", \"c\"");
+        let refusal = imported(&table(names), &other).expect_err("other names");
+        assert!(refusal.contains("it has the time of it [s], x, y"), "{refusal}");
+    }
+
+    #[test]
     fn time_far_ahead_costs_only_its_row() {
         let sound = |row: u32| 100.0 + 0.01 * f64::from(row);
         let damaged = flight((0..200).map(|row| if row == 90 { 4.3e9 } else { sound(row) }));

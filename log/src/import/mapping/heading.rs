@@ -1,6 +1,6 @@
 //! The lines above the rows of a table, which name and identify its columns.
 
-use super::Place;
+use super::{Column, Place};
 
 /// Number of columns listed in an error.
 const OFFERED: usize = 60;
@@ -40,6 +40,11 @@ impl Heading<'_> {
             }),
         };
         (0..self.width).filter(is_called).collect()
+    }
+
+    /// Whether the table has such a column.
+    pub fn has(&self, column: &Column) -> bool {
+        !self.called(&column.place).is_empty()
     }
 
     /// Describes a column for people: its number and the words above it.

@@ -110,6 +110,7 @@ impl Head {
     /// # Errors
     /// The table lacks a column, or the mapping lacks a key; the text says which.
     pub(super) fn layout(&self, mapping: &Mapping) -> Result<Layout, String> {
+        // Every separator refuses the table in its own words: those of the likeliest count.
         let mut refusal = None;
         for separator in self.separators(mapping.separator)? {
             let found = self.cut(separator);
@@ -135,14 +136,13 @@ impl Head {
             if let Some((records_above, (reader, cells))) = numbered.or_else(named) {
                 return Ok(Layout { separator, records_above, cells, reader });
             }
-            let names = header(&lines).unwrap_or(offset).max(offset);
-            let width = lines.get(names).map_or(0, Vec::len);
-            let error = match by_name(mapping, &lines, names) {
-                Err(error) => error,
-                Ok(_) => continue,
-            };
-            if refusal.as_ref().is_none_or(|(most, _)| width > *most) {
-                refusal = Some((width, error));
+            let like_names = header(&lines);
+            let rank = |at: usize| (columns_found(mapping, &lines, at), Some(at) == like_names);
+            let best = (offset..lines.len()).rev().max_by_key(|at| rank(*at)).unwrap_or(offset);
+            let Err(error) = by_name(mapping, &lines, best) else { continue };
+            let rank = (rank(best).0, rows_as_wide(&lines, best));
+            if refusal.as_ref().is_none_or(|(most, _)| rank > *most) {
+                refusal = Some((rank, error));
             }
         }
         Err(refusal.map_or_else(String::new, |(_, error)| error))
@@ -268,6 +268,21 @@ fn by_name(
     let heading = Heading { above, names: Some(&names), units, width: names.len() };
     let least = names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1);
     Ok((RowReader::new(mapping, heading)?, [least, names.len()]))
+}
+
+/// Number of the mapping's columns that the names in line `at` have.
+fn columns_found(mapping: &Mapping, lines: &[Vec<String>], at: usize) -> usize {
+    let (above, rest) = lines.split_at(at.min(lines.len()));
+    let names = rest.first().map(|line| names(line)).unwrap_or_default();
+    let heading = Heading { above, names: Some(&names), units: None, width: names.len() };
+    mapping.columns().filter(|column| heading.has(column)).count()
+}
+
+/// Number of lines below line `at` with as many cells, if these are several.
+fn rows_as_wide(lines: &[Vec<String>], at: usize) -> usize {
+    let mut below = lines.iter().skip(at).map(Vec::len);
+    let width = below.next().filter(|width| *width > 1);
+    below.filter(|cells| Some(*cells) == width).count()
 }
 
 /// As [`by_name`], for a mapping that gives every column by number; `None` unless `line` is a valid
