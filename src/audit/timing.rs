@@ -216,6 +216,7 @@ fn check_left_out(flight: &Flight, audit: &mut Audit) {
             "setpoint from",
             "by its own flags",
             "duplicated frame",
+            "duplicated row",
         ]
         .iter()
         .any(|words| reason.contains(words))
@@ -251,4 +252,42 @@ const SAMPLES_MIN: usize = 20;
 /// Whether a stream has enough samples for a check.
 pub(super) fn is_logged<T>(stream: &Stream<T>) -> bool {
     stream.len() >= SAMPLES_MIN
+}
+
+#[cfg(test)]
+mod tests {
+    use vehicle::frame::Ned;
+
+    use super::*;
+    use crate::log::import::{Clock, Origin};
+
+    /// A flight of one stream with `samples` samples, `period` s apart.
+    fn flight(samples: u32, period: f64) -> Flight {
+        let origin = Origin {
+            path: "memory".into(),
+            run: String::new(),
+            sha256: String::new(),
+            format: "csv",
+        };
+        let mut flight = Flight::empty(origin, Clock::Single);
+        for sample in 0..samples {
+            let t = f64::from(sample);
+            flight.position.push(period * t, Ned::new(t.sin(), t.cos(), -1.0));
+        }
+        flight
+    }
+
+    #[test]
+    fn identical_rows_are_no_loss() {
+        let severities = |reason: &str| {
+            let mut flight = flight(100, 0.01);
+            flight.left_out.push((reason.to_owned(), 100));
+            let findings = Audit::of(&flight).findings;
+            let left_out = findings.into_iter().filter(|finding| finding.check == LEFT_OUT);
+            left_out.map(|finding| finding.severity).collect::<Vec<_>>()
+        };
+        let duplicated = "duplicated row, with the time of the row before";
+        assert_eq!(severities(duplicated), [Severity::Note]);
+        assert_eq!(severities("row with the time of the row before"), [Severity::Fault]);
+    }
 }

@@ -20,6 +20,9 @@ pub(super) use text::decoded;
 const GAP_PERIODS: f64 = 3.0;
 /// Longest step to the next row that is neither a damaged time nor a pause, s.
 const STEP_MAX_S: f64 = 10.0;
+/// Number of first rows that show whether the rows are in order; only a table that is not is held
+/// in memory as rows.
+const FIRST_ROWS: usize = 1000;
 /// Number of characters of a row in an error.
 const SHOWN: usize = 120;
 /// Reason to leave out a row.
@@ -163,27 +166,78 @@ pub(super) fn propose(source: impl Read) -> Result<String, TableError> {
     Ok(mapping::propose(&sheet))
 }
 
-/// Rows on their way into a flight. Each waits for the next: only that shows whether a time far
-/// ahead is damaged, after which all later rows would be too early.
+/// Rows on their way into a flight.
 #[derive(Debug, Default)]
 struct Rows {
+    /// The first rows until they show whether the table is in order; all rows if it is not.
+    held: Vec<Row>,
+    order: Order,
+    /// The last row in order. It waits for the next: only that shows whether a time far ahead is
+    /// damaged, after which all later rows would be too early.
+    waiting: Option<Row>,
+    /// The last row in the flight.
+    last: Option<Row>,
     /// Times of the rows in the flight, s.
     times: Vec<f64>,
-    waiting: Option<Row>,
     /// Time after which the clock starts again at 0, s.
     period: Option<f64>,
     /// Time that its restarts add, s.
     restarts: f64,
 }
 
+/// Order of a table's rows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Order {
+    /// Too few rows are known.
+    #[default]
+    Unknown,
+    /// The times rise, but for damage and restarts of the clock.
+    Rising,
+    /// The rows are in the order of something else.
+    Unsorted,
+}
+
+/// Whether a row at the time `to` may follow one at `from`, s.
+fn continues(from: f64, to: f64) -> bool {
+    (0.0..=STEP_MAX_S).contains(&(to - from))
+}
+
 impl Rows {
-    fn add(&mut self, mut row: Row, flight: &mut Flight, tally: &mut Tally) {
+    fn add(&mut self, row: Row, flight: &mut Flight, tally: &mut Tally) {
+        if self.order == Order::Rising {
+            return self.follow(row, flight, tally);
+        }
+        self.held.push(row);
+        if self.order == Order::Unknown && self.held.len() == FIRST_ROWS {
+            self.find_order(flight, tally);
+        }
+    }
+
+    /// Finds the order from the rows so far: damage and restarts of a clock leave most rows later
+    /// than the one before.
+    fn find_order(&mut self, flight: &mut Flight, tally: &mut Tally) {
+        let steps = || self.held.windows(2).map(|pair| [pair[0].time, pair[1].time]);
+        let starts_again = |[from, to]: [f64; 2]| {
+            self.period.is_some_and(|period| to < from && continues(from, to + period))
+        };
+        let backward = steps().filter(|[from, to]| to < from).count();
+        if backward > self.held.len() / 10 && !steps().any(starts_again) {
+            self.order = Order::Unsorted;
+            return;
+        }
+        self.order = Order::Rising;
+        for row in std::mem::take(&mut self.held) {
+            self.follow(row, flight, tally);
+        }
+    }
+
+    /// Adds the next row of a table in order.
+    fn follow(&mut self, mut row: Row, flight: &mut Flight, tally: &mut Tally) {
         row.time += self.restarts;
         let Some(before) = self.waiting else {
             self.waiting = Some(row);
             return;
         };
-        let continues = |from: f64, to: f64| (0.0..=STEP_MAX_S).contains(&(to - from));
         let last = self.times.last().copied();
         // A clock that reads more than its period, as a date does, never starts again.
         if let (Some(last), Some(period)) = (last, self.period)
@@ -204,15 +258,26 @@ impl Rows {
         }
     }
 
-    /// Puts the last row into the flight. Returns the times of all.
+    /// Puts the rows that it still has into the flight. Returns the times of all.
     fn finish(mut self, flight: &mut Flight, tally: &mut Tally) -> Vec<f64> {
-        if let Some(row) = self.waiting.take() {
+        if self.order == Order::Unknown {
+            self.find_order(flight, tally);
+        }
+        if self.order == Order::Unsorted {
+            self.held.sort_by(|a, b| a.time.total_cmp(&b.time));
+            flight.facts.notes.push("rows were out of order and were sorted by time".to_owned());
+        }
+        for row in std::mem::take(&mut self.held).into_iter().chain(self.waiting.take()) {
             self.put(row, flight, tally);
         }
         self.times
     }
 
     fn put(&mut self, row: Row, flight: &mut Flight, tally: &mut Tally) {
+        let before = self.last.replace(row);
+        if before == Some(row) {
+            return tally.add("duplicated row, with the time of the row before", 1);
+        }
         let last = self.times.last().copied().unwrap_or(f64::NEG_INFINITY);
         let [kept, unordered] = keep(&row, flight);
         match (kept, unordered) {
@@ -350,6 +415,61 @@ mod tests {
         // A pause of the logger.
         let paused = flight((0..200).map(|row| sound(row) + if row < 90 { 0.0 } else { 600.0 }));
         assert_eq!(paused.position.len(), 200);
+    }
+
+    /// Times of the rows, and their number in place of the position.
+    fn numbered(times: impl IntoIterator<Item = (u32, f64)>) -> Flight {
+        let row = |(number, time)| format!("{time},{number},2,3\n");
+        let rows: String = times.into_iter().map(row).collect();
+        imported(&format!("t,x,y,z\n{rows}"), MAPPING).expect("a table")
+    }
+
+    #[test]
+    fn rows_out_of_order_are_sorted() {
+        let time = |row: u32| 0.01 * f64::from(row);
+        for count in [50, 3000] {
+            let sound = numbered((0..count).map(|row| (row, time(row))));
+            assert_eq!((sound.left_out.len(), sound.facts.notes.len()), (0, 0));
+            // Prime to both counts.
+            let shuffled = (0..count).map(|row| row * 677 % count);
+            for order in [(0..count).rev().collect::<Vec<_>>(), shuffled.collect()] {
+                let flight = numbered(order.into_iter().map(|row| (row, time(row))));
+                assert_eq!(flight.position, sound.position);
+                assert_eq!((&flight.rows, &flight.left_out), (&sound.rows, &sound.left_out));
+                let note = "rows were out of order and were sorted by time";
+                assert_eq!(flight.facts.notes, [note]);
+            }
+        }
+    }
+
+    #[test]
+    fn a_restarted_clock_is_not_sorted_into_the_rows_before() {
+        for count in [15, 900, 3000] {
+            let twice = (0..2 * count).map(|row| (row, 0.01 * f64::from(row % count)));
+            let flight = numbered(twice);
+            assert_eq!(flight.position.len(), count as usize);
+            let reason = "row with an earlier time than the row before";
+            let first = ("row with the time of the row before".to_owned(), 1);
+            let earlier: u64 = flight.left_out.iter().map(|(_, rows)| rows).sum();
+            assert!(flight.left_out.iter().any(|(what, _)| what == reason));
+            assert!(flight.left_out.iter().all(|left| left.0 == reason || *left == first));
+            assert_eq!((earlier, flight.facts.notes.len()), (u64::from(count), 0));
+        }
+        // Rows after the end of a counter are not the first.
+        let counter = |row: u32| f64::from(4_294_900_000_u32.wrapping_add(10_000 * row));
+        let short = flight_in("us", (0..9).map(counter));
+        assert_eq!((short.position.len(), short.facts.notes.len()), (9, 0));
+    }
+
+    #[test]
+    fn identical_rows_are_told_from_contradictory_ones() {
+        let twice = numbered((0..200).map(|row| (row / 2, 0.01 * f64::from(row / 2))));
+        assert_eq!(twice.position.len(), 100);
+        let reason = "duplicated row, with the time of the row before";
+        assert_eq!(twice.left_out, [(reason.to_owned(), 100)]);
+        let other = numbered((0..200).map(|row| (row, 0.01 * f64::from(row / 2))));
+        let reason = "row with the time of the row before";
+        assert_eq!(other.left_out, [(reason.to_owned(), 100)]);
     }
 
     #[test]
