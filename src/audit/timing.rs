@@ -24,6 +24,8 @@ const JITTER_MAX: f64 = 0.35;
 const SKEW_MAX: f64 = 1e-3;
 /// Least period of a stream, s: inertial units sample at up to 32 kHz.
 const PERIOD_MIN_S: f64 = 25e-6;
+/// Largest period of a measured stream, s: slow telemetry comes about once a second.
+const PERIOD_MAX_S: f64 = 5.0;
 /// Share of samples left out as damaged above which the log supports no conclusion.
 const DAMAGED_MAX: f64 = 0.1;
 
@@ -162,10 +164,12 @@ fn check_jitter(timing: &StreamTiming, audit: &mut Audit) {
     });
 }
 
-/// No logger of a vehicle is this fast: the times are in another unit.
+/// No logger of a vehicle is this fast or this slow: the times are in another unit.
 fn check_unit(timing: &StreamTiming, audit: &mut Audit) {
     let Some(period) = timing.period_s else { return };
-    if period >= PERIOD_MIN_S || timing.samples < 50 {
+    // The ground may send setpoints only when they change.
+    let most = if timing.stream == "setpoint" { f64::INFINITY } else { PERIOD_MAX_S };
+    if (PERIOD_MIN_S..=most).contains(&period) || timing.samples < 50 {
         return;
     }
     audit.findings.push(Finding {
@@ -173,11 +177,11 @@ fn check_unit(timing: &StreamTiming, audit: &mut Audit) {
         check: "unit",
         stream: Some(timing.stream),
         found: period,
-        expected: PERIOD_MIN_S,
+        expected: if period < PERIOD_MIN_S { PERIOD_MIN_S } else { most },
         unit: "s",
         what: format!(
-            "its samples are {:.3} us apart: are its times in another unit?",
-            1e6 * period
+            "its samples are {:.3} ms apart: are its times in another unit?",
+            1e3 * period
         ),
         advice: "check the unit of time stated for the log",
     });
@@ -275,6 +279,17 @@ mod tests {
             flight.position.push(period * t, Ned::new(t.sin(), t.cos(), -1.0));
         }
         flight
+    }
+
+    #[test]
+    fn times_in_another_unit_are_found() {
+        let is_found = |period: f64| {
+            let findings = Audit::of(&flight(100, period)).findings;
+            findings.iter().any(|f| f.check == "unit" && f.severity == Severity::Fault)
+        };
+        // Read as s: the ms and the us of 100 Hz; the s of slow telemetry, of a usual and a fast rate.
+        assert_eq!([10.0, 1e4, 1.0, 0.01, 1e-3].map(is_found), [true, true, false, false, false]);
+        assert!(is_found(1e-5));
     }
 
     #[test]

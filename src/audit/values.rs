@@ -23,6 +23,8 @@ const ATTITUDE_STEP: f64 = 0.15;
 const ACCELERATION_MAX: f64 = 40.0;
 /// Longest pause over which steps are checked, s.
 const STEP_PAUSE: f64 = 0.3;
+/// Least time over which a speed follows from two positions, s: stamps are uneven.
+const PACE_S: f64 = 0.1;
 /// Largest values that a quadrotor's sensors measure: rad/s, m/s^2, m/s, m.
 const RATE_MAX: f64 = 50.0;
 const FORCE_MAX: f64 = 400.0;
@@ -48,6 +50,22 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     });
     impossible(audit, "velocity", &flight.velocity, SPEED_MAX, "m/s", |v| size(v.to_array()));
     impossible(audit, "position", &flight.position, POSITION_MAX, "m", |v| size(v.to_array()));
+    // Where a velocity is logged, the position is compared with it.
+    if flight.velocity.is_empty() {
+        impossible(audit, "position", &paces(&flight.position), SPEED_MAX, "m/s", |v| *v);
+    }
+}
+
+/// Mean speed from each position to the first that is later by [`PACE_S`], m/s.
+fn paces(position: &Stream<Ned>) -> Stream<f64> {
+    let mut paces = Stream::default();
+    let mut ends = position.iter().peekable();
+    for (from, start) in position.iter() {
+        while ends.next_if(|(to, _)| to - from < PACE_S).is_some() {}
+        let Some((to, end)) = ends.peek() else { break };
+        paces.push(from, (**end - *start).norm() / (to - from));
+    }
+    paces
 }
 
 /// Mean size of a stream within a time.
@@ -238,4 +256,46 @@ fn impossible<T>(
         ),
         advice: "rows are damaged, or the stated unit is wrong",
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::import::{Clock, Origin};
+
+    /// A flight of positions only, on a circle of radius `radius` m, once in 3 s.
+    fn flight(radius: f64, times: impl IntoIterator<Item = f64>) -> Flight {
+        let origin = Origin {
+            path: "memory".into(),
+            run: String::new(),
+            sha256: String::new(),
+            format: "csv",
+        };
+        let mut flight = Flight::empty(origin, Clock::Single);
+        for t in times {
+            let (s, c) = (2.1 * t).sin_cos();
+            flight.position.push(t, Ned::new(radius * s, radius * c, -radius));
+        }
+        flight
+    }
+
+    #[test]
+    fn positions_in_another_unit_are_found_without_a_velocity() {
+        let severity = |flight: &Flight| {
+            let findings = Audit::of(flight).findings;
+            findings.iter().find(|finding| finding.check == "impossible").map(|f| f.severity)
+        };
+        let even = |rate: f64| (0..3000_u32).map(move |k| f64::from(k) / rate);
+        assert_eq!(severity(&flight(1000.0, even(100.0))), Some(Severity::Fault));
+        assert_eq!(severity(&flight(1000.0, even(5.0))), Some(Severity::Fault));
+        assert_eq!(severity(&flight(1.0, even(100.0))), None);
+        assert_eq!(severity(&flight(1.0, even(1.0))), None);
+        // Rows that arrive in pairs.
+        let pairs = (0..3000_u32).map(|k| 0.02 * f64::from(k / 2) + 2e-5 * f64::from(k % 2));
+        let mut hasty = flight(1.0, pairs);
+        for (k, position) in hasty.position.values_mut().iter_mut().enumerate() {
+            *position = Ned::new(0.1 * k as f64, 0.0, -1.0);
+        }
+        assert_eq!(severity(&hasty), None);
+    }
 }
