@@ -23,6 +23,8 @@ const STEP_MAX_S: f64 = 10.0;
 /// Number of first rows that show whether the rows are in order; only a table that is not is held
 /// in memory as rows.
 const FIRST_ROWS: usize = 1000;
+/// Largest share of rows whose roll or pitch is beyond a full turn by damage.
+const BEYOND_TURN_MAX: f64 = 0.02;
 /// Number of characters of a row in an error.
 const SHOWN: usize = 120;
 /// Reason to leave out a row.
@@ -76,7 +78,7 @@ pub(super) fn read(
     let mut rows = Rows { period: reader.clock_period(), ..Rows::default() };
     let mut cells = vec![Cell::Empty; most];
     let mut refused = None;
-    let mut index = 0;
+    let (mut index, mut usable, mut beyond_turn) = (0, 0_u64, 0_u64);
     while table.read_byte_record(&mut record)? {
         let number = index;
         index += 1;
@@ -117,12 +119,22 @@ pub(super) fn read(
                     format!("row {} is {shown:?}", number + 1)
                 });
             }
-            Ok(row) => rows.add(row, flight, &mut tally),
+            Ok(row) => {
+                usable += 1;
+                beyond_turn += u64::from(reader.is_beyond_turn(&cells));
+                rows.add(row, flight, &mut tally);
+            }
         }
     }
     let times = rows.finish(flight, &mut tally);
     if let Some(doubt) = numbers.doubt() {
         return Err(TableError::Unmapped(doubt));
+    }
+    if beyond_turn as f64 > BEYOND_TURN_MAX * usable as f64 {
+        return Err(TableError::Unmapped(format!(
+            "attitude.unit: roll or pitch is beyond a full turn in {beyond_turn} of {usable} rows: \
+             these angles are in another unit; correct it"
+        )));
     }
     flight.facts.notes.extend(reader.notes().iter().cloned());
     flight.motor_source = MotorSource::Table;
@@ -415,6 +427,34 @@ mod tests {
         // A pause of the logger.
         let paused = flight((0..200).map(|row| sound(row) + if row < 90 { 0.0 } else { 600.0 }));
         assert_eq!(paused.position.len(), 200);
+    }
+
+    #[test]
+    fn angles_in_another_unit_are_refused() {
+        let mapping = |unit: &str| {
+            format!(
+                "body_frame = \"frd\"\n{MAPPING}[attitude]\neuler = [\"r\", \"p\", \"w\"]\n\
+                 unit = {unit:?}\n"
+            )
+        };
+        let import = |unit: &str, degrees: [f64; 3]| {
+            let row = |k: u32| {
+                let [r, p, w] = degrees.map(|angle| angle * (0.3 * f64::from(k)).sin());
+                format!("{k},1,2,3,{r},{p},{w}\n")
+            };
+            let rows: String = (0..300).map(row).collect();
+            imported(&format!("t,x,y,z,r,p,w\n{rows}"), &mapping(unit))
+        };
+        for lean in [[20.0, 0.0, 0.0], [0.0, 8.0, 90.0]] {
+            let refusal = import("rad", lean).expect_err("degrees");
+            assert!(
+                refusal.contains("attitude.unit") && refusal.contains("of 300 rows"),
+                "{refusal}"
+            );
+            assert!(import("deg", lean).is_ok());
+        }
+        // A roll in 0..2 pi, and a yaw that counts its turns.
+        assert!(import("rad", [std::f64::consts::TAU, 1.5, 80.0]).is_ok());
     }
 
     /// Times of the rows, and their number in place of the position.

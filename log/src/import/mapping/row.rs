@@ -1,5 +1,7 @@
 //! Converts rows of a table to samples, with a mapping bound to its columns.
 
+use std::f64::consts::TAU;
+
 use vehicle::frame::{Attitude, Euler, Frd, Ned};
 
 use super::axes::{AttitudeTurn, BodyFrame, WorldFrame, from_matrix, unit};
@@ -180,6 +182,15 @@ impl RowReader {
             }
             TimeReader::Column(_) | TimeReader::Rate(_) => None,
         }
+    }
+
+    /// Whether the roll or the pitch of a row is beyond a full turn. A yaw may count turns.
+    pub fn is_beyond_turn(&self, cells: &[Cell]) -> bool {
+        let Some(AttitudeReader { rotation: Rotation::Euler(columns), .. }) = self.attitude else {
+            return false;
+        };
+        let angles = columns.any(cells);
+        angles.is_some_and(|[roll, pitch, _]| roll.abs().max(pitch.abs()) > TAU)
     }
 
     /// Converts row number `index` from its cells. The error says why the row is dropped.
