@@ -40,6 +40,9 @@ pub struct Mapping {
     /// "Meters"`.
     #[serde(default)]
     pub expect: BTreeMap<String, String>,
+    /// A column that the table may have only once, such as `["Rigid Body", "Position", "X"]`, where
+    /// columns by number are those of the first body.
+    pub single: Option<Column>,
     /// Axes of the world frame in the table.
     pub world_frame: Option<WorldFrame>,
     /// Axes of the body frame in the table.

@@ -430,6 +430,43 @@ mod tests {
     }
 
     #[test]
+    fn a_mapping_for_one_body_refuses_several() {
+        let take = |bodies: &[&str]| {
+            let mut lines =
+                ["Rotation Type,Quaternion,Coordinate Space,Global,Length Units,Meters"]
+                    .map(str::to_owned)
+                    .to_vec();
+            let line = |start: &str, cells: &dyn Fn(&str) -> String| {
+                let cells: Vec<String> = bodies.iter().map(|body| cells(body)).collect();
+                format!("{start},{}", cells.join(","))
+            };
+            lines.push(line(",Type", &|_| ["Rigid Body"; 7].join(",")));
+            lines.push(line(",Name", &|body| [body; 7].join(",")));
+            let groups = [["Rotation"; 4].as_slice(), ["Position"; 3].as_slice()].concat();
+            lines.push(line(",", &|_| groups.join(",")));
+            lines.push(line("Frame,Time (Seconds)", &|_| "X,Y,Z,W,X,Y,Z".to_owned()));
+            for row in 0..9 {
+                lines.push(line(&format!("{row},0.{row}"), &|_| "0,0,0,1,1,2,3".to_owned()));
+            }
+            lines.join("\n")
+        };
+        let (_, motive) = mapping::SHIPPED[1];
+        let proposed = |take: &str| propose(take.as_bytes()).expect("a table");
+        let one = take(&["quad"]);
+        assert_eq!(imported(&one, motive).expect("a flight").position.len(), 9);
+        assert!(proposed(&one).contains("--mapping motive"));
+        let two = take(&["wand", "quad"]);
+        let refusal = imported(&two, motive).expect_err("two bodies");
+        for body in ["7 (Rigid Body, wand, Position, X)", "14 (Rigid Body, quad, Position, X)"] {
+            assert!(refusal.contains(body), "{refusal}");
+        }
+        assert!(!proposed(&two).contains("--mapping motive"));
+        let own = motive.replace("single", "# single").replace("[7, 8, 9]", "[14, 15, 16]");
+        let flight = imported(&two, &own.replace("[3, 4, 5, 6]", "[10, 11, 12, 13]"));
+        assert_eq!(flight.expect("a flight").position.len(), 9);
+    }
+
+    #[test]
     fn angles_in_another_unit_are_refused() {
         let mapping = |unit: &str| {
             format!(

@@ -47,15 +47,10 @@ impl Binder<'_> {
             [] => {
                 Err(format!("{field}: the table has no column {column}; {}", self.heading.offers()))
             }
-            several => {
-                let found = several.iter().map(|at| self.heading.pointed_out(*at));
-                Err(format!(
-                    "{field}: the table has {} columns {column}: {}; write the number of one, or a list \
-                     of words above it and its name",
-                    several.len(),
-                    found.collect::<Vec<_>>().join(", ")
-                ))
-            }
+            several => Err(format!(
+                "{field}: {}; write the number of one, or a list of words above it and its name",
+                self.heading.listed(column, several)
+            )),
         }
     }
 
@@ -383,6 +378,15 @@ impl RowReader {
             world: mapping.world_frame,
             body: mapping.body_frame,
         };
+        if let Some(Column { place, .. }) = &mapping.single {
+            let found = heading.called(place);
+            if found.len() > 1 {
+                return Err(format!(
+                    "single: {}; copy the mapping, give the columns of one, and take single out",
+                    heading.listed(place, &found)
+                ));
+            }
+        }
         let time = mapping.time.as_ref().ok_or_else(|| format!("expected {TIME}"))?;
         let time = binder.time(time)?;
         let position = mapping.position.as_ref().map(|map| binder.position(map)).transpose()?;

@@ -58,6 +58,12 @@ impl Heading<'_> {
         format!("{} ({})", column + 1, words.join(", "))
     }
 
+    /// Says that `found` are all called `column`.
+    pub(super) fn listed(&self, column: &Place, found: &[usize]) -> String {
+        let all: Vec<String> = found.iter().map(|at| self.pointed_out(*at)).collect();
+        format!("the table has {} columns {column}: {}", found.len(), all.join(", "))
+    }
+
     /// The cell after the first one with this content above the table.
     pub fn after(&self, cell: &str) -> Option<&str> {
         self.above.iter().find_map(|line| {
