@@ -34,10 +34,11 @@ use crate::model::actuation::Actuation;
 use crate::model::file::{ModelFile, ModelKind};
 use crate::model::physics::{PhysicsModel, PhysicsParameters};
 use crate::offboard::EffectiveVehicle;
+use crate::plan::keep_out::KeepOut;
 use crate::plan::planned::{Answer, Found, Plan, PlannedThrough};
 use crate::plan::planner::{PlannedVehicle, Planner};
 use crate::plan::scp::{Record, Status};
-use crate::plan::time_optimal::{Stop, Task};
+use crate::plan::time_optimal::{NoWay, Stop, Task};
 use crate::plan::{TimeLimit, Trajectory, TrajectoryFile};
 use crate::report::plan as page;
 
@@ -192,6 +193,14 @@ fn plan_within(
     let (planner, answer) = planner(vehicle, plan_model, config)?;
     let desire = planner.desire(trajectory).or_exit(Exit::Usage)?;
     let start = planner.at_rest(&desire.states[0]);
+    let regions = config.settings.plan.keep_out.iter().map(|region| KeepOut::from(*region));
+    let place = [start[0], start[1], start[2]];
+    if let Some(region) =
+        regions.into_iter().position(|region| region.depth_between(place, place) > 0.0)
+    {
+        let place = format!("the start of {}", trajectory.name());
+        return Err(NoWay::KeptOut { place, region }).or_exit(Exit::Usage);
+    }
     let (outcome, tube) = match tube {
         Some(tube) => tube.plan(&planner, &desire, start, watch)?,
         None => (planner.plan(&desire, start, None, watch), None),
