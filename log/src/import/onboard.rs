@@ -151,6 +151,13 @@ impl Topics {
         self.instance(name, primary).map(|_| primary).or_else(first)
     }
 
+    /// The first instance of a topic with a row that `is_live` accepts; 0 without one.
+    pub fn first_live(&self, name: &'static str, is_live: impl Fn(Row<'_>) -> bool) -> u8 {
+        let mut instances = self.instances(name);
+        let live = instances.find(|(_, topic)| topic.rows().any(&is_live));
+        live.map_or(0, |(instance, _)| instance)
+    }
+
     /// The topic of [`Topics::primary_instance`]. Counts the rows of the others.
     pub fn primary(&self, name: &'static str, primary: u8, tally: &mut Tally) -> Option<&Topic> {
         let chosen = self.primary_instance(name, primary)?;

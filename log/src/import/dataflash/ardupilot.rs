@@ -346,7 +346,9 @@ impl Contents {
 
     fn fill_states(&self, flight: &mut Flight, facts: &mut VehicleFacts, tally: &mut Tally) {
         for name in ["BAT", "CURR"] {
-            let Some(topic) = self.topics.primary(name, 0, tally) else { continue };
+            // Of several packs, the first that has a voltage.
+            let pack = self.topics.first_live(name, |row| row.get("Volt") > 0.0);
+            let Some(topic) = self.topics.primary(name, pack, tally) else { continue };
             flight.voltage = self.topics.stream(topic, tally, |row| {
                 let voltage = row.get("Volt");
                 if voltage == 0.0 {
@@ -455,18 +457,33 @@ mod tests {
             (vec![("AHRS_EKF_TYPE", 3.0)], 2.0, "XKF1 of core 1"),
             (vec![("AHRS_EKF_TYPE", 2.0)], 3.0, "NKF1 of core 0"),
         ] {
-            let origin = Origin {
-                path: "memory".into(),
-                run: String::new(),
-                sha256: String::new(),
-                format: "dataflash",
-            };
-            let mut flight = Flight::empty(origin, Clock::Single);
+            let mut flight = flight();
             let mut facts = VehicleFacts::default();
             let contents = log(&parameters, &messages);
             contents.fill_position(&mut flight, &mut facts, &mut Tally::default());
             assert_eq!(flight.position.values()[0].north(), north);
             assert_eq!(facts.notes, [format!("position and velocity from {note}")]);
+        }
+    }
+
+    fn flight() -> Flight {
+        let origin = Origin {
+            path: "memory".into(),
+            run: String::new(),
+            sha256: String::new(),
+            format: "dataflash",
+        };
+        Flight::empty(origin, Clock::Single)
+    }
+
+    #[test]
+    fn voltage_is_of_the_first_pack_that_has_one() {
+        for (volts, used) in [([0.0, 12.0], 12.0), ([11.0, 12.0], 11.0)] {
+            let packs = [("BAT", 0, "Volt", volts[0]), ("BAT", 1, "Volt", volts[1])];
+            let (mut flight, mut tally) = (flight(), Tally::default());
+            let mut facts = VehicleFacts::default();
+            log(&[], &packs).fill_states(&mut flight, &mut facts, &mut tally);
+            assert_eq!(flight.voltage.values(), [used; 10]);
         }
     }
 

@@ -198,8 +198,7 @@ impl Contents {
     fn fill_states(&self, flight: &mut Flight, tally: &mut Tally) {
         // Of several packs or sensors, the first that is connected.
         let is_connected = |row: Row<'_>| row.get("connected") != 0.0 && row.get("voltage_v") > 0.0;
-        let mut packs = self.topics.instances("battery_status");
-        let pack = packs.find(|(_, topic)| topic.rows().any(is_connected)).map_or(0, |(at, _)| at);
+        let pack = self.topics.first_live("battery_status", is_connected);
         if let Some(topic) = self.topics.primary("battery_status", pack, tally) {
             flight.voltage = self.topics.stream(topic, tally, |row| {
                 let voltage = row.get("voltage_v");
