@@ -1,6 +1,6 @@
 //! Finds the outputs that drive motors, from the output functions in the parameters.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Number of motors of a quadrotor.
 pub(super) const MOTORS: usize = 4;
@@ -13,6 +13,10 @@ const PX4_DEVICES: [&str; 3] = ["PWM_MAIN", "PWM_AUX", "UAVCAN_EC"];
 pub(super) const PX4_MOTOR_1: f64 = 101.0;
 /// Output function of ArduPilot's first motor.
 const ARDUPILOT_MOTOR_1: f64 = 33.0;
+/// Output functions of PX4's motors.
+const PX4_MOTORS: std::ops::RangeInclusive<u32> = 101..=112;
+/// Output functions of ArduPilot's motors 1 to 8 and 9 to 12.
+const ARDUPILOT_MOTORS: [std::ops::RangeInclusive<u32>; 2] = [33..=40, 82..=85];
 /// Number of ArduPilot's outputs.
 const ARDUPILOT_OUTPUTS: usize = 32;
 /// An output that changes in less than this share of the samples does not move.
@@ -174,6 +178,23 @@ impl Driving<'_> {
     }
 }
 
+/// Number of motors with an output, by the functions that the parameters state; `None` unless it is
+/// more than a quadrotor has, as a log may lack parameters.
+pub(super) fn more_motors(parameters: &BTreeMap<String, f64>) -> Option<u32> {
+    let px4 = px4_devices(parameters).into_iter().flat_map(|device| device.functions).flatten();
+    let px4 = px4.map(|function| function as u32).filter(|f| PX4_MOTORS.contains(f));
+    let ardupilot = (0..ARDUPILOT_OUTPUTS).filter_map(|at| ardupilot_function(parameters, at));
+    let ardupilot = ardupilot.map(|function| function as u32);
+    let ardupilot = ardupilot.filter(|f| ARDUPILOT_MOTORS.iter().any(|motors| motors.contains(f)));
+    let motors = px4.chain(ardupilot).collect::<BTreeSet<u32>>().len();
+    (motors > MOTORS).then_some(motors as u32)
+}
+
+/// The function of an output of ArduPilot, counted from 0.
+fn ardupilot_function(parameters: &BTreeMap<String, f64>, at: usize) -> Option<f64> {
+    parameters.get(&format!("SERVO{}_FUNCTION", at + 1)).copied()
+}
+
 /// Motor mapping in ArduPilot's parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Stated {
@@ -187,7 +208,7 @@ pub(super) enum Stated {
 
 /// The outputs that drive ArduPilot's motors 1 to 4 (SERVOn_FUNCTION).
 pub(super) fn ardupilot_motors(parameters: &BTreeMap<String, f64>) -> Stated {
-    let function = |at: usize| parameters.get(&format!("SERVO{}_FUNCTION", at + 1)).copied();
+    let function = |at: usize| ardupilot_function(parameters, at);
     if (0..ARDUPILOT_OUTPUTS).all(|at| function(at).is_none()) {
         return Stated::Nothing;
     }
@@ -278,6 +299,21 @@ mod tests {
         assert!(px4_drive(&wing, &[logged(&[0])]).unwrap_err().contains("is a motor"));
         let split = parameters(&[("PWM_MAIN_FUNC1", 101.0), ("PWM_AUX_FUNC1", 102.0)]);
         assert!(px4_drive(&split, &[logged(&[0])]).unwrap_err().contains("PWM_MAIN, PWM_AUX"));
+    }
+
+    #[test]
+    fn functions_show_more_motors_than_a_quadrotor_has() {
+        let named = |name: fn(u32) -> String, functions: &[f64]| {
+            let named = (1..).zip(functions).map(|(n, function)| (name(n), *function));
+            more_motors(&named.collect())
+        };
+        let servo = |n| format!("SERVO{n}_FUNCTION");
+        let quad = [33.0, 34.0, 35.0, 36.0];
+        assert_eq!(named(servo, &[&quad[..], &[37.0, 38.0]].concat()), Some(6));
+        assert_eq!(named(servo, &[&quad[..], &[1.0, 33.0, 70.0]].concat()), None);
+        let main = |n| format!("PWM_MAIN_FUNC{n}");
+        assert_eq!(named(main, &[101.0, 102.0, 103.0, 104.0, 105.0, 106.0]), Some(6));
+        assert_eq!(named(main, &[101.0, 102.0, 103.0, 104.0, 201.0, 0.0]), None);
     }
 
     #[test]

@@ -10,6 +10,7 @@ use super::{Contents, Source};
 use crate::import::RPM;
 use crate::import::facts::VehicleFacts;
 use crate::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
+use crate::import::functions;
 use crate::import::kind::{self, StatedKind};
 use crate::import::onboard::{Row, Sample, Topic, TopicSpec, Topics};
 use crate::import::tally::Tally;
@@ -203,12 +204,13 @@ impl Contents {
         });
         let kinds = of_text.into_iter().chain(frame_kind).chain(of_build).chain(of_parameters);
         let stated = Parameters::from(self.parameters.clone());
+        let motors = stated.motor_count().or(of_frame.and_then(|(_, motors)| motors));
         let parameters = self.parameters.iter().filter(|(name, _)| is_of_vehicle(name));
         VehicleFacts {
             autopilot: firmwares.iter().find_map(|name| text_from(name)),
             frame,
             kinds: kinds.collect(),
-            motors: stated.motor_count().or(of_frame.and_then(|(_, motors)| motors)),
+            motors: motors.or_else(|| functions::more_motors(&self.parameters)),
             rotors: stated.rotors(),
             parameters: parameters.map(|(name, value)| (name.clone(), *value)).collect(),
             ..VehicleFacts::default()

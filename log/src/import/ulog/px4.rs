@@ -11,6 +11,7 @@ use vehicle::frame::{Attitude, Euler, Frd, Ned};
 use super::Contents;
 use crate::import::facts::VehicleFacts;
 use crate::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
+use crate::import::functions;
 use crate::import::kind::{self, StatedKind, VehicleKind};
 use crate::import::onboard::{Row, Sample, TopicSpec, Topics};
 use crate::import::tally::Tally;
@@ -40,7 +41,9 @@ topic_specs! {
     "vehicle_local_position": ["timestamp_sample", "x", "y", "z", "vx", "vy", "vz", "xy_valid",
         "z_valid", "v_xy_valid", "v_z_valid", "xy_reset_counter", "z_reset_counter",
         "vxy_reset_counter", "vz_reset_counter"],
-    "actuator_motors": ["control[0]", "control[1]", "control[2]", "control[3]", "control[4]"],
+    "actuator_motors": ["control[0]", "control[1]", "control[2]", "control[3]", "control[4]",
+        "control[5]", "control[6]", "control[7]", "control[8]", "control[9]", "control[10]",
+        "control[11]"],
     "actuator_outputs": ["noutputs", "output[0]", "output[1]", "output[2]", "output[3]",
         "output[4]", "output[5]", "output[6]", "output[7]", "output[8]", "output[9]", "output[10]",
         "output[11]", "output[12]", "output[13]", "output[14]", "output[15]"],
@@ -118,7 +121,7 @@ impl Contents {
         let motors = stated.motor_count().or_else(|| {
             let kind = parameter("MAV_TYPE").and_then(kind::motors_of_mav_type);
             let system = self.status("system_type").and_then(kind::motors_of_mav_type);
-            kind.or(system)
+            kind.or(system).or_else(|| functions::more_motors(&self.parameters))
         });
         let mut facts = VehicleFacts {
             autopilot,

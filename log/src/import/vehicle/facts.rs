@@ -4,6 +4,7 @@ use message::parameters::Parameters;
 
 use super::{ARDUPILOT, PX4, VehicleLog};
 use crate::import::facts::VehicleFacts;
+use crate::import::functions;
 use crate::import::kind::{self, StatedKind};
 
 impl VehicleLog {
@@ -26,11 +27,12 @@ impl VehicleLog {
             _ => None,
         };
         let stated = Parameters::from(self.parameters.clone());
+        let motors = stated.motor_count().or(most.and_then(kind::motors_of_mav_type));
         VehicleFacts {
             autopilot: firmware.or(name),
             kinds: of_type.into_iter().chain(of_text).chain(of_parameters).collect(),
             rotors: stated.rotors(),
-            motors: stated.motor_count().or(most.and_then(kind::motors_of_mav_type)),
+            motors: motors.or_else(|| functions::more_motors(&self.parameters)),
             parameters: self.parameters.clone(),
             texts: std::mem::take(&mut self.texts),
             ..VehicleFacts::default()

@@ -10,6 +10,20 @@ use crate::import::ranges;
 use crate::import::tally::Tally;
 use crate::import::ulog::Contents;
 
+const CONTROLS: [&str; 12] = [
+    "control[0]",
+    "control[1]",
+    "control[2]",
+    "control[3]",
+    "control[4]",
+    "control[5]",
+    "control[6]",
+    "control[7]",
+    "control[8]",
+    "control[9]",
+    "control[10]",
+    "control[11]",
+];
 const ESC_RPM: [&str; 8] = [
     "esc[0].esc_rpm",
     "esc[1].esc_rpm",
@@ -57,6 +71,19 @@ fn movement(topic: &Topic) -> Movement {
     movement
 }
 
+/// Number of motors with a command in most of the rows of `actuator_motors` in which any has one:
+/// of the others it is NaN, as of a motor that is switched off.
+fn commanded(topic: &Topic) -> usize {
+    let mut counts = [0_usize; CONTROLS.len()];
+    for row in topic.rows() {
+        for (count, control) in counts.iter_mut().zip(row.all(CONTROLS)) {
+            *count += usize::from(control.is_finite());
+        }
+    }
+    let most = counts.iter().max().copied().unwrap_or(0);
+    counts.iter().filter(|count| **count > most / 2).count()
+}
+
 /// The signal that PX4 sends to a motor for `thrust`, a fraction of full thrust. It solves
 /// `thrust = bend signal^2 + (1 - bend) signal`.
 fn signal(thrust: f64, bend: f64) -> f64 {
@@ -80,11 +107,12 @@ impl Contents {
                 let outputs = controls.map(|u| if u.is_nan() { 0.0 } else { u });
                 Sample::of(stamp(&row), outputs.iter().all(|u| u.is_finite()).then_some(outputs))
             });
-            if topic.has("control[4]") {
-                let count = facts.motors.map_or("more than 4".to_owned(), |n| n.to_string());
-                facts
-                    .notes
-                    .push(format!("the vehicle has {count} motors; outputs are its first 4"));
+            let count = commanded(topic);
+            if count > MOTORS {
+                facts.motors = facts.motors.max(Some(count as u32));
+                facts.notes.push(format!(
+                    "{count} motors have commands; outputs are those of the first 4"
+                ));
             }
             flight.motor_source = MotorSource::ActuatorMotors;
             flight.motor_unit = MotorUnit::ThrustFraction;
@@ -180,5 +208,47 @@ impl Contents {
             let speeds = speeds.iter().all(|speed| speed.is_finite()).then_some(speeds);
             Sample::of(stamp(&row), speeds)
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::TOPIC_SPECS;
+    use super::*;
+    use crate::import::flight::{Clock, Origin};
+
+    /// The number of motors of a log in which so many controls are finite, and the parameters that
+    /// it states.
+    fn motors(finite: usize, stated: &[(&str, f64)]) -> Option<u32> {
+        let spec = TOPIC_SPECS.iter().find(|spec| spec.topic == "actuator_motors");
+        let spec = *spec.expect("a known topic");
+        let mut contents = Contents::default();
+        contents.parameters.extend(stated.iter().map(|(name, x)| ((*name).to_owned(), *x)));
+        for step in 0..20 {
+            // Before it is armed, no motor has a command; one row is damaged.
+            let finite = if step < 8 { 0 } else { finite + 3 * usize::from(step == 12) };
+            let time = 0.1 * f64::from(step);
+            let control = |at: usize| if at < finite { 0.5 } else { f64::NAN };
+            let values: Vec<f64> =
+                [1e6 * time].into_iter().chain((0..CONTROLS.len()).map(control)).collect();
+            contents.topics.push(spec, 0, time, &values);
+        }
+        let origin = Origin {
+            path: "memory".into(),
+            run: String::new(),
+            sha256: String::new(),
+            format: "ulog",
+        };
+        let mut flight = Flight::empty(origin, Clock::Single);
+        contents.fill(&mut flight);
+        flight.facts.motors
+    }
+
+    #[test]
+    fn commands_show_more_motors_than_a_quadrotor_has() {
+        assert_eq!(motors(6, &[]), Some(6));
+        assert_eq!(motors(6, &[("MAV_TYPE", 2.0)]), Some(6));
+        assert_eq!(motors(4, &[]), None);
+        assert_eq!(motors(4, &[("MAV_TYPE", 2.0)]), Some(4));
     }
 }
