@@ -10,6 +10,7 @@ mod reader;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
+use super::facts::Texts;
 use super::flight::Flight;
 use super::onboard::{TopicSpec, Topics};
 use super::tally::Tally;
@@ -20,8 +21,6 @@ use reader::{MESSAGE_MAX, Message, Reader};
 
 /// The time stamp of a row, under the name that every row has here.
 const STAMP: &str = "TimeUS";
-/// Largest number of texts kept.
-const TEXTS_MAX: usize = 40;
 /// Fewest messages by which a log without its start is recognised.
 const MESSAGES_MIN: usize = 8;
 /// Fields with the number of the sensor, core or pack.
@@ -88,7 +87,7 @@ struct Contents {
     topics: Topics,
     /// Last value of each parameter.
     parameters: BTreeMap<String, f64>,
-    texts: Vec<String>,
+    texts: Texts,
     /// Notes on the boots.
     notes: Vec<String>,
     /// Number of the build, from the message VER.
@@ -209,10 +208,10 @@ impl Contents {
                 }
             }
             "MSG" => {
-                if let (Some(text), true) = (text("Message"), self.texts.len() < TEXTS_MAX) {
+                if let Some(text) = text("Message") {
                     let ms = number("TimeMS").map(|ms| ms * 1e3);
                     let time = number(STAMP).or(ms).map(|us| format!("{:.3} s: ", us * 1e-6));
-                    self.texts.push(time.unwrap_or_default() + text);
+                    self.texts.add(None, time.unwrap_or_default() + text);
                 }
             }
             "UNIT" => {

@@ -11,6 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
 use super::LogFault;
+use super::facts::Texts;
 use super::flight::Flight;
 use super::onboard::{TopicSpec, Topics};
 use super::tally::Tally;
@@ -18,12 +19,8 @@ use format::Place;
 pub(super) use reader::{MAGIC, UlogError};
 use reader::{Reader, Record, Subscription};
 
-/// Largest number of text messages kept; half of it is reserved for warnings.
-const TEXTS_MAX: usize = 40;
 /// Largest number of changes of parameters that are kept; a damaged log may have any number.
 const CHANGES_MAX: usize = 1000;
-/// Texts at this syslog level and worse are warnings.
-const WARNING: u8 = b'4';
 
 /// The content of a file before conversion to a flight.
 #[derive(Debug, Default)]
@@ -37,7 +34,7 @@ struct Contents {
     changes: Vec<Change>,
     /// `sys_name` and others.
     info: BTreeMap<String, String>,
-    texts: Vec<String>,
+    texts: Texts,
     /// Notes on the boots.
     notes: Vec<String>,
     /// Topics with rows.
@@ -130,11 +127,9 @@ impl Contents {
                 }
                 Record::Info { key, value } => contents.add_info(key, value),
                 Record::Text { level, time_us, text } => {
-                    let is_warning = level <= WARNING;
-                    if is_warning || contents.texts.len() < TEXTS_MAX / 2 {
-                        let time = time_us as f64 * 1e-6;
-                        contents.add_text(format!("{time:.3} s: {}", text.trim()));
-                    }
+                    let time = time_us as f64 * 1e-6;
+                    let text = format!("{time:.3} s: {}", text.trim());
+                    contents.texts.add(Some(level.saturating_sub(b'0')), text);
                 }
                 Record::Dropout { ms } => {
                     dropouts += 1;
@@ -178,11 +173,5 @@ impl Contents {
             _ => return,
         };
         self.info.insert(name.to_owned(), text);
-    }
-
-    fn add_text(&mut self, text: String) {
-        if self.texts.len() < TEXTS_MAX {
-            self.texts.push(text);
-        }
     }
 }

@@ -20,6 +20,7 @@ use wire::{Frame, message_name};
 use super::LogFault;
 use super::clocks::{Arrival, ClockMap, Exchange, FrameTime};
 use super::epoch::{Epoch, IMUS, ImuSample, PoseSample, Source};
+use super::facts::Texts;
 use super::flight::{Clock, Flight, Stream};
 use super::setpoints::{Sent, steadied};
 use super::tally::Tally;
@@ -28,8 +29,6 @@ use raw::Updates;
 /// Values of MAV_AUTOPILOT.
 const PX4: u8 = MavAutopilot::MAV_AUTOPILOT_PX4 as u8;
 const ARDUPILOT: u8 = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA as u8;
-/// Largest number of texts kept.
-const TEXTS_MAX: usize = 40;
 /// Index of RAW_IMU in [`IMUS`].
 const RAW_IMU: usize = 1;
 /// Consecutive messages that must agree on a jump of the vehicle's clock.
@@ -47,7 +46,7 @@ pub(super) struct VehicleLog {
     types: BTreeMap<u8, u64>,
     /// Last value of each parameter.
     parameters: BTreeMap<String, f64>,
-    texts: Vec<String>,
+    texts: Texts,
     /// Servo outputs that wait for a message that states the vehicle's time: their own stamps have
     /// 32 bits.
     outputs_waiting: Vec<(FrameTime, SERVO_OUTPUT_RAW_DATA)>,
@@ -127,9 +126,7 @@ impl VehicleLog {
             Inbound::Parameter { name, value } => {
                 self.parameters.insert(name, value);
             }
-            Inbound::StatusText { text, .. } if self.texts.len() < TEXTS_MAX => {
-                self.texts.push(text);
-            }
+            Inbound::StatusText { severity, text } => self.texts.add(Some(severity), text),
             Inbound::Attitude { source, attitude, body_rate } => {
                 let source = match source {
                     AttitudeSource::Quaternion => Source::Quaternion,

@@ -164,7 +164,7 @@ impl Contents {
         self.fill_outputs(flight, &mut facts, &mut tally);
         self.fill_rotor_speed(flight, &mut tally);
         self.fill_states(flight, &mut facts, &mut tally);
-        facts.texts = std::mem::take(&mut self.texts);
+        std::mem::take(&mut self.texts).give(&mut facts);
         flight.facts = facts;
         tally.give(flight);
     }

@@ -100,7 +100,7 @@ impl Contents {
         self.fill_outputs(flight, &mut facts, &mut tally);
         self.fill_states(flight, &mut tally);
         self.note_modes(&mut facts);
-        facts.texts = std::mem::take(&mut self.texts);
+        std::mem::take(&mut self.texts).give(&mut facts);
         flight.facts = facts;
         tally.give(flight);
     }

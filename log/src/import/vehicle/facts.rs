@@ -28,14 +28,15 @@ impl VehicleLog {
         };
         let stated = Parameters::from(self.parameters.clone());
         let motors = stated.motor_count().or(most.and_then(kind::motors_of_mav_type));
-        VehicleFacts {
+        let mut facts = VehicleFacts {
             autopilot: firmware.or(name),
             kinds: of_type.into_iter().chain(of_text).chain(of_parameters).collect(),
             rotors: stated.rotors(),
             motors: motors.or_else(|| functions::more_motors(&self.parameters)),
             parameters: self.parameters.clone(),
-            texts: std::mem::take(&mut self.texts),
             ..VehicleFacts::default()
-        }
+        };
+        std::mem::take(&mut self.texts).give(&mut facts);
+        facts
     }
 }
