@@ -17,7 +17,7 @@ use super::tally::Tally;
 use super::{LogFault, foreign};
 use layout::{Access, Layout, Units};
 pub(super) use reader::MARKS;
-use reader::{MESSAGE_MAX, Message, Reader};
+use reader::{MESSAGE_MAX, Message, Reader, Record};
 
 /// The time stamp of a row, under the name that every row has here.
 const STAMP: &str = "TimeUS";
@@ -129,7 +129,15 @@ pub(super) fn read(
     let mut kept: BTreeMap<u8, Option<Kept>> = BTreeMap::new();
     let mut names = BTreeSet::new();
     let mut values = Vec::new();
-    while let Some(message) = reader.next()? {
+    while let Some(record) = reader.next()? {
+        let message = match record {
+            Record::Message(message) => message,
+            Record::Redefined(kind) => {
+                kept.remove(&kind);
+                contents.units.forget_fields(kind);
+                continue;
+            }
+        };
         let Message { kind, layout, body } = &message;
         let units = &contents.units;
         let fresh = kept.entry(*kind).or_insert_with(|| {
@@ -139,7 +147,9 @@ pub(super) fn read(
             Kept::new(*kind, layout, units)
         });
         let Some(kept) = fresh else {
-            contents.add_definition(&message);
+            if let Some(kind) = contents.add_definition(&message) {
+                kept.remove(&kind);
+            }
             continue;
         };
         let number = |access: Access| access.number(body).unwrap_or(f64::NAN);
@@ -168,7 +178,7 @@ pub(super) fn read(
         return Err(LogFault::Foreign(foreign::SDLOG2.into()));
     }
     contents.tally.add("byte that belongs to no whole message", damage.bytes);
-    contents.tally.add("damaged or contradictory definition of a message", damage.definitions);
+    contents.tally.add("damaged definition of a message", damage.definitions);
     contents.tally.add("message without a definition (FMT) before it", damage.undefined);
     if damage.undefined > 0 && damage.first == Some(0) {
         contents
@@ -196,8 +206,9 @@ pub(super) fn read(
 }
 
 impl Contents {
-    /// Stores a parameter, a text, the build, or the units of other messages.
-    fn add_definition(&mut self, message: &Message<'_>) {
+    /// Stores a parameter, a text, the build, or the units of other messages. Returns the type of
+    /// the messages whose units it states.
+    fn add_definition(&mut self, message: &Message<'_>) -> Option<u8> {
         let Message { layout, body, .. } = message;
         let number = |name: &str| layout.field(&[name]).and_then(|f| f.number(body));
         let text = |name: &str| layout.field(&[name]).and_then(|f| f.text(body));
@@ -228,17 +239,69 @@ impl Contents {
                 let ids = (text("UnitIds"), text("MultIds"));
                 if let (Some(kind), (Some(units), Some(multipliers))) = (number("FmtType"), ids) {
                     self.units.add_fields(kind, units, multipliers);
+                    return Some(kind as u8);
                 }
             }
             "VER" => self.build = number("BU").or(self.build),
             _ => {}
         }
+        None
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A message, and the definition of one.
+    fn message(kind: u8, body: &[u8]) -> Vec<u8> {
+        [&MARKS[..], &[kind], body].concat()
+    }
+
+    fn definition(kind: u8, length: u8, name: &str, format: &str, columns: &str) -> Vec<u8> {
+        let mut body = vec![kind, 3 + length];
+        for (text, size) in [(name, 4), (format, 16), (columns, 64)] {
+            let mut bytes = text.as_bytes().to_vec();
+            bytes.resize(size, 0);
+            body.extend(bytes);
+        }
+        message(layout::FMT, &body)
+    }
+
+    fn imported(bytes: &[u8]) -> Flight {
+        let origin = super::super::Origin {
+            path: "memory".into(),
+            run: String::new(),
+            sha256: String::new(),
+            format: "dataflash",
+        };
+        let mut flight = Flight::empty(origin, super::super::Clock::Single);
+        assert!(read(bytes, None, &mut flight).is_ok());
+        flight
+    }
+
+    #[test]
+    fn messages_are_read_by_the_newest_definition() {
+        let stamp = |step: u64| (1_000_000 + 10_000 * step).to_le_bytes();
+        let mut log = definition(10, 16, "BAT", "Qff", "TimeUS,Volt,Curr");
+        log.extend(definition(11, 20, "IMU", "Qfff", "TimeUS,GyrX,GyrY,GyrZ"));
+        for step in 0..20 {
+            log.extend(message(10, &[&stamp(step)[..], &12_f32.to_le_bytes(), &[0; 4]].concat()));
+            log.extend(message(11, &[&stamp(step)[..], &[0; 12]].concat()));
+        }
+        // Another firmware: the types change places, and a field is new. The third is damaged.
+        log.extend(definition(10, 20, "IMU", "Qfff", "TimeUS,GyrX,GyrY,GyrZ"));
+        log.extend(definition(11, 16, "BAT", "Qff", "TimeUS,Res,Volt"));
+        log.extend(definition(11, 16, "BAT", "Qff", "TimeUS,Volt"));
+        for step in 20..40 {
+            log.extend(message(10, &[&stamp(step)[..], &[0; 12]].concat()));
+            log.extend(message(11, &[&stamp(step)[..], &[0; 4], &11_f32.to_le_bytes()].concat()));
+        }
+        let flight = imported(&log);
+        assert_eq!(flight.body_rate.len(), 40);
+        assert_eq!(flight.voltage.values(), [[12.0; 20], [11.0; 20]].concat());
+        assert_eq!(flight.left_out, [("damaged definition of a message".to_owned(), 1)]);
+    }
 
     #[test]
     fn log_without_its_start_is_recognised_by_the_marks_of_its_messages() {

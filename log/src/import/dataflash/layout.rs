@@ -175,6 +175,11 @@ impl Units {
         self.fields.insert(kind as u8, entry);
     }
 
+    /// Drops what is known of the fields of a type of message.
+    pub fn forget_fields(&mut self, kind: u8) {
+        self.fields.remove(&kind);
+    }
+
     /// The factor from a field's number to SI, if the log states it; else `default_factor`, as in
     /// logs before 2018.
     pub fn factor(&self, kind: u8, access: Access, default_factor: f64) -> f64 {

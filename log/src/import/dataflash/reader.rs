@@ -20,7 +20,7 @@ const CHUNK: usize = 1 << 16;
 pub(super) struct Damage {
     /// Number of bytes between messages.
     pub bytes: u64,
-    /// Number of definitions that contradict themselves or an earlier one.
+    /// Number of definitions that contradict themselves.
     pub definitions: u64,
     /// Number of messages whose type no earlier message defines.
     pub undefined: u64,
@@ -36,6 +36,14 @@ pub(super) struct Message<'a> {
     pub kind: u8,
     pub layout: &'a Layout,
     pub body: &'a [u8],
+}
+
+/// What [`Reader::next`] returns.
+#[derive(Debug)]
+pub(super) enum Record<'a> {
+    Message(Message<'a>),
+    /// From here on, messages of this type have another layout.
+    Redefined(u8),
 }
 
 /// Reads messages.
@@ -73,11 +81,12 @@ impl<R: Read> Reader<R> {
         layouts.any(|layout| layout.name == name && layout.field(&[field]).is_some())
     }
 
-    /// Returns the next message that is not a definition, or `None` at the end.
+    /// Returns the next message that is not a definition, the next change of a layout, or `None` at
+    /// the end.
     ///
     /// # Errors
     /// Errors of the source.
-    pub fn next(&mut self) -> io::Result<Option<Message<'_>>> {
+    pub fn next(&mut self) -> io::Result<Option<Record<'_>>> {
         let (kind, from, to) = loop {
             self.fill(2 * MESSAGE_MAX)?;
             let rest = &self.buffer[self.start..];
@@ -107,26 +116,28 @@ impl<R: Read> Reader<R> {
             let (from, to) = (self.start + HEAD, self.start + length);
             self.start += length;
             self.messages += 1;
-            if kind == FMT {
-                self.define(from, to);
-            } else {
+            if kind != FMT {
                 break (kind, from, to);
+            }
+            if let Some(redefined) = self.define(from, to) {
+                return Ok(Some(Record::Redefined(redefined)));
             }
         };
         let layout = self.layouts[usize::from(kind)].as_ref();
-        Ok(layout.map(|layout| Message { kind, layout, body: &self.buffer[from..to] }))
+        let body = &self.buffer[from..to];
+        Ok(layout.map(|layout| Record::Message(Message { kind, layout, body })))
     }
 
-    fn define(&mut self, from: usize, to: usize) {
+    /// Stores a definition, if it is whole and does not contradict itself. Returns the type whose
+    /// layout it changes: loggers repeat the definitions from time to time, and a file may continue
+    /// with the log of another firmware.
+    fn define(&mut self, from: usize, to: usize) -> Option<u8> {
         let Some((kind, layout)) = Layout::parse(&self.buffer[from..to]) else {
             self.damage.definitions += 1;
-            return;
+            return None;
         };
-        match &mut self.layouts[usize::from(kind)] {
-            // Loggers repeat the definitions from time to time.
-            Some(known) => self.damage.definitions += u64::from(*known != layout),
-            unknown => *unknown = Some(layout),
-        }
+        let known = self.layouts[usize::from(kind)].replace(layout)?;
+        (self.layouts[usize::from(kind)].as_ref() != Some(&known)).then_some(kind)
     }
 
     /// Length of the message at the start of `bytes`, if its type is defined.
