@@ -6,13 +6,13 @@
 
 mod boots;
 mod facts;
+mod parameters;
 mod raw;
 
 use std::collections::BTreeMap;
 
 use mavlink::MessageData;
 use message::Codec;
-use message::parameter_value::ParameterCast;
 use message::{AttitudeSource, Battery, Inbound, LandedState};
 use wire::dialect::*;
 use wire::{Frame, message_name};
@@ -24,6 +24,7 @@ use super::facts::Texts;
 use super::flight::{Clock, Flight, Stream};
 use super::setpoints::{Sent, steadied};
 use super::tally::Tally;
+use parameters::Heard;
 use raw::Updates;
 
 /// Values of MAV_AUTOPILOT.
@@ -44,8 +45,7 @@ pub(super) struct VehicleLog {
     autopilot: Option<u8>,
     /// Heartbeats by MAV_TYPE.
     types: BTreeMap<u8, u64>,
-    /// Last value of each parameter.
-    parameters: BTreeMap<String, f64>,
+    parameters: Vec<Heard>,
     texts: Texts,
     /// Servo outputs that wait for a message that states the vehicle's time: their own stamps have
     /// 32 bits.
@@ -96,6 +96,10 @@ impl VehicleLog {
             self.add_raw(frame_time, frame);
             return;
         }
+        if frame.id() == PARAM_VALUE_DATA::ID {
+            self.add_parameter(frame_time, frame);
+            return;
+        }
         if !is_kept(frame.id()) {
             return;
         }
@@ -119,12 +123,6 @@ impl VehicleLog {
                 self.autopilot = Some(autopilot);
                 *self.types.entry(vehicle_type).or_default() += 1;
                 self.armed.push((frame_time, armed));
-                if autopilot == PX4 {
-                    self.codec.set_parameter_cast(ParameterCast::Bytes);
-                }
-            }
-            Inbound::Parameter { name, value } => {
-                self.parameters.insert(name, value);
             }
             Inbound::StatusText { severity, text } => self.texts.add(Some(severity), text),
             Inbound::Attitude { source, attitude, body_rate } => {
@@ -259,9 +257,9 @@ impl VehicleLog {
         let mut tally = std::mem::take(&mut self.tally);
         // Parameters from the log's metadata, overridden by received ones.
         let mut stated = std::mem::take(&mut flight.facts.parameters);
-        stated.append(&mut self.parameters);
-        self.parameters = stated;
-        flight.facts = self.facts();
+        let heard = self.heard_parameters().map(|(_, name, value)| (name.to_owned(), value));
+        stated.extend(heard);
+        flight.facts = self.facts(&stated);
         let flown = self.flown();
         let Some(chosen) = self.chosen(boot, &flown)? else { return Ok(tally) };
         self.note_boots(chosen, &flown, &mut flight.facts.notes, &mut tally);
@@ -315,7 +313,7 @@ impl VehicleLog {
         place(&map, setpoints, &mut placed, "SET_ATTITUDE_TARGET", &mut tally);
         flight.setpoint = placed.map(|(setpoint, _)| *setpoint);
         flight.setpoints_missing = placed.filter_map(|(_, n)| (*n > 0).then_some(*n));
-        epoch.fill(shifts, &self.parameters, flight);
+        epoch.fill(shifts, &stated, flight);
         Ok(tally)
     }
 }
@@ -351,7 +349,6 @@ fn is_kept(id: u32) -> bool {
             | ACTUATOR_OUTPUT_STATUS_DATA::ID
             | BATTERY_STATUS_DATA::ID
             | EXTENDED_SYS_STATE_DATA::ID
-            | PARAM_VALUE_DATA::ID
             | STATUSTEXT_DATA::ID
     )
 }
