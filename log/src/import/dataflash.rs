@@ -10,9 +10,9 @@ mod reader;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
-use super::facts::Texts;
 use super::flight::Flight;
 use super::onboard::{TopicSpec, Topics};
+use super::statements::{Statement, Statements};
 use super::tally::Tally;
 use super::{LogFault, foreign};
 use layout::{Access, Layout, Units};
@@ -85,13 +85,10 @@ impl Kept {
 #[derive(Debug, Default)]
 struct Contents {
     topics: Topics,
-    /// Last value of each parameter.
-    parameters: BTreeMap<String, f64>,
-    texts: Texts,
+    /// What the chosen boot states.
+    stated: Statements,
     /// Notes on the boots.
     notes: Vec<String>,
-    /// Number of the build, from the message VER.
-    build: Option<f64>,
     units: Units,
     tally: Tally,
 }
@@ -129,6 +126,8 @@ pub(super) fn read(
     let mut kept: BTreeMap<u8, Option<Kept>> = BTreeMap::new();
     let mut names = BTreeSet::new();
     let mut values = Vec::new();
+    // What the boots state: the number of rows before it, its stamp in s, and the statement.
+    let mut statements: Vec<(usize, Option<f64>, Statement)> = Vec::new();
     while let Some(record) = reader.next()? {
         let message = match record {
             Record::Message(message) => message,
@@ -147,7 +146,9 @@ pub(super) fn read(
             Kept::new(*kind, layout, units)
         });
         let Some(kept) = fresh else {
-            if let Some(kind) = contents.add_definition(&message) {
+            if let Some(statement) = statement(&message) {
+                statements.push((contents.topics.len(), stamp(&message), statement));
+            } else if let Some(kind) = contents.add_definition(&message) {
                 kept.remove(&kind);
             }
             continue;
@@ -200,31 +201,48 @@ pub(super) fn read(
     let topics = std::mem::take(&mut contents.topics);
     let (notes, tally) = (&mut contents.notes, &mut contents.tally);
     contents.topics = topics.choose_boot(boot, ardupilot::flown, notes, tally)?;
+    let boots = &contents.topics.boots;
+    let mut stated = vec![Statements::default(); boots.count()];
+    for (row, stamp, statement) in statements {
+        if let Some(boot) = stated.get_mut(boots.of(row, stamp)) {
+            boot.add(statement);
+        }
+    }
+    contents.stated = Statements::of_boot(&stated, boots.chosen, ardupilot::kinds);
     contents.fill(flight);
     let names = names.into_iter().collect();
     Ok(super::Contents { part: "message", names, reason: None })
 }
 
+/// The time stamp of a message, s.
+fn stamp(Message { layout, body, .. }: &Message<'_>) -> Option<f64> {
+    let number = |name: &str| layout.field(&[name]).and_then(|f| f.number(body));
+    number(STAMP).map(|us| us * 1e-6).or(number("TimeMS").map(|ms| ms * 1e-3))
+}
+
+/// A parameter, a text, or the build.
+fn statement(message: &Message<'_>) -> Option<Statement> {
+    let Message { layout, body, .. } = message;
+    let number = |name: &str| layout.field(&[name]).and_then(|f| f.number(body));
+    let text = |name: &str| layout.field(&[name]).and_then(|f| f.text(body));
+    match layout.name.as_str() {
+        "PARM" => Some(Statement::Parameter(text("Name")?.to_owned(), number("Value")?)),
+        "MSG" => {
+            let time = stamp(message).map(|s| format!("{s:.3} s: ")).unwrap_or_default();
+            Some(Statement::Text(None, time + text("Message")?))
+        }
+        "VER" => Some(Statement::Type(number("BU")? as u8)),
+        _ => None,
+    }
+}
+
 impl Contents {
-    /// Stores a parameter, a text, the build, or the units of other messages. Returns the type of
-    /// the messages whose units it states.
+    /// Stores the units of other messages. Returns the type of the messages whose units it states.
     fn add_definition(&mut self, message: &Message<'_>) -> Option<u8> {
         let Message { layout, body, .. } = message;
         let number = |name: &str| layout.field(&[name]).and_then(|f| f.number(body));
         let text = |name: &str| layout.field(&[name]).and_then(|f| f.text(body));
         match layout.name.as_str() {
-            "PARM" => {
-                if let (Some(name), Some(value)) = (text("Name"), number("Value")) {
-                    self.parameters.insert(name.to_owned(), value);
-                }
-            }
-            "MSG" => {
-                if let Some(text) = text("Message") {
-                    let ms = number("TimeMS").map(|ms| ms * 1e3);
-                    let time = number(STAMP).or(ms).map(|us| format!("{:.3} s: ", us * 1e-6));
-                    self.texts.add(None, time.unwrap_or_default() + text);
-                }
-            }
             "UNIT" => {
                 if let (Some(id), Some(label)) = (number("Id"), text("Label")) {
                     self.units.add_label(id, label);
@@ -242,7 +260,6 @@ impl Contents {
                     return Some(kind as u8);
                 }
             }
-            "VER" => self.build = number("BU").or(self.build),
             _ => {}
         }
         None
@@ -278,6 +295,51 @@ mod tests {
         let mut flight = Flight::empty(origin, super::super::Clock::Single);
         assert!(read(bytes, None, &mut flight).is_ok());
         flight
+    }
+
+    /// A boot from `from_s` on, with rows of RCOU that have the motors on four outputs from `first`.
+    fn boot(from_s: u64, seconds: u64, first: u8, firmware: &str, parameters: &str) -> Vec<u8> {
+        let padded = |text: &str, size: usize| {
+            let mut bytes = text.as_bytes().to_vec();
+            bytes.resize(size, 0);
+            bytes
+        };
+        let us = |ms: u64| ((1000 * from_s + ms) * 1000).to_le_bytes();
+        let mut log = definition(2, 28, "PARM", "QNf", "TimeUS,Name,Value");
+        log.extend(definition(3, 72, "MSG", "QZ", "TimeUS,Message"));
+        log.extend(definition(13, 24, "RCOU", "QHHHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6,C7,C8"));
+        let mut state = |name: &str, value: f32| {
+            let body = [&us(0)[..], &padded(name, 16), &value.to_le_bytes()].concat();
+            log.extend(message(2, &body));
+        };
+        (0..4).for_each(|n| state(&format!("SERVO{}_FUNCTION", first + n), 33.0 + f32::from(n)));
+        parameters.split_whitespace().for_each(|name| state(name, 1.0));
+        log.extend(message(3, &[&us(0)[..], &padded(firmware, 64)].concat()));
+        for step in 0..50 * seconds {
+            let pulse = |output: u8| {
+                let is_motor = (first..first + 4).contains(&output);
+                if is_motor { 1500 + (step % 50) as u16 } else { 900 }
+            };
+            let pulses: Vec<u8> = (1..=8).flat_map(|n| pulse(n).to_le_bytes()).collect();
+            log.extend(message(13, &[&us(20 * step + 20)[..], &pulses].concat()));
+        }
+        log
+    }
+
+    #[test]
+    fn facts_are_those_of_the_boot_that_is_read() {
+        let quad = boot(4, 20, 5, "ArduCopter V4.5.0", "FRAME_CLASS");
+        let bench = boot(2, 5, 1, "ArduCopter V4.4.0", "FRAME_CLASS");
+        let plane = boot(3, 5, 1, "ArduPlane V4.5.0", "Q_ENABLE TECS_CLMB_MAX");
+        for other in [bench, plane] {
+            for log in [[&quad[..], &other].concat(), [&other[..], &quad].concat()] {
+                let flight = imported(&log);
+                assert_eq!(flight.outputs.len(), 1000);
+                assert_eq!(flight.outputs.values()[7], [1507.0; 4]);
+                assert_eq!(flight.facts.autopilot.as_deref(), Some("ArduCopter V4.5.0"));
+                assert_eq!((flight.facts.stated_otherwise(), flight.facts.texts.len()), (None, 1));
+            }
+        }
     }
 
     #[test]

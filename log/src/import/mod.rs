@@ -21,6 +21,7 @@ mod read_ahead;
 mod references;
 mod setpoints;
 mod source;
+mod statements;
 mod stream;
 mod table;
 mod tally;

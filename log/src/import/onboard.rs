@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 
 use super::flight::Stream;
 use super::tally::Tally;
+pub(super) use boots::Boots;
 
 /// Number of neighbours on each side in the file that determine the clock.
 const NEIGHBOURS: usize = 15;
@@ -114,6 +115,8 @@ pub(super) struct Topics {
     /// Time stamps of all rows in file order, s.
     clock: Vec<f64>,
     topics: BTreeMap<(&'static str, u8), Topic>,
+    /// The boots of the file, after the choice of one.
+    pub boots: Boots,
 }
 
 impl Topics {
@@ -126,6 +129,11 @@ impl Topics {
         let topic = self.topics.entry((spec.topic, instance)).or_insert_with(fresh);
         topic.values.extend_from_slice(values);
         topic.numbers.push(number);
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.clock.len()
     }
 
     /// Time stamp of the newest row, s; NaN without one.

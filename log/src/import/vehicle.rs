@@ -9,8 +9,6 @@ mod facts;
 mod parameters;
 mod raw;
 
-use std::collections::BTreeMap;
-
 use mavlink::MessageData;
 use message::Codec;
 use message::{AttitudeSource, Battery, Inbound, LandedState};
@@ -20,9 +18,9 @@ use wire::{Frame, message_name};
 use super::LogFault;
 use super::clocks::{Arrival, ClockMap, Exchange, FrameTime};
 use super::epoch::{Epoch, IMUS, ImuSample, PoseSample, Source};
-use super::facts::Texts;
 use super::flight::{Clock, Flight, Stream};
 use super::setpoints::{Sent, steadied};
+use super::statements::Statement;
 use super::tally::Tally;
 use parameters::Heard;
 use raw::Updates;
@@ -37,16 +35,36 @@ const JUMP_MESSAGES: u32 = 8;
 /// Assumed minimum downlink delay for placing setpoints without TIMESYNC, s.
 const ASSUMED_DELAY: f64 = 1.5e-3;
 
+/// The longest time without a frame of the vehicle since its clock last continued: where it
+/// rebooted, if the clock does not. Its first reports may come well before its first stamp.
+#[derive(Debug, Default)]
+struct Silence {
+    /// Ground time of the newest frame, s.
+    last: f64,
+    longest: f64,
+    /// Number of the frame after it.
+    until: u32,
+}
+
+impl Silence {
+    fn hear(&mut self, frame_time: FrameTime) {
+        let silent = frame_time.ground - self.last;
+        self.last = frame_time.ground;
+        if silent >= self.longest {
+            (self.longest, self.until) = (silent, frame_time.index);
+        }
+    }
+}
+
 /// Everything that one system and component sent.
 #[derive(Debug, Default)]
 pub(super) struct VehicleLog {
     codec: Codec,
     /// MAV_AUTOPILOT in its heartbeats.
     autopilot: Option<u8>,
-    /// Heartbeats by MAV_TYPE.
-    types: BTreeMap<u8, u64>,
     parameters: Vec<Heard>,
-    texts: Texts,
+    /// Texts and types, with the numbers of their frames.
+    statements: Vec<(u32, Statement)>,
     /// Servo outputs that wait for a message that states the vehicle's time: their own stamps have
     /// 32 bits.
     outputs_waiting: Vec<(FrameTime, SERVO_OUTPUT_RAW_DATA)>,
@@ -59,6 +77,7 @@ pub(super) struct VehicleLog {
     /// Consecutive messages that do not follow the clock, and the frame number of the first.
     jumped: u32,
     jumped_from: u32,
+    silence: Silence,
     battery: Vec<(FrameTime, f64)>,
     /// Voltage from SYS_STATUS.
     system_voltage: Vec<(FrameTime, f64)>,
@@ -92,6 +111,7 @@ impl VehicleLog {
 
     /// Adds a frame from this vehicle.
     pub fn add(&mut self, frame_time: FrameTime, frame: &Frame) {
+        self.silence.hear(frame_time);
         if raw::is_raw(frame.id()) {
             self.add_raw(frame_time, frame);
             return;
@@ -121,10 +141,12 @@ impl VehicleLog {
                 if autopilot != MavAutopilot::MAV_AUTOPILOT_INVALID as u8 =>
             {
                 self.autopilot = Some(autopilot);
-                *self.types.entry(vehicle_type).or_default() += 1;
+                self.statements.push((frame_time.index, Statement::Type(vehicle_type)));
                 self.armed.push((frame_time, armed));
             }
-            Inbound::StatusText { severity, text } => self.texts.add(Some(severity), text),
+            Inbound::StatusText { severity, text } => {
+                self.statements.push((frame_time.index, Statement::Text(Some(severity), text)));
+            }
             Inbound::Attitude { source, attitude, body_rate } => {
                 let source = match source {
                     AttitudeSource::Quaternion => Source::Quaternion,
@@ -209,7 +231,7 @@ impl VehicleLog {
         let is_new = epoch.tracks[source as usize].is_none();
         if is_new && self.jumped > 0 || !is_new && !epoch.follows(source, &arrival) {
             if self.jumped == 0 {
-                self.jumped_from = frame_time.index;
+                self.jumped_from = self.silence.until.min(frame_time.index);
             }
             self.jumped += 1;
             if self.jumped < JUMP_MESSAGES {
@@ -226,6 +248,7 @@ impl VehicleLog {
             }
         }
         self.jumped = 0;
+        self.silence.longest = f64::NEG_INFINITY;
         let epoch = &mut self.epochs[self.current];
         let kept = push(epoch, vehicle);
         epoch.take(source, arrival, kept);
@@ -255,13 +278,17 @@ impl VehicleLog {
     ) -> Result<Tally, LogFault> {
         self.keep_waiting_outputs();
         let mut tally = std::mem::take(&mut self.tally);
-        // Parameters from the log's metadata, overridden by received ones.
-        let mut stated = std::mem::take(&mut flight.facts.parameters);
-        let heard = self.heard_parameters().map(|(_, name, value)| (name.to_owned(), value));
-        stated.extend(heard);
-        flight.facts = self.facts(&stated);
         let flown = self.flown();
-        let Some(chosen) = self.chosen(boot, &flown)? else { return Ok(tally) };
+        let chosen = self.chosen(boot, &flown)?;
+        let mut stated = self.stated(chosen.unwrap_or(0));
+        // Parameters from the log's metadata, overridden by received ones.
+        let metadata = std::mem::take(&mut flight.facts.parameters);
+        for (name, value) in metadata {
+            stated.parameters.entry(name).or_insert(value);
+        }
+        let parameters = stated.parameters.clone();
+        flight.facts = self.facts(stated);
+        let Some(chosen) = chosen else { return Ok(tally) };
         self.note_boots(chosen, &flown, &mut flight.facts.notes, &mut tally);
         let in_epoch = |frame_time: &FrameTime| self.epoch_at(frame_time.index) == Some(chosen);
         let of_epoch = |all: &[(FrameTime, f64)]| -> Vec<(FrameTime, f64)> {
@@ -313,7 +340,7 @@ impl VehicleLog {
         place(&map, setpoints, &mut placed, "SET_ATTITUDE_TARGET", &mut tally);
         flight.setpoint = placed.map(|(setpoint, _)| *setpoint);
         flight.setpoints_missing = placed.filter_map(|(_, n)| (*n > 0).then_some(*n));
-        epoch.fill(shifts, &stated, flight);
+        epoch.fill(shifts, &parameters, flight);
         Ok(tally)
     }
 }

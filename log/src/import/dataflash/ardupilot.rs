@@ -8,11 +8,12 @@ use vehicle::frame::{Attitude, Euler, Frd, Ned};
 use super::layout::{Access, Layout};
 use super::{Contents, Source};
 use crate::import::RPM;
-use crate::import::facts::VehicleFacts;
+use crate::import::facts::{Texts, VehicleFacts};
 use crate::import::flight::{AttitudeSetpoint, Clock, Flight, SetpointSource, Stream};
 use crate::import::functions;
 use crate::import::kind::{self, StatedKind};
 use crate::import::onboard::{Row, Sample, Topic, TopicSpec, Topics};
+use crate::import::statements::Statements;
 use crate::import::tally::Tally;
 
 /// Names of RCOU's outputs.
@@ -150,6 +151,34 @@ fn euler(row: &Row<'_>, fields: [&str; 3]) -> Option<Attitude> {
     row.finite(fields).map(|[roll, pitch, yaw]| Euler::new(roll, pitch, yaw).attitude())
 }
 
+/// The first text with `start`, from there on.
+fn text_from(texts: &Texts, start: &str) -> Option<String> {
+    texts.iter().find_map(|text| Some(text.get(text.find(start)?..)?.to_owned()))
+}
+
+/// The frame, as the autopilot names it.
+fn frame(stated: &Statements) -> Option<String> {
+    const START: &str = "Frame: ";
+    text_from(&stated.texts, START)?.strip_prefix(START).map(str::to_owned)
+}
+
+/// Every kind of vehicle that a boot states.
+pub(super) fn kinds(stated: &Statements) -> Vec<StatedKind> {
+    let of_text = stated.texts.iter().find_map(|text| {
+        let name = text.split_once(" s: ").map_or(text.as_str(), |(_, text)| text);
+        StatedKind::new(kind::of_firmware(text), || format!("the firmware is {name}"))
+    });
+    let of_frame = frame(stated).and_then(|name| {
+        let kind = kind::of_frame(&name).map(|(kind, _)| kind);
+        StatedKind::new(kind, || format!("the frame is {name}"))
+    });
+    let of_build = stated.most_frequent_type().and_then(|build| {
+        StatedKind::new(kind::of_build(build), || format!("BU of VER is {build}"))
+    });
+    let of_parameters = kind::of_parameters(&stated.parameters);
+    of_text.into_iter().chain(of_frame).chain(of_build).chain(of_parameters).collect()
+}
+
 impl Contents {
     /// Fills the streams of `flight`.
     pub(super) fn fill(mut self, flight: &mut Flight) {
@@ -164,19 +193,17 @@ impl Contents {
         self.fill_outputs(flight, &mut facts, &mut tally);
         self.fill_rotor_speed(flight, &mut tally);
         self.fill_states(flight, &mut facts, &mut tally);
-        std::mem::take(&mut self.texts).give(&mut facts);
+        std::mem::take(&mut self.stated.texts).give(&mut facts);
         flight.facts = facts;
         tally.give(flight);
     }
 
     fn parameter(&self, name: &str) -> Option<f64> {
-        self.parameters.get(name).copied()
+        self.stated.parameters.get(name).copied()
     }
 
     fn facts(&self) -> VehicleFacts {
-        let text_from = |start: &str| {
-            self.texts.iter().find_map(|text| Some(text[text.find(start)?..].to_owned()))
-        };
+        let Statements { parameters, texts, .. } = &self.stated;
         let firmwares = [
             "ArduCopter",
             "APM:Copter",
@@ -188,31 +215,18 @@ impl Contents {
             "ArduSub",
             "Blimp",
         ];
-        let of_text = self.texts.iter().find_map(|text| {
-            let name = text.split_once(" s: ").map_or(text.as_str(), |(_, text)| text);
-            StatedKind::new(kind::of_firmware(text), || format!("the firmware is {name}"))
-        });
-        let of_build = self.build.and_then(|build| {
-            StatedKind::new(kind::of_build(build), || format!("BU of VER is {build}"))
-        });
-        let of_parameters = kind::of_parameters(&self.parameters);
-        let frame = text_from("Frame: ").map(|text| text["Frame: ".len()..].to_owned());
+        let frame = frame(&self.stated);
         let of_frame = frame.as_deref().and_then(kind::of_frame);
-        let frame_kind = of_frame.and_then(|(kind, _)| {
-            let name = frame.as_deref().unwrap_or_default();
-            StatedKind::new(Some(kind), || format!("the frame is {name}"))
-        });
-        let kinds = of_text.into_iter().chain(frame_kind).chain(of_build).chain(of_parameters);
-        let stated = Parameters::from(self.parameters.clone());
+        let stated = Parameters::from(parameters.clone());
         let motors = stated.motor_count().or(of_frame.and_then(|(_, motors)| motors));
-        let parameters = self.parameters.iter().filter(|(name, _)| is_of_vehicle(name));
+        let of_vehicle = parameters.iter().filter(|(name, _)| is_of_vehicle(name));
         VehicleFacts {
-            autopilot: firmwares.iter().find_map(|name| text_from(name)),
+            autopilot: firmwares.iter().find_map(|name| text_from(texts, name)),
             frame,
-            kinds: kinds.collect(),
-            motors: motors.or_else(|| functions::more_motors(&self.parameters)),
+            kinds: kinds(&self.stated),
+            motors: motors.or_else(|| functions::more_motors(parameters)),
             rotors: stated.rotors(),
-            parameters: parameters.map(|(name, value)| (name.clone(), *value)).collect(),
+            parameters: of_vehicle.map(|(name, value)| (name.clone(), *value)).collect(),
             ..VehicleFacts::default()
         }
     }
@@ -426,7 +440,10 @@ mod tests {
     /// A log with ten rows of each of these messages: name, core, a field and its number.
     fn log(parameters: &[(&str, f64)], messages: &[(&str, u8, &str, f64)]) -> Contents {
         let mut contents = Contents::default();
-        contents.parameters.extend(parameters.iter().map(|(name, x)| ((*name).to_owned(), *x)));
+        contents
+            .stated
+            .parameters
+            .extend(parameters.iter().map(|(name, x)| ((*name).to_owned(), *x)));
         for step in 0..10 {
             let time = 0.1 * f64::from(step);
             for (name, core, field, number) in messages {

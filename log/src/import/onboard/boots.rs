@@ -1,7 +1,5 @@
 //! The boots of the vehicle in one on-board log, and the choice of one of them.
 
-use std::collections::BTreeMap;
-
 use super::{NEIGHBOURS, Row, Topic, Topics, middle};
 use crate::import::LogFault;
 use crate::import::boot::Boot;
@@ -14,6 +12,39 @@ const RESTART_ROWS: usize = 50;
 /// Fewest rows of a boot.
 const BOOT_ROWS: usize = 10;
 
+/// Where the boots of a file begin, and the chosen one.
+#[derive(Clone, Debug, Default)]
+pub(in crate::import) struct Boots {
+    /// For all but the first boot: the index of its first row, and the stamps of the row before and
+    /// of this row, s.
+    starts: Vec<(usize, [f64; 2])>,
+    /// Index of the chosen boot.
+    pub chosen: usize,
+}
+
+impl Boots {
+    /// Number of boots.
+    pub fn count(&self) -> usize {
+        self.starts.len() + 1
+    }
+
+    /// The boot of something that was logged before the row of this index, with a stamp in s if it
+    /// has one. Between the rows of two boots, it is of the nearer one, and without a stamp of the
+    /// second, as a log begins with what it states about the vehicle.
+    pub fn of(&self, row: usize, stamp: Option<f64>) -> usize {
+        let boot = self.starts.partition_point(|(start, _)| *start <= row);
+        let between = boot.checked_sub(1).and_then(|before| self.starts.get(before));
+        match (between, stamp) {
+            (Some((start, [last, first])), Some(stamp))
+                if *start == row && (stamp - last).abs() < (stamp - first).abs() =>
+            {
+                boot - 1
+            }
+            _ => boot,
+        }
+    }
+}
+
 impl Topics {
     /// The rows of each boot of the vehicle; `starts` are the indices of all but the first boot's
     /// first rows.
@@ -23,7 +54,7 @@ impl Topics {
         let mut from = 0;
         for to in ends {
             let clock = self.clock[from..to].to_vec();
-            boots.push(Self { clock, topics: BTreeMap::new() });
+            boots.push(Self { clock, ..Self::default() });
             from = to;
         }
         for (key, topic) in self.topics {
@@ -73,6 +104,8 @@ impl Topics {
         tally: &mut Tally,
     ) -> Result<Self, LogFault> {
         let starts = self.restarts();
+        let ends = |start: &usize| (*start, [self.clock[*start - 1], self.clock[*start]]);
+        let ends = starts.iter().map(ends).collect();
         if boot.is_none_or(|boot| boot == 1) && starts.is_empty() {
             return Ok(self);
         }
@@ -93,7 +126,9 @@ impl Topics {
         for (_, boot) in boots.iter().enumerate().filter(|(at, _)| *at != chosen) {
             tally.add("row of another boot of the vehicle", boot.clock.len() as u64);
         }
-        Ok(boots.swap_remove(chosen))
+        let mut kept = boots.swap_remove(chosen);
+        kept.boots = Boots { starts: ends, chosen };
+        Ok(kept)
     }
 
     /// First and last time of the clock, s; medians, which a few damaged stamps do not change.
@@ -154,6 +189,22 @@ mod tests {
         let Ok((clock, ..)) = choose(Some(1)) else { panic!("the first") };
         assert_eq!(clock, boot(5.0, 200).collect::<Vec<_>>());
         assert!(matches!(choose(Some(3)), Err(LogFault::NoBoot { boot: 3, boots: 2 })));
+    }
+
+    #[test]
+    fn statements_between_two_boots_are_of_the_nearer_one() {
+        let boots = Boots { starts: vec![(200, [24.9, 12.0])], chosen: 0 };
+        for (row, stamp, boot) in [
+            (0, None, 0),
+            (199, Some(12.0), 0),
+            (200, Some(24.8), 0),
+            (200, Some(0.1), 1),
+            (200, Some(f64::NAN), 1),
+            (200, None, 1),
+            (201, Some(24.8), 1),
+        ] {
+            assert_eq!(boots.of(row, stamp), boot, "{row} {stamp:?}");
+        }
     }
 
     #[test]

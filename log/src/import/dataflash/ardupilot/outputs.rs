@@ -24,7 +24,7 @@ impl Contents {
         tally: &mut Tally,
     ) {
         let Some(topic) = self.topics.primary("RCOU", 0, tally) else { return };
-        let channels = match functions::ardupilot_motors(&self.parameters) {
+        let channels = match functions::ardupilot_motors(&self.stated.parameters) {
             Stated::Motors(channels) => {
                 let numbers = numbered(&channels);
                 facts.notes.push(format!(
@@ -61,7 +61,7 @@ impl Contents {
             Sample::of(stamp(&row), pulses)
         });
         flight.motor_source = MotorSource::Rcou;
-        match ranges::ardupilot(&self.parameters) {
+        match ranges::ardupilot(&self.stated.parameters) {
             Some((ranges, basis)) => {
                 flight.scale_outputs(ranges);
                 facts.notes.push(format!("outputs over the range {basis}"));
@@ -80,7 +80,7 @@ impl Contents {
     /// Fills the rotor speeds. The log has one message for each rotor; a sample combines the
     /// nearest of all four.
     pub(super) fn fill_rotor_speed(&self, flight: &mut Flight, tally: &mut Tally) {
-        let channels = match functions::ardupilot_motors(&self.parameters) {
+        let channels = match functions::ardupilot_motors(&self.stated.parameters) {
             Stated::Motors(channels) => channels,
             Stated::Nothing => [0, 1, 2, 3],
             Stated::Without(_) => return,
