@@ -188,8 +188,8 @@ impl Frames {
         }
     }
 
-    /// Fills `flight` with one vehicle: autopilots first, then the one with most attitudes, then
-    /// with most messages. Returns the names of all messages.
+    /// Fills `flight` with one vehicle: autopilots first, then the one that flew longest in one boot,
+    /// with most attitudes, with most messages. Notes the other vehicles. Returns the names of all messages.
     ///
     /// # Errors
     /// The vehicle does not have the chosen boot.
@@ -197,7 +197,9 @@ impl Frames {
         let Self { mut vehicles, mut setpoints, mut tally, seen, .. } = self;
         let any_autopilot = vehicles.values().any(VehicleLog::is_autopilot);
         let weight = |log: &VehicleLog| {
-            (log.is_autopilot() == any_autopilot, log.attitudes(), log.messages())
+            let flown = log.flown().into_iter().fold(0.0, f64::max);
+            // Whole seconds, since states arrive at a low rate.
+            (log.is_autopilot() == any_autopilot, flown as u64, log.attitudes(), log.messages())
         };
         let chosen =
             vehicles.iter().rev().max_by_key(|(_, log)| weight(log)).map(|(sender, _)| *sender);
@@ -214,6 +216,19 @@ impl Frames {
                 .map(|(key, _)| *key);
             let sent = commander.and_then(|key| setpoints.remove(&key)).unwrap_or_default();
             tally.merge(vehicle.finish(sent, boot, flight)?);
+            let is_vehicle = |(_, log): &(&Sender, &VehicleLog)| {
+                log.is_autopilot() == any_autopilot && log.attitudes() > 0
+            };
+            let others = vehicles.iter().filter(is_vehicle);
+            let others: Vec<String> = others.map(|(sender, _)| sender.0.to_string()).collect();
+            if !others.is_empty() {
+                flight.facts.notes.push(format!(
+                    "of several vehicles, system {} is read, which flew longest or sent most; the \
+                     others are {}",
+                    chosen.0,
+                    others.join(", ")
+                ));
+            }
         }
         for (((system, component), target), sent) in setpoints {
             let reason = format!("setpoint from {system}/{component} to system {target}");
@@ -225,5 +240,56 @@ impl Frames {
         }
         tally.give(flight);
         Ok(seen.into_values().collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use wire::Encoder;
+    use wire::dialect::*;
+
+    use super::*;
+    use crate::import::flight::{Clock, Origin};
+
+    #[test]
+    fn the_vehicle_that_flew_is_read_and_the_others_are_noted() {
+        let mut frames = Frames::default();
+        let mut encoders = [Encoder::new(1, 1), Encoder::new(2, 1)];
+        for step in 0..400_u32 {
+            let mut send = |vehicle: usize, message: MavMessage| {
+                let mut bytes = Vec::new();
+                encoders[vehicle].encode(&message, &mut bytes);
+                let frame = Frame::parse(&bytes).expect("a frame");
+                frames.add(Some(20_000_000 * u64::from(step)), &frame);
+            };
+            for (vehicle, armed) in [(0, true), (1, false)] {
+                if step % 50 == 0 {
+                    let autopilot = MavAutopilot::MAV_AUTOPILOT_PX4;
+                    let base_mode = if armed {
+                        MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED
+                    } else {
+                        MavModeFlag::empty()
+                    };
+                    let data = HEARTBEAT_DATA { autopilot, base_mode, ..Default::default() };
+                    send(vehicle, MavMessage::HEARTBEAT(data));
+                }
+                // The one on the ground sends more.
+                if !armed || step % 4 == 0 {
+                    let data = ATTITUDE_DATA { time_boot_ms: 20 * step, ..Default::default() };
+                    send(vehicle, MavMessage::ATTITUDE(data));
+                }
+            }
+        }
+        let origin = Origin {
+            path: "memory".into(),
+            run: String::new(),
+            sha256: String::new(),
+            format: "tlog",
+        };
+        let mut flight = Flight::empty(origin, Clock::Single);
+        assert!(frames.finish(None, &mut flight).is_ok());
+        assert_eq!(flight.attitude.len(), 100);
+        let said = flight.facts.notes.iter().any(|note| note.contains("system 1 is read"));
+        assert!(said && flight.facts.notes.iter().any(|note| note.ends_with("others are 2")));
     }
 }

@@ -12,7 +12,7 @@ const STATE_LASTS: f64 = 10.0;
 impl VehicleLog {
     /// Flight time of the vehicle in each epoch, s on the ground's clock: as reported by the
     /// vehicle, or else the time armed.
-    pub(super) fn flown(&self) -> Vec<f64> {
+    pub(in crate::import) fn flown(&self) -> Vec<f64> {
         let states = if self.landed.is_empty() { &self.armed } else { &self.landed };
         let mut flown = vec![0.0; self.epochs.len()];
         let mut last: Option<(usize, f64)> = None;
