@@ -188,18 +188,22 @@ impl Frames {
         }
     }
 
-    /// Fills `flight` with one vehicle: autopilots first, then the one that flew longest in one boot,
-    /// with most attitudes, with most messages. Notes the other vehicles. Returns the names of all messages.
+    /// Fills `flight` with one vehicle: autopilots first, then those that flew longest in one boot,
+    /// then the one with most attitudes, then with most messages. Notes the other vehicles. Returns
+    /// the names of all messages.
     ///
     /// # Errors
     /// The vehicle does not have the chosen boot.
     pub fn finish(self, boot: Option<usize>, flight: &mut Flight) -> Result<Vec<String>, LogFault> {
         let Self { mut vehicles, mut setpoints, mut tally, seen, .. } = self;
         let any_autopilot = vehicles.values().any(VehicleLog::is_autopilot);
+        let flown_s = |log: &VehicleLog| log.flown().into_iter().fold(0.0, f64::max);
+        let longest_s = vehicles.values().map(flown_s).fold(0.0, f64::max);
+        // States arrive at a low rate: nearly the same time is the same.
+        let has_flown = |log: &VehicleLog| flown_s(log) >= 0.8 * longest_s;
         let weight = |log: &VehicleLog| {
-            let flown = log.flown().into_iter().fold(0.0, f64::max);
-            // Whole seconds, since states arrive at a low rate.
-            (log.is_autopilot() == any_autopilot, flown as u64, log.attitudes(), log.messages())
+            let is_kind = log.is_autopilot() == any_autopilot;
+            (is_kind, has_flown(log), log.attitudes(), log.messages())
         };
         let chosen =
             vehicles.iter().rev().max_by_key(|(_, log)| weight(log)).map(|(sender, _)| *sender);
