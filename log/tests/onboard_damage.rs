@@ -170,7 +170,10 @@ fn dataflash_log_without_its_first_bytes_is_read_by_the_definitions_that_remain(
     assert_eq!((&flight.attitude, &flight.body_rate), (&whole.attitude, &whole.body_rate));
     assert_eq!(left_out(&flight, "without a definition"), 10, "{:?}", flight.left_out);
     let losses = flight.losses.join("; ");
-    assert!(losses.contains("its start is lost") && losses.contains("from byte 0 on"), "{losses}");
+    assert!(
+        losses.contains("its start is lost") && losses.contains("the first at byte 0"),
+        "{losses}"
+    );
 
     // Messages before the definitions.
     let (definitions, messages) = DATAFLASH.split_at(DEFINITIONS);

@@ -263,7 +263,7 @@ mod tests {
         let vehicle = with(&["thrust_curve:a=0.375"]);
         for peer in [Peer::RotorPy, Peer::DroneModels, Peer::MuJoCo] {
             let Export { text, .. } = export(&vehicle, peer).unwrap();
-            assert!(text.contains("with a = 0.375"), "{peer:?}: {text}");
+            assert!(text.contains(&format!("with a = {}", real(0.375))), "{peer:?}: {text}");
         }
     }
 }

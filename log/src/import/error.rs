@@ -34,8 +34,8 @@ pub enum ImportError {
     },
     /// The file does not have the chosen boot.
     #[error(
-        "{}: this file has {boots} boots of the vehicle; expected --boot from 1 to {boots}, found \
-         {boot}",
+        "{}: this file has {boots} boots of the vehicle; expected one from 1 to {boots} (--boot), \
+         found {boot}",
         path.display()
     )]
     NoBoot {

@@ -49,7 +49,7 @@ impl ChosenTube {
         if let Some(difference) = differs_in {
             return Err(anyhow!(
                 "tube {path}: its flights were planned for another vehicle file, {:?}: {difference}; \
-                 make it again for this one",
+                 make one for this vehicle",
                 of.name
             ))
             .or_exit(Exit::Usage);
