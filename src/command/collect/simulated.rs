@@ -73,12 +73,12 @@ impl Simulator<'_> {
                     && !self.stopping.swap(true, Ordering::AcqRel)
                 {
                     stopped = Some(Instant::now());
+                    print_status(format_args!(
+                        "stopping: flights that are still in the air are flown again by the same \
+                         command"
+                    ));
                 }
                 if stopped.is_some_and(|at| at.elapsed() > GRACE) {
-                    print_status(format_args!(
-                        "stopping: the simulated flights in the air are not kept; the same command flies \
-                         them again"
-                    ));
                     end();
                 }
             }
