@@ -399,8 +399,7 @@ mod tests {
         let slow = remarks(|v| v.motor_time_constant_s = 0.3);
         assert!(slow[0].what.contains("rotors lag by 0.305 s"), "{}", slow[0].what);
         let rare = |v: &mut VehicleParams| {
-            v.attitude_pd =
-                v.attitude_pd.as_ref().map(|pd| AttitudePd { rate_hz: 1.0, ..pd.clone() });
+            v.attitude_pd = v.attitude_pd.map(|pd| AttitudePd { rate_hz: 1.0, ..pd });
         };
         assert!(remarks(rare)[0].what.contains("runs at 1.00 Hz"), "{:?}", remarks(rare));
         let millivolts = |v: &mut VehicleParams| v.battery.full_v = 16800.0;

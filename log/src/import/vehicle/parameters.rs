@@ -116,7 +116,7 @@ mod tests {
         assert_eq!(values(&[a.clone(), b.clone(), c.clone(), px4.clone()]), expected);
         assert_eq!(values(&[a, b.clone(), c]), expected);
         // Alone, this one may be the value 1.
-        assert_eq!(values(&[b.clone()]), [1.0]);
+        assert_eq!(values(std::slice::from_ref(&b)), [1.0]);
         assert_eq!(values(&[b, px4]), [expected[1]]);
         // The bytes of a negative integer are no number in single precision.
         assert_eq!(values(&[parameter("D", -1.0, INT32, ParameterCast::Bytes)]), [-1.0]);
