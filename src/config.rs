@@ -234,14 +234,7 @@ impl Config {
             for key in keys {
                 if let Some(Value::String(value)) = table.get_mut(*key) {
                     let path = folder.join(&*value);
-                    let is_shipped = match *key {
-                        "vehicle" => SHIPPED.iter().any(|shipped| shipped.name == value),
-                        "trajectory" => {
-                            SHIPPED_TRAJECTORIES.iter().any(|shipped| shipped.name == value)
-                        }
-                        _ => false,
-                    };
-                    if path.exists() || !is_shipped {
+                    if path.exists() || !is_shipped(key, value) {
                         *value = path.to_string_lossy().into_owned();
                     }
                 }
@@ -309,6 +302,15 @@ fn leaves<'a>(prefix: &str, table: &'a Table) -> Vec<(String, &'a Value)> {
         }
     }
     found
+}
+
+/// Whether a setting names a file that is built into the program.
+fn is_shipped(setting: &str, name: &str) -> bool {
+    match setting {
+        "vehicle" => SHIPPED.iter().any(|shipped| shipped.name == name),
+        "trajectory" => SHIPPED_TRAJECTORIES.iter().any(|shipped| shipped.name == name),
+        _ => false,
+    }
 }
 
 #[cfg(test)]

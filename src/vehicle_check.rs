@@ -127,7 +127,7 @@ mod tests {
     use vehicle::frame::{Euler, Frd, Ned};
 
     use super::*;
-    use crate::log::import::{AttitudeSetpoint, Clock, Origin, SetpointSource};
+    use crate::log::import::{AttitudeSetpoint, SetpointSource};
 
     fn file() -> VehicleParams {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/config/vehicles/quad1200.toml");
@@ -149,13 +149,7 @@ mod tests {
         size: f64,
         mut law: impl FnMut(usize, f64, f64, f64) -> (f64, f64),
     ) -> Flight {
-        let origin = Origin {
-            path: "a.mcap".into(),
-            run: "a".into(),
-            sha256: String::new(),
-            format: "mcap",
-        };
-        let mut flight = Flight::empty(origin, Clock::Single);
+        let mut flight = Flight::in_memory("a", "mcap");
         let (mut angle, mut rate, mut moment) = ([0.0_f64; 3], [0.0_f64; 3], [0.0_f64; 3]);
         let (mut setpoint_angle, mut seed) = ([0.0_f64; 3], 1_u64);
         flight.setpoint_source = SetpointSource::Onboard;

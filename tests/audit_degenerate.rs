@@ -6,7 +6,7 @@ use std::thread;
 use std::time::Duration;
 
 use downwash::audit::{Agreement, Audit, Estimate};
-use downwash::log::import::{Clock, Flight, Origin};
+use downwash::log::import::Flight;
 use proptest::prelude::*;
 use vehicle::frame::{Attitude, Frd, Ned};
 
@@ -64,13 +64,7 @@ struct Motion {
 }
 
 fn flight(motion: Motion) -> Flight {
-    let origin = Origin {
-        path: "degenerate.csv".into(),
-        run: "degenerate".into(),
-        sha256: String::new(),
-        format: "csv",
-    };
-    let mut flight = Flight::empty(origin, Clock::Single);
+    let mut flight = Flight::in_memory("degenerate", "csv");
     let times = |k: usize| k as f64 / RATE_HZ;
     for k in 0..(SECONDS * RATE_HZ) as usize {
         let time = times(if motion.held { k / 2 * 2 } else { k });

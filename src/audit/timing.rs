@@ -263,17 +263,10 @@ mod tests {
     use vehicle::frame::Ned;
 
     use super::*;
-    use crate::log::import::{Clock, Origin};
 
     /// A flight of one stream with `samples` samples, `period` s apart.
     fn flight(samples: u32, period: f64) -> Flight {
-        let origin = Origin {
-            path: "memory".into(),
-            run: String::new(),
-            sha256: String::new(),
-            format: "csv",
-        };
-        let mut flight = Flight::empty(origin, Clock::Single);
+        let mut flight = Flight::in_memory("memory", "csv");
         for sample in 0..samples {
             let t = f64::from(sample);
             flight.position.push(period * t, Ned::new(t.sin(), t.cos(), -1.0));

@@ -261,17 +261,10 @@ fn impossible<T>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::import::{Clock, Origin};
 
     /// A flight of positions only, on a circle of radius `radius` m, once in 3 s.
     fn flight(radius: f64, times: impl IntoIterator<Item = f64>) -> Flight {
-        let origin = Origin {
-            path: "memory".into(),
-            run: String::new(),
-            sha256: String::new(),
-            format: "csv",
-        };
-        let mut flight = Flight::empty(origin, Clock::Single);
+        let mut flight = Flight::in_memory("memory", "csv");
         for t in times {
             let (s, c) = (2.1 * t).sin_cos();
             flight.position.push(t, Ned::new(radius * s, radius * c, -radius));

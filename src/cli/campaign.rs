@@ -6,12 +6,13 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Shard;
+use super::value::count;
 
 /// Flags of `campaign`.
 #[derive(Debug, Args)]
 pub struct CampaignArgs {
     /// Number of flights in the campaign.
-    #[arg(long, value_name = "COUNT", default_value_t = 300, value_parser = super::count)]
+    #[arg(long, value_name = "COUNT", default_value_t = 300, value_parser = count)]
     pub flights: usize,
     /// Seed that every flight is drawn from.
     #[arg(long, default_value_t = 1)]

@@ -30,7 +30,7 @@ pub struct DemoArgs {
     pub excite: f64,
     /// Control laws to compare: each flies the same flights, for one row of the table [default:
     /// control.law of the configuration].
-    #[arg(long, value_delimiter = ',', conflicts_with = "diagnose", value_parser = super::law())]
+    #[arg(long, value_delimiter = ',', conflicts_with = "diagnose", value_parser = super::value::law())]
     pub law: Vec<Law>,
     /// Number of flights for each, with consecutive seeds from --seed.
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]

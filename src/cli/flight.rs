@@ -34,7 +34,7 @@ pub struct FlyArgs {
     #[command(flatten)]
     pub learning: LearnArgs,
     /// Control law [default: control.law of the configuration].
-    #[arg(long, value_parser = super::law())]
+    #[arg(long, value_parser = super::value::law())]
     pub law: Option<Law>,
     /// Takes over a vehicle that is already armed or in the air.
     #[arg(long)]
@@ -199,7 +199,7 @@ pub struct ListenArgs {
     #[arg(long, value_name = "ID")]
     pub system: Option<u8>,
     /// How long to listen, s [default: 8; `inspect` on a terminal: until Ctrl-C].
-    #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = super::value::seconds)]
     pub seconds: Option<f64>,
     /// Configuration file.
     #[arg(long)]

@@ -40,7 +40,7 @@ pub struct MocapArgs {
     #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
     pub nose: Option<f64>,
     /// Stops after this time, s [default: on Ctrl-C].
-    #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = super::value::seconds)]
     pub seconds: Option<f64>,
     /// Configuration file; its `mocap` has the other settings.
     #[arg(long)]

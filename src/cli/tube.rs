@@ -70,7 +70,12 @@ pub struct TubeCheckArgs {
     /// Plan from `plan --tube`.
     pub plan: PathBuf,
     /// Flights to simulate. None repeats a flight of `tube fit`, whatever the seeds.
-    #[arg(long, value_name = "COUNT", default_value_t = 1000, value_parser = value_parser!(u32).range(1..))]
+    #[arg(
+        long,
+        value_name = "COUNT",
+        default_value_t = 1000,
+        value_parser = value_parser!(u32).range(1..)
+    )]
     pub flights: u32,
     /// Vehicle file, or the name of a shipped one [default: crazyflie].
     #[arg(long)]

@@ -32,7 +32,7 @@ impl Scene {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds lines to the messages, without their colours.
+    /// Adds lines to the messages, without terminal sequences.
     pub fn print(&self, text: &[u8]) {
         let text = plain(&String::from_utf8_lossy(text));
         let mut seen = self.lock();

@@ -296,16 +296,14 @@ mod tests {
 
     use super::*;
     use crate::audit::Audit;
-    use crate::log::import::{AttitudeSetpoint, Clock, Origin};
+    use crate::log::import::AttitudeSetpoint;
 
     /// Mean output that hovers.
     const HOVER: f64 = 0.5;
     const LEVEL: Attitude = Attitude { w: 1.0, x: 0.0, y: 0.0, z: 0.0 };
 
     fn empty() -> Flight {
-        let origin =
-            Origin { path: "a.csv".into(), run: "a".into(), sha256: String::new(), format: "csv" };
-        Flight::empty(origin, Clock::Single)
+        Flight::in_memory("a", "csv")
     }
 
     /// A flight with a sample of every stream at each of `times`, at `height` (m).

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use wire::Frame;
 
-use super::flight::{Clock, Flight, Origin};
+use super::flight::Flight;
 use super::frames::{Frames, UNREAD_FRAME};
 use crate::record::{FrameRecord, Record, stated_parameter};
 
@@ -48,13 +48,7 @@ impl Collected {
 
     /// The flight so far, named `run`; without streams until the vehicle sends some.
     pub fn flight(&self, run: &str) -> Flight {
-        let origin = Origin {
-            path: run.into(),
-            run: run.to_owned(),
-            sha256: String::new(),
-            format: "memory",
-        };
-        let mut flight = Flight::empty(origin, Clock::Single);
+        let mut flight = Flight::in_memory(run, "memory");
         flight.facts.parameters.clone_from(&self.parameters);
         let mut frames = Frames::default();
         for record in &self.frames {

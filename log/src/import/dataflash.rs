@@ -286,13 +286,7 @@ mod tests {
     }
 
     fn imported(bytes: &[u8]) -> Flight {
-        let origin = super::super::Origin {
-            path: "memory".into(),
-            run: String::new(),
-            sha256: String::new(),
-            format: "dataflash",
-        };
-        let mut flight = Flight::empty(origin, super::super::Clock::Single);
+        let mut flight = Flight::in_memory("memory", "dataflash");
         assert!(read(bytes, None, &mut flight).is_ok());
         flight
     }

@@ -186,6 +186,13 @@ pub struct Flight {
 }
 
 impl Flight {
+    /// A flight without streams that no file holds, named `run`, on one clock.
+    pub fn in_memory(run: &str, format: &'static str) -> Self {
+        let origin =
+            Origin { path: run.into(), run: run.to_owned(), sha256: String::new(), format };
+        Self::empty(origin, Clock::Single)
+    }
+
     /// Creates a flight without samples.
     pub fn empty(origin: Origin, clock: Clock) -> Self {
         Self {
@@ -319,13 +326,7 @@ mod tests {
 
     #[test]
     fn flight_without_outputs_needs_no_motor_unit() {
-        let origin = Origin {
-            path: "a.tlog".into(),
-            run: "a".into(),
-            sha256: String::new(),
-            format: "tlog",
-        };
-        let mut flight = Flight::empty(origin, Clock::Single);
+        let mut flight = Flight::in_memory("a", "tlog");
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../config/vehicles/crazyflie.toml");
         let file = VehicleParams::load(file).expect("a vehicle");
         let vehicle = VehicleParams { motor_output: None, ..file };

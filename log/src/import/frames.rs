@@ -253,7 +253,6 @@ mod tests {
     use wire::dialect::*;
 
     use super::*;
-    use crate::import::flight::{Clock, Origin};
 
     #[test]
     fn the_vehicle_that_flew_is_read_and_the_others_are_noted() {
@@ -284,13 +283,7 @@ mod tests {
                 }
             }
         }
-        let origin = Origin {
-            path: "memory".into(),
-            run: String::new(),
-            sha256: String::new(),
-            format: "tlog",
-        };
-        let mut flight = Flight::empty(origin, Clock::Single);
+        let mut flight = Flight::in_memory("memory", "tlog");
         assert!(frames.finish(None, &mut flight).is_ok());
         assert_eq!(flight.attitude.len(), 100);
         let said = flight.facts.notes.iter().any(|note| note.contains("system 1 is read"));

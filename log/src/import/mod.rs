@@ -264,13 +264,7 @@ pub fn propose_bytes(bytes: &[u8]) -> Option<String> {
 /// Reads bytes as a log of every format, and as a table with `mapping`, for fuzz targets.
 #[doc(hidden)]
 pub fn read_bytes(bytes: &[u8], mapping: &str) -> Vec<Flight> {
-    let origin = Origin {
-        path: "memory".into(),
-        run: "memory".into(),
-        sha256: String::new(),
-        format: "bytes",
-    };
-    let flight = || Flight::empty(origin.clone(), Clock::Single);
+    let flight = || Flight::in_memory("memory", "bytes");
     let mut flights = Vec::new();
     for format in [Format::Mcap, Format::Tlog, Format::Ulog, Format::DataFlash] {
         let mut flight = flight();

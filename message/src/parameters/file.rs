@@ -1,8 +1,12 @@
 //! Parameter files of QGroundControl (.params), Mission Planner (.param), MAVProxy (.parm) and
 //! PX4's `param save` (BSON).
 
+mod bson;
+
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+
+use encoding_rs::Encoding;
 
 use super::Parameters;
 
@@ -146,10 +150,11 @@ impl ParameterFile {
     /// [`NotParameters`] if a line or element fits no format, or the file has no parameters.
     pub fn parse(bytes: &[u8]) -> Result<Self, NotParameters> {
         let mut file = Self::default();
-        if let Some(text) = utf16(bytes) {
-            file.read_lines(&text)?;
-        } else if is_bson(bytes) {
-            let set = bson(bytes)
+        // Windows shells redirect output as UTF-16, with a byte order mark.
+        if let Some((encoding, _)) = Encoding::for_bom(bytes) {
+            file.read_lines(&encoding.decode(bytes).0)?;
+        } else if bson::is_document(bytes) {
+            let set = bson::read(bytes)
                 .ok_or_else(|| NotParameters("its BSON document is damaged".to_owned()))?;
             file.sets.insert(None, set);
         } else if bytes.contains(&0) {
@@ -167,7 +172,7 @@ impl ParameterFile {
     }
 
     fn read_lines(&mut self, text: &str) -> Result<(), NotParameters> {
-        for (at, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
+        for (at, line) in text.lines().enumerate() {
             let content = without_comment(line).trim();
             if content.is_empty() {
                 continue;
@@ -305,47 +310,6 @@ fn name_of(name: &str) -> Option<String> {
         && name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
         && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
     is_name.then(|| name.to_owned())
-}
-
-/// The text of a file in UTF-16, by its byte order mark: Windows shells redirect output so.
-fn utf16(bytes: &[u8]) -> Option<String> {
-    let (from, bytes): (fn([u8; 2]) -> u16, _) = match bytes {
-        [0xff, 0xfe, rest @ ..] => (u16::from_le_bytes, rest),
-        [0xfe, 0xff, rest @ ..] => (u16::from_be_bytes, rest),
-        _ => return None,
-    };
-    let units = bytes.as_chunks().0.iter().map(|unit| from(*unit));
-    Some(
-        char::decode_utf16(units).map(|unit| unit.unwrap_or(char::REPLACEMENT_CHARACTER)).collect(),
-    )
-}
-
-fn is_bson(bytes: &[u8]) -> bool {
-    bytes.len() > 5 && bytes.last() == Some(&0) && bytes.get(..4).is_some_and(|b| b.contains(&0))
-}
-
-/// Parses a BSON document: its length, then elements of a type, a name and a value, then 0.
-fn bson(bytes: &[u8]) -> Option<Set> {
-    let mut rest = bytes.get(4..)?;
-    let mut set = Set::default();
-    for element in 1.. {
-        let (kind, after) = rest.split_first()?;
-        if *kind == 0 {
-            break;
-        }
-        let end = after.iter().position(|byte| *byte == 0)?;
-        let name = name_of(std::str::from_utf8(after.get(..end)?).ok()?)?;
-        rest = after.get(end + 1..)?;
-        let value = match kind {
-            0x01 => f64::from_le_bytes(*rest.first_chunk::<8>()?),
-            0x10 => f64::from(i32::from_le_bytes(*rest.first_chunk::<4>()?)),
-            0x12 => i64::from_le_bytes(*rest.first_chunk::<8>()?) as f64,
-            _ => return None,
-        };
-        rest = rest.get(if *kind == 0x10 { 4 } else { 8 }..)?;
-        set.add(format!("element {element}"), name, &value.to_string());
-    }
-    Some(set)
 }
 
 #[cfg(test)]

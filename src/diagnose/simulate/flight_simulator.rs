@@ -20,7 +20,7 @@ use crate::control::{
     AttitudeLoop, ControlProblem, ControlSettings, Controller, DesignError, Limits,
 };
 use crate::diagnose::flights::series::Series;
-use crate::log::import::{AttitudeSetpoint, Clock, Flight, Origin};
+use crate::log::import::{AttitudeSetpoint, Flight};
 use crate::offboard::{EffectiveVehicle, Uncontrollable};
 use crate::setpoint::Reference;
 
@@ -281,14 +281,8 @@ struct Recorder {
 
 impl Recorder {
     fn new(from: f64) -> Self {
-        let origin = Origin {
-            path: Default::default(),
-            run: "simulated".to_owned(),
-            sha256: String::new(),
-            format: "simulated",
-        };
         Self {
-            flight: Flight::empty(origin, Clock::Single),
+            flight: Flight::in_memory("simulated", "simulated"),
             attitude: PeriodicEvent::new(ATTITUDE_HZ, from),
             position: PeriodicEvent::new(POSITION_HZ, from),
             imu: PeriodicEvent::new(IMU_HZ, from),

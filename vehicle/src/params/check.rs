@@ -6,6 +6,7 @@
 use serde::Serialize;
 
 use super::VehicleParams;
+use super::validity::LOOP_RATE_MAX_HZ;
 
 mod rotors;
 
@@ -210,7 +211,7 @@ impl VehicleParams {
         remarks.collect()
     }
 
-    /// The pack's voltages are its cells', as `battery.cells` counts them.
+    /// Compares the voltage of each of the `battery.cells` with what cells have.
     fn battery_remark(&self) -> Option<Remark> {
         let found = self.battery.full_v / f64::from(self.battery.cells);
         let [least, most] = CELL_FULL_V;
@@ -282,7 +283,7 @@ impl VehicleParams {
             let least = kd / moment;
             remark(
                 pd.rate_hz,
-                [least, f64::MAX],
+                [least, LOOP_RATE_MAX_HZ],
                 "Hz",
                 format!(
                     "the on-board loop runs at {} Hz, but follows rates in {name} within {} s; expected \

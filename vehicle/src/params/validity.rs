@@ -8,6 +8,8 @@ use crate::effects::{Effect, EffectSet, RotorGyroscopic};
 /// Largest accepted mass, moment of inertia or thrust, each in its unit. A larger value would swamp
 /// the others in floating-point arithmetic.
 const MOST: f64 = 1e6;
+/// Largest rate of an on-board loop, Hz.
+pub(super) const LOOP_RATE_MAX_HZ: f64 = 8000.0;
 
 /// Smallest accepted mass, kg. Below it, thrust over weight exceeds what a controller can handle.
 const LEAST_MASS_KG: f64 = 1e-6;
@@ -174,7 +176,12 @@ impl VehicleParams {
         }
         let rate = cascade.rate_hz;
         let expected = "a rate in 1..=8000 Hz";
-        self.require("attitude_cascade.rate_hz", rate, (1.0..=8000.0).contains(&rate), expected)
+        self.require(
+            "attitude_cascade.rate_hz",
+            rate,
+            (1.0..=LOOP_RATE_MAX_HZ).contains(&rate),
+            expected,
+        )
     }
 
     fn check_battery(&self) -> Result<(), VehicleError> {

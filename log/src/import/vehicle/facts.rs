@@ -76,7 +76,7 @@ mod tests {
 
     use super::*;
     use crate::import::clocks::FrameTime;
-    use crate::import::flight::{Clock, Flight, Origin};
+    use crate::import::flight::Flight;
     use crate::import::kind::VehicleKind;
 
     /// A log with two boots: the MAV_TYPE of each, how long it flies, s, and whether it sends its
@@ -129,13 +129,7 @@ mod tests {
                 ground += 0.02;
             }
         }
-        let origin = Origin {
-            path: "memory".into(),
-            run: String::new(),
-            sha256: String::new(),
-            format: "tlog",
-        };
-        let mut flight = Flight::empty(origin, Clock::Single);
+        let mut flight = Flight::in_memory("memory", "tlog");
         assert!(log.finish(Vec::new(), None, &mut flight).is_ok());
         flight
     }

@@ -154,7 +154,7 @@ mod tests {
     use super::super::RAW_IMU;
     use super::*;
     use crate::import::epoch::IMUS;
-    use crate::import::flight::{Clock, Flight, Origin};
+    use crate::import::flight::Flight;
 
     /// Every 20 ms for 4 s: `messages` of a vehicle's time since boot, s.
     fn log(boot_s: f64, messages: impl Fn(f64) -> Vec<MavMessage>) -> VehicleLog {
@@ -233,13 +233,7 @@ mod tests {
             for (imu, source) in epoch.imus.iter().zip(IMUS).skip(RAW_IMU) {
                 assert!(is_whole(imu.times()), "{source:?}: {:?}", imu.times());
             }
-            let origin = Origin {
-                path: "memory".into(),
-                run: String::new(),
-                sha256: String::new(),
-                format: "tlog",
-            };
-            let mut flight = Flight::empty(origin, Clock::Single);
+            let mut flight = Flight::in_memory("memory", "tlog");
             assert!(log.finish(Vec::new(), None, &mut flight).is_ok());
             assert!(is_whole(flight.voltage.times()), "{:?}", flight.voltage.times());
         }

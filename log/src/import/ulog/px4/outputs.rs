@@ -215,7 +215,6 @@ impl Contents {
 mod tests {
     use super::super::TOPIC_SPECS;
     use super::*;
-    use crate::import::flight::{Clock, Origin};
 
     /// The number of motors of a log in which so many controls are finite, and the parameters that
     /// it states.
@@ -233,13 +232,7 @@ mod tests {
                 [1e6 * time].into_iter().chain((0..CONTROLS.len()).map(control)).collect();
             contents.topics.push(spec, 0, time, &values);
         }
-        let origin = Origin {
-            path: "memory".into(),
-            run: String::new(),
-            sha256: String::new(),
-            format: "ulog",
-        };
-        let mut flight = Flight::empty(origin, Clock::Single);
+        let mut flight = Flight::in_memory("memory", "ulog");
         contents.fill(&mut flight);
         flight.facts.motors
     }
