@@ -227,8 +227,8 @@ impl Frames {
             let others: Vec<String> = others.map(|(sender, _)| sender.0.to_string()).collect();
             if !others.is_empty() {
                 flight.facts.notes.push(format!(
-                    "of several vehicles, system {} is read, which flew longest or sent most; the \
-                     others are {}",
+                    "of several vehicles, system {} is read, which flew as long as any and sent most; \
+                     the others are {}",
                     chosen.0,
                     others.join(", ")
                 ));

@@ -37,7 +37,7 @@ enum Order {
     Unknown,
     /// Each row is later than the one before, except where a time is damaged or the clock restarts.
     Rising,
-    /// The rows are in the order of something else.
+    /// The rows are not in the order of time.
     Unsorted,
 }
 
