@@ -90,6 +90,8 @@ pub enum LinkEvent {
     },
     /// The vehicle answered a TIMESYNC request after this round trip.
     RoundTrip(Duration),
+    /// The vehicle answered a request again this long after its first answer.
+    RequestAgain(Duration),
 }
 
 /// Flies one vehicle along one trajectory, or waits in a hold until a flight is requested.
@@ -110,6 +112,8 @@ pub struct OffboardController {
     link_loss: Option<f64>,
     /// The newest answer: its arrival and its round trip.
     round_trip: Option<(HostTime, Duration)>,
+    /// The newest second answer to one request: its arrival and its delay.
+    again: Option<(HostTime, Duration)>,
     tracking_error: f64,
     jumped: bool,
     /// The last time at which setpoints may not have reached the vehicle.
@@ -148,6 +152,7 @@ impl OffboardController {
             failed_checks: Vec::new(),
             link_loss: None,
             round_trip: None,
+            again: None,
             tracking_error: 0.0,
             jumped: false,
             unreachable_at: None,
@@ -319,6 +324,7 @@ impl OffboardController {
             LinkEvent::Refused { action, text } => self.supervisor.refused(now, action, &text),
             LinkEvent::Quality { loss } => self.link_loss = Some(loss),
             LinkEvent::RoundTrip(time) => self.round_trip = Some((now, time)),
+            LinkEvent::RequestAgain(after) => self.again = Some((now, after)),
         }
     }
 
@@ -409,7 +415,7 @@ impl OffboardController {
     fn forget(&mut self) {
         self.telemetry.forget();
         self.guard.forget();
-        (self.round_trip, self.unreachable_at) = (None, None);
+        (self.round_trip, self.again, self.unreachable_at) = (None, None, None);
     }
 }
 

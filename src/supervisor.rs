@@ -42,7 +42,7 @@ pub use self::preflight::{
     PreflightCheck, PreflightSettings, RequiredParameter, Standing, preflight,
 };
 use self::safety::FAULTS;
-pub use self::safety::{Fault, FlightCondition, Reaction, SafetySettings};
+pub use self::safety::{Fault, FlightCondition, Reaction, SafetySettings, UplinkDelay};
 pub use self::settings::SupervisorSettings;
 pub use self::table::{FlightState, STATES, TRIGGERS, Trigger};
 use self::takeover::ModeTaken;

@@ -24,6 +24,8 @@ pub const PERIOD_IN_DOUBT: Duration = Duration::from_millis(10);
 const WINDOW: usize = 50;
 /// Requests that can still be answered; older ones exceed any useful round trip.
 const OUTSTANDING: usize = 32;
+/// Answered requests kept: another answer shows that the link repeated the request.
+const ANSWERED: usize = 512;
 /// With more open requests than this, the link is holding back answers.
 const OPEN_MAX: usize = 5;
 /// Round trip below which the link can take closely spaced requests.
@@ -80,13 +82,15 @@ struct Skew {
 #[derive(Debug, Default)]
 pub(super) struct TimeSync {
     outstanding: VecDeque<i64>,
+    /// `ts1` and `tc1` of the answered requests.
+    answered: VecDeque<(i64, i64)>,
     exchanges: VecDeque<Exchange>,
     /// The exchange with the least error; it outlives the others.
     best: Option<Exchange>,
     skew: Option<Skew>,
     /// The newest exchanges, while they contradict the others.
     rivals: Vec<Exchange>,
-    answered: HostTime,
+    answered_at: HostTime,
     round_trip: Option<Duration>,
 }
 
@@ -95,6 +99,11 @@ pub(super) struct TimeSync {
 pub enum Answer {
     /// No open request of this program matches it.
     NotOurs,
+    /// The vehicle answered this request before: the link carried the request to it again.
+    Again {
+        /// Time from the first answer to this one, by both clocks.
+        after: Duration,
+    },
     /// The exchange was added.
     Sample,
     /// The exchange contradicts the estimate, but too few do so far to drop it.
@@ -121,7 +130,7 @@ impl TimeSync {
 
     pub(super) fn answer(&mut self, now: HostTime, tc1: i64, ts1: i64) -> Answer {
         let Some(index) = self.outstanding.iter().position(|&open| open == ts1) else {
-            return Answer::NotOurs;
+            return self.again(now, tc1, ts1);
         };
         // Links keep the order, so earlier requests are lost.
         self.outstanding.drain(..=index);
@@ -131,7 +140,12 @@ impl TimeSync {
         let at = HostTime::from_ns(sent + round_trip_ns / 2);
         let exchange = Exchange { at, offset_ns: tc1.saturating_sub(middle), round_trip_ns };
         self.round_trip = Some(Duration::from_nanos(round_trip_ns));
-        self.answered = now;
+        self.answered_at = now;
+        if self.answered.len() == ANSWERED {
+            self.answered.pop_front();
+        }
+        self.answered.reserve_exact(ANSWERED - self.answered.len());
+        self.answered.push_back((ts1, tc1));
 
         if self.is_contradicted_by(&exchange) {
             let skew = self.skew.map_or(0.0, |skew| skew.value);
@@ -155,6 +169,19 @@ impl TimeSync {
         self.fit_skew();
         self.choose(now);
         Answer::Sample
+    }
+
+    /// A request that the vehicle answered twice reached it twice. A copy of its answer, made on the
+    /// way back, has the same `tc1`.
+    fn again(&self, now: HostTime, tc1: i64, ts1: i64) -> Answer {
+        let first = self.answered.iter().find(|(request, _)| *request == ts1);
+        let Some((_, first_tc1)) = first else { return Answer::NotOurs };
+        let by_vehicle = u64::try_from(tc1.saturating_sub(*first_tc1)).unwrap_or(0);
+        let by_host = now.as_ns().saturating_sub(ts1.unsigned_abs());
+        match by_vehicle.min(by_host) {
+            0 => Answer::NotOurs,
+            after_ns => Answer::Again { after: Duration::from_nanos(after_ns) },
+        }
     }
 
     /// Whether answers arrive quickly, so that closely spaced requests are no burden.
@@ -221,7 +248,7 @@ impl TimeSync {
     }
 
     pub(super) fn estimate(&self, now: HostTime) -> Option<ClockEstimate> {
-        let best = self.best.filter(|_| now.since(self.answered) < ESTIMATE_AGE_MAX)?;
+        let best = self.best.filter(|_| now.since(self.answered_at) < ESTIMATE_AGE_MAX)?;
         Some(ClockEstimate {
             offset_ns: best.offset_ns,
             at: best.at,
@@ -283,6 +310,23 @@ mod tests {
         assert_eq!(sync.answer(later, vehicle_ns(START), ts1), Answer::Sample);
         assert_eq!(sync.answer(later, vehicle_ns(START), ts1), Answer::NotOurs, "twice");
         assert_eq!(sync.answer(later, i64::MIN, i64::MIN), Answer::NotOurs);
+    }
+
+    #[test]
+    fn second_answer_shows_a_repeated_request() {
+        let mut sync = VehicleClock::default();
+        let ms = Duration::from_millis(1);
+        let ts1 = sync.request(START);
+        let tc1 = vehicle_ns(START + ms);
+        assert_eq!(sync.answer(START + ms * 2, tc1, ts1), Answer::Sample);
+        let late = START + ms * 900;
+        assert_eq!(sync.answer(late, tc1, ts1), Answer::NotOurs, "a copy of the answer");
+        assert_eq!(sync.answer(late, tc1 - 1, ts1), Answer::NotOurs, "overtaken");
+        let after = ms * 800;
+        let again = Answer::Again { after };
+        assert_eq!(sync.answer(late, tc1 + after.as_nanos() as i64, ts1), again);
+        let jumped = sync.answer(late, i64::MAX, ts1);
+        assert_eq!(jumped, Answer::Again { after: ms * 900 }, "no longer than since the request");
     }
 
     #[test]

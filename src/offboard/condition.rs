@@ -8,7 +8,8 @@ use vehicle::frame::Ned;
 use super::OffboardController;
 use crate::clock::HostTime;
 use crate::supervisor::{
-    FlightCondition, FlightState, Observation, PreflightCheck, Severity, Standing, preflight,
+    FlightCondition, FlightState, Observation, PreflightCheck, Severity, Standing, UplinkDelay,
+    preflight,
 };
 
 /// Share of the preflight tick rate that must be kept while a hold is streamed. Below 1, so that a
@@ -30,6 +31,9 @@ const UNANSWERED: Duration = Duration::from_millis(250);
 const UNREACHABLE_RECENT: Duration = Duration::from_secs(2);
 /// An older answer says nothing about the present link.
 const ANSWER_FRESH: Duration = Duration::from_millis(500);
+/// After as long without a second answer the link no longer repeats what is sent: of the requests,
+/// ten a second, two in a row were not repeated.
+const AGAIN_FRESH: Duration = Duration::from_millis(250);
 
 impl OffboardController {
     /// Gathers the observation of vehicle and clock, and hands it to the supervisor.
@@ -100,7 +104,7 @@ impl OffboardController {
         let standing = Standing {
             rate_hz: self.settings.telemetry.rate_hz,
             link_loss: self.link_loss,
-            round_trip_s: self.round_trip_s(now),
+            uplink: self.uplink(now),
             start_distance_m: here.map_or(f64::NAN, |here| self.guidance.start_distance_m(here)),
             airborne: self.airborne(),
             ground_seen: self.guidance.ground().is_some(),
@@ -122,7 +126,7 @@ impl OffboardController {
         let status = self.telemetry.status();
         FlightCondition {
             late: self.telemetry.late(),
-            round_trip_s: self.round_trip_s(now),
+            uplink: self.uplink(now),
             was_unreachable: self
                 .unreachable_at
                 .is_some_and(|at| now.since(at) < UNREACHABLE_RECENT),
@@ -154,13 +158,18 @@ impl OffboardController {
 
     /// Whether setpoints may reach the vehicle too late for a lift-off.
     pub(super) fn answers_late(&self, now: HostTime) -> bool {
-        self.may_be_unreachable(now) || self.settings.safety.is_link_slow(self.round_trip_s(now))
+        self.may_be_unreachable(now) || self.settings.safety.is_link_slow(self.uplink(now))
     }
 
-    /// Round trip of the newest answer, s, if one arrived recently.
-    fn round_trip_s(&self, now: HostTime) -> Option<f64> {
-        let (_, time) = self.round_trip.filter(|(at, _)| now.since(*at) < ANSWER_FRESH)?;
-        Some(time.as_secs_f64())
+    fn uplink(&self, now: HostTime) -> UplinkDelay {
+        let recent = |newest: Option<(HostTime, Duration)>, for_up_to| {
+            let (_, time) = newest.filter(|(at, _)| now.since(*at) < for_up_to)?;
+            Some(time.as_secs_f64())
+        };
+        UplinkDelay {
+            round_trip_s: recent(self.round_trip, ANSWER_FRESH),
+            again_s: recent(self.again, AGAIN_FRESH),
+        }
     }
 
     /// Whether the vehicle is off the ground, as it reports. If it does not report this, a disarmed

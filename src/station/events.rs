@@ -61,6 +61,11 @@ impl Station {
                     offboard.link_event(now, LinkEvent::RoundTrip(time));
                 }
             }
+            Event::RequestAgain(after) => {
+                if let Some(offboard) = &mut self.offboard {
+                    offboard.link_event(now, LinkEvent::RequestAgain(after));
+                }
+            }
             Event::FrameRejected(why) => self.report(now, Severity::Warning, why.to_string()),
             Event::ClockJump { by_ns } => {
                 let text = format!("the vehicle's clock jumped by {:.3} s", by_ns as f64 * 1e-9);

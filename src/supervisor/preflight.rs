@@ -5,7 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::EngagePolicy;
+use super::{EngagePolicy, UplinkDelay};
 use crate::clock::HostTime;
 use crate::telemetry::Telemetry;
 
@@ -82,8 +82,8 @@ pub struct Standing {
     pub rate_hz: f64,
     /// Share of the vehicle's frames that the link lost recently, where known.
     pub link_loss: Option<f64>,
-    /// Round trip of the newest answer, s; `None` where none arrived recently.
-    pub round_trip_s: Option<f64>,
+    /// Delay on the way to the vehicle.
+    pub uplink: UplinkDelay,
     /// Horizontal distance from the vehicle to the trajectory's start, m.
     pub start_distance_m: f64,
     /// Whether the vehicle is off the ground; `None` where this is unknown.
@@ -155,11 +155,11 @@ pub fn preflight(
             format!("{:.0} %", loss * 100.0),
         );
     }
-    if let Some(time_s) = standing.round_trip_s {
+    if let Some(time_s) = standing.uplink.largest_s() {
         check(
             time_s <= settings.round_trip_max_s,
             "round trip",
-            format!("at most {:.2} s from a request to its answer", settings.round_trip_max_s),
+            format!("at most {:.2} s from a request to its last answer", settings.round_trip_max_s),
             format!("{time_s:.2} s"),
         );
     }

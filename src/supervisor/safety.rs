@@ -89,7 +89,8 @@ pub struct SafetySettings {
     pub on_jump: Reaction,
     /// Longest round trip of a TIMESYNC, s. While the state is fresh, only the path to the vehicle
     /// can lengthen it, and setpoints take as long. The default leaves room to 0.28 s, where every
-    /// control law lost the vehicle in some simulated flights.
+    /// control law lost the vehicle in some simulated flights. A request that the vehicle answers
+    /// again, this much later, counts too: old setpoints then reach it among the new ones.
     pub round_trip_max_s: f64,
     /// Time above that round trip, s.
     pub round_trip_for_s: f64,
@@ -160,6 +161,24 @@ impl Default for SafetySettings {
     }
 }
 
+/// How late setpoints reach the vehicle, as its answers to TIMESYNC show.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct UplinkDelay {
+    /// Round trip of the newest answer, s; `None` where none arrived recently.
+    pub round_trip_s: Option<f64>,
+    /// Time from the first to the second answer to one request, s, if the vehicle recently answered
+    /// one again. The link then carries old setpoints to it again, too.
+    pub again_s: Option<f64>,
+}
+
+impl UplinkDelay {
+    /// The larger of the two, s.
+    pub fn largest_s(&self) -> Option<f64> {
+        let times = [self.round_trip_s, self.again_s].into_iter().flatten();
+        times.max_by(f64::total_cmp)
+    }
+}
+
 /// The quantities that faults are judged by. NaN counts as beyond every limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FlightCondition<'a> {
@@ -169,8 +188,8 @@ pub struct FlightCondition<'a> {
     pub late: LateMessages,
     /// Whether the estimate jumped since the last observation.
     pub jumped: bool,
-    /// Round trip of the newest answer, s; `None` where none arrived recently.
-    pub round_trip_s: Option<f64>,
+    /// Delay on the way to the vehicle.
+    pub uplink: UplinkDelay,
     /// Whether setpoints may recently not have reached the vehicle.
     pub was_unreachable: bool,
     /// Distance from the reference, m.
@@ -192,9 +211,9 @@ pub struct FlightCondition<'a> {
 }
 
 impl SafetySettings {
-    /// Whether setpoints reach the vehicle too late; not known without a round trip, s.
-    pub fn is_link_slow(&self, round_trip_s: Option<f64>) -> bool {
-        round_trip_s.is_some_and(|time| time > self.round_trip_max_s)
+    /// Whether setpoints reach the vehicle too late, or again too late.
+    pub fn is_link_slow(&self, uplink: UplinkDelay) -> bool {
+        uplink.largest_s().is_some_and(|time_s| time_s > self.round_trip_max_s)
     }
 
     /// Whether the fault's condition holds now.
@@ -203,7 +222,7 @@ impl SafetySettings {
         match fault {
             Fault::StaleTelemetry => beyond(c.sample_age_s, self.stale_after_s),
             Fault::TelemetryJump => c.jumped,
-            Fault::SlowLink => self.is_link_slow(c.round_trip_s),
+            Fault::SlowLink => self.is_link_slow(c.uplink),
             Fault::TrackingError => beyond(c.tracking_error_m, self.tracking_error_max_m),
             Fault::Tilt => beyond(c.tilt_rad, self.tilt_max_rad),
             Fault::Geofence => {
@@ -280,11 +299,20 @@ impl SafetySettings {
             }
             Fault::StaleTelemetry => format!("no state for {:.2} s", c.sample_age_s),
             Fault::TelemetryJump => "the state estimate jumped".to_owned(),
-            Fault::SlowLink => format!(
-                "round trip {:.2} s, limit {:.2} s: setpoints reach the vehicle too late",
-                c.round_trip_s.unwrap_or(f64::NAN),
-                self.round_trip_max_s
-            ),
+            Fault::SlowLink => {
+                let limit_s = self.round_trip_max_s;
+                match (c.uplink.again_s, c.uplink.round_trip_s) {
+                    (Some(again_s), _) if again_s > limit_s => format!(
+                        "the link repeats frames after {again_s:.2} s, limit {limit_s:.2} s: old \
+                         setpoints reach the vehicle among the new ones"
+                    ),
+                    (_, round_trip_s) => format!(
+                        "round trip {:.2} s, limit {limit_s:.2} s: setpoints reach the vehicle too \
+                         late",
+                        round_trip_s.unwrap_or(f64::NAN)
+                    ),
+                }
+            }
             Fault::TrackingError if c.tracking_error_m.is_nan() => {
                 "the reference is not a number: the planner failed".to_owned()
             }

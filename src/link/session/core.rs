@@ -322,11 +322,16 @@ impl Core {
         }
         let answer = self.clock.answer(now, data.tc1, data.ts1);
         self.timesync_due = self.timesync_due.min(now + self.clock.period());
-        if answer != Answer::NotOurs {
-            self.events.extend(self.clock.round_trip().map(Event::RoundTrip));
+        match answer {
+            Answer::NotOurs => return false,
+            Answer::Again { after } => {
+                self.events.push_back(Event::RequestAgain(after));
+                return false;
+            }
+            _ => self.events.extend(self.clock.round_trip().map(Event::RoundTrip)),
         }
         let by_ns = match answer {
-            Answer::NotOurs | Answer::Sample => return false,
+            Answer::NotOurs | Answer::Again { .. } | Answer::Sample => return false,
             Answer::Contradiction { by_ns } => return by_ns.unsigned_abs() > JUMP_NS,
             Answer::Jump { by_ns } => by_ns,
         };

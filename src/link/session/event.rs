@@ -74,6 +74,9 @@ pub enum Event {
     LineBudget(Box<LineBudget>),
     /// The vehicle answered a TIMESYNC request after this round trip.
     RoundTrip(Duration),
+    /// The vehicle answered a TIMESYNC request again this long after its first answer: the link
+    /// carried the request to it twice.
+    RequestAgain(Duration),
     /// The vehicle's clock jumped. A jump beyond a second, in either direction, may mean another
     /// vehicle, so it is identified again before it gets setpoints.
     ClockJump {
