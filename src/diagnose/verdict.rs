@@ -22,7 +22,7 @@ use crate::diagnose::residual_analysis::turbulence::EXPLAINED_MAX;
 use crate::diagnose::verdict::calibration::{Calibration, SIGNS};
 use crate::diagnose::verdict::evidence::{Evidence, ForceLeft};
 use crate::diagnose::verdict::leading::Leading;
-use crate::diagnose::verdict::posterior::{OPEN_GAP, Posterior};
+use crate::diagnose::verdict::posterior::{HEALTHY_GAP, OPEN_GAP, Posterior};
 
 /// The verdict in three words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
@@ -192,11 +192,15 @@ fn by_predictions(
     decision.explanation = 0;
     let open = (OPEN_GAP + 4.0 * evidence.scatter).powi(2);
     let is_open = shipped.powi(2) > open;
-    // A gap of twice the noise is open, however much the file's numbers close.
-    let is_large =
-        file - noise > SUBSTANTIAL_SHARE * (shipped.powi(2) - noise) || file > 4.0 * noise;
+    // However much the file's numbers close, a gap of twice the noise is open. Where a learner
+    // measured the noise, so is one beyond a healthy vehicle's.
+    let healthy = if evidence.learned.is_some() { HEALTHY_GAP } else { 2.0 };
+    let is_large = file - noise > SUBSTANTIAL_SHARE * (shipped.powi(2) - noise)
+        || file > healthy.powi(2) * noise;
     let is_left = file > noise * open && is_large;
-    if is_forced && is_open && evidence.gusts_m_s.is_some() {
+    // No learner predicts turbulence.
+    let is_gusty = evidence.gusts_m_s.is_some() && evidence.structure[0] < EXPLAINED_MAX;
+    if is_forced && is_open && is_gusty {
         decision.verdict = Verdict::Effect;
         decision.effects = vec![(EffectId::Gusts.name().to_owned(), GUST_PROBABILITY)];
     } else if is_forced && is_open {

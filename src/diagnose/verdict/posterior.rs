@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use rand::SeedableRng;
 use rand_distr::{Distribution, Exp1, StandardNormal};
 use rand_pcg::Pcg64Mcg;
-use vehicle::effects::EffectId;
+use vehicle::effects::{EffectId, Need};
 
 use crate::diagnose::verdict::calibration::Calibration;
 use crate::diagnose::verdict::evidence::{Evidence, Explained};
@@ -24,12 +24,20 @@ pub(in crate::diagnose) const EVIDENCE_SHARE_MIN: f64 = 0.3;
 const EVIDENCE_MIN: f64 = 10.0;
 /// Least mass of an effect that explains the flights as well as the named ones.
 pub(super) const RIVAL_MASS_MIN: f64 = 0.1;
+/// A healthy vehicle's predictions lie within this many times the noise.
+pub(super) const HEALTHY_GAP: f64 = 1.3;
 /// An open gap in units of the floor, beyond four times its scatter.
 pub(in crate::diagnose) const OPEN_GAP: f64 = 1.15;
 
 /// The common name of effects that act alike.
 pub(super) fn class(effect: &str) -> &str {
     effect.parse::<EffectId>().map_or(effect, |id| id.class().name())
+}
+
+/// Whether moments alone show the effect. In a calm hover, feedback on the sensors' noise looks like
+/// another inertia, with much evidence, and closes nothing.
+fn acts_by_moments(effect: &str) -> bool {
+    effect.parse::<EffectId>().is_ok_and(|id| id.spec().needs.contains(&Need::Moment))
 }
 
 /// The evidence with the score and the posterior mass of each explanation.
@@ -140,6 +148,13 @@ impl<'a> Posterior<'a> {
         if gain > EVIDENCE_MIN { gain / self.scores[more] } else { 0.0 }
     }
 
+    /// Whether `less` leaves a part of the gap open that `more` closes, on the flights for choosing.
+    fn closes_a_part(&self, more: usize, less: usize) -> bool {
+        let parts = |index: usize| self.explained(index).choosing.map(|gaps| gaps.parts);
+        let Some((more, less)) = parts(more).zip(parts(less)) else { return true };
+        less.iter().zip(more).any(|(less, more)| *less > HEALTHY_GAP * more.max(1.0))
+    }
+
     /// The explanation with the most mass, without effects that change no prediction.
     pub fn best(&self) -> usize {
         let by_mass = |a: &usize, b: &usize| self.masses[*a].total_cmp(&self.masses[*b]);
@@ -209,9 +224,10 @@ impl<'a> Posterior<'a> {
                     effects.iter().filter(|other| *other != effect).map(|e| class(e)).collect();
                 let less = self.of(&rest)?;
                 let share = self.share(best, less);
-                let carries = share > -PREDICTION_SHARE_MIN
-                    && self.evidence_share(best, less) > EVIDENCE_SHARE_MIN;
-                Some((if carries { share.max(PREDICTION_SHARE_MIN) } else { share }, less))
+                let is_carried = share > -PREDICTION_SHARE_MIN
+                    && self.evidence_share(best, less) > EVIDENCE_SHARE_MIN
+                    && (!acts_by_moments(effect) || self.closes_a_part(best, less));
+                Some((if is_carried { share.max(PREDICTION_SHARE_MIN) } else { share }, less))
             };
             let least = effects.iter().filter_map(without).min_by(|a, b| a.0.total_cmp(&b.0));
             match least {

@@ -98,23 +98,36 @@ fn effect_without_influence_on_predictions_is_not_named() {
     let beside = explained(&["rotor_drag", "motor_lag"], 330.0, [1.1, 1.05]);
     let sets = vec![file.clone(), beside.clone(), drag.clone()];
     assert_eq!(named(&decide(&evidence(8.0, sets))), ["rotor_drag"]);
-    // Unless it carries much of the evidence or of the prediction.
-    let carries = explained(&["rotor_drag", "motor_lag"], 600.0, [1.1, 1.05]);
-    let sets = vec![file.clone(), carries, drag];
-    assert_eq!(named(&decide(&evidence(8.0, sets))), ["motor_lag", "rotor_drag"]);
+    // Unless it carries much of the evidence and closes a part of the gap.
+    let mut carries = explained(&["rotor_drag", "motor_lag"], 600.0, [1.1, 1.05]);
+    let sets = vec![file.clone(), carries.clone(), drag.clone()];
+    assert_eq!(named(&decide(&evidence(8.0, sets))), ["rotor_drag"]);
+    let with_rate = |gaps: Option<Gaps>, rate| gaps.map(|gaps| Gaps { parts: [rate; 6], ..gaps });
+    carries.choosing = with_rate(carries.choosing, 1.1);
+    let named_beside = |rate: f64| {
+        let mut drag = drag.clone();
+        drag.choosing = with_rate(drag.choosing, rate);
+        let sets = vec![file.clone(), carries.clone(), drag];
+        named(&decide(&evidence(8.0, sets))).join(" ")
+    };
+    assert_eq!([1.35, 1.6].map(named_beside), ["rotor_drag", "motor_lag rotor_drag"]);
+    // Or much of the prediction.
     let less = explained(&["rotor_drag"], 300.0, [4.0, 4.0]);
     let sets = vec![file, beside, less];
     assert_eq!(named(&decide(&evidence(8.0, sets))), ["motor_lag", "rotor_drag"]);
 }
 
 #[test]
-fn gap_above_twice_the_noise_stays_open() {
-    let leaves = |gap: f64| {
+fn gap_above_a_healthy_vehicles_noise_stays_open() {
+    let leaves = |learned: Option<f64>, gap: f64| {
         let file = explained(&[], 0.0, [24.0, gap]);
         let wind = explained(&["wind"], -2.0, [24.0, gap]);
-        decide(&Evidence { learned: Some(1.0), ..evidence(24.0, vec![file, wind]) }).verdict
+        decide(&Evidence { learned, ..evidence(24.0, vec![file, wind]) }).verdict
     };
-    assert_eq!([1.9, 2.4].map(leaves), [Verdict::None, Verdict::Unknown]);
+    let measured = |gap| leaves(Some(1.0), gap);
+    assert_eq!([1.25, 1.35].map(measured), [Verdict::None, Verdict::Unknown]);
+    let assumed = |gap| leaves(None, gap);
+    assert_eq!([1.9, 2.4].map(assumed), [Verdict::None, Verdict::Unknown]);
 }
 
 #[test]
@@ -241,6 +254,8 @@ fn force_confirmed_by_two_sensors_is_unknown_or_gusts() {
     assert_eq!(decide(&forced).because, Some(Unexplained::SlungLoad));
     forced.gusts_m_s = Some(1.5);
     assert_eq!(named(&decide(&forced)), ["gusts"]);
+    forced.structure[0] = 0.7;
+    assert_eq!(decide(&forced).because, Some(Unexplained::SlungLoad));
 }
 
 #[test]
