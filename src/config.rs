@@ -62,14 +62,14 @@ pub enum ConfigError {
         /// What was found, and where.
         message: String,
     },
-    /// The file has a different schema version.
+    /// A layer has a different schema version.
     #[error(
         "configuration from {origin}: schema_version: expected {SCHEMA_VERSION}, found {found}"
     )]
     Version {
         /// The layer.
         origin: Origin,
-        /// The version in the file.
+        /// The version in the layer.
         found: u32,
     },
     /// A variable is not UTF-8 text.
@@ -222,10 +222,7 @@ impl Config {
         let origin = Origin::File(path.into());
         // Parsed as settings first, because those errors show the place in the text.
         let schema = |message: String| ConfigError::Schema { origin: origin.clone(), message };
-        let alone: Settings = toml::from_str(&text).map_err(|error| schema(error.to_string()))?;
-        if alone.schema_version != SCHEMA_VERSION {
-            return Err(ConfigError::Version { origin, found: alone.schema_version });
-        }
+        toml::from_str::<Settings>(&text).map_err(|error| schema(error.to_string()))?;
         let mut table: Table =
             text.parse().map_err(|error: toml::de::Error| schema(error.to_string()))?;
         // Paths in a file are relative to it.
@@ -261,7 +258,10 @@ impl Config {
         self.settings = self.merged.clone().try_into().map_err(|error: toml::de::Error| {
             ConfigError::Schema { origin: origin.clone(), message: error.to_string() }
         })?;
-        Ok(())
+        match self.settings.schema_version {
+            SCHEMA_VERSION => Ok(()),
+            found => Err(ConfigError::Version { origin: origin.clone(), found }),
+        }
     }
 }
 

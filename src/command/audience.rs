@@ -131,7 +131,7 @@ impl Audience {
             let view = self.view.as_ref().map(|view| format!("   http://{}/", view.address()));
             let view = view.unwrap_or_default();
             let screen = Screen::start(format!("downwash: {}, {}{view}", run.vehicle, run.run))?;
-            self.listeners.push(Box::new(screen.scene()));
+            self.listeners.push(Box::new(screen.content()));
             self.screen = Some(screen);
         }
         Ok(self)

@@ -15,7 +15,7 @@ use ratatui::crossterm::terminal::{
     is_raw_mode_enabled,
 };
 
-use super::scene::Scene;
+use super::screen_content::SharedContent;
 use super::screen_layout::draw;
 use super::stop::Stop;
 use super::{Exit, ExitContext, status_line};
@@ -47,7 +47,7 @@ impl KeyRequest {
 /// The screen. Dropping it restores the terminal and prints the messages there.
 pub(super) struct Screen {
     terminal: Terminal<CrosstermBackend<Stderr>>,
-    scene: Scene,
+    content: SharedContent,
     title: String,
 }
 
@@ -67,14 +67,14 @@ impl Screen {
         let entered = execute!(stderr(), EnterAlternateScreen)
             .and_then(|()| Terminal::new(CrosstermBackend::new(stderr())));
         let terminal = entered.inspect_err(|_| restore()).context(failed)?;
-        let scene = Scene::default();
-        status_line::print_on(Some(scene.clone()));
-        Ok(Self { terminal, scene, title })
+        let content = SharedContent::default();
+        status_line::print_on(Some(content.clone()));
+        Ok(Self { terminal, content, title })
     }
 
     /// The screen's content, for sources of news.
-    pub fn scene(&self) -> Scene {
-        self.scene.clone()
+    pub fn content(&self) -> SharedContent {
+        self.content.clone()
     }
 
     /// Draws the status, and returns a request to stop by key. If the terminal is gone, the flight
@@ -87,17 +87,17 @@ impl Screen {
                 match KeyRequest::of(key) {
                     KeyRequest::Stop => stop = Some(Stop::Interrupt),
                     KeyRequest::Scroll(by) => {
-                        let mut seen = self.scene.lock();
-                        let most = seen.messages.len().saturating_sub(1);
-                        seen.scrolled = seen.scrolled.saturating_add_signed(by).min(most);
+                        let mut content = self.content.lock();
+                        let most = content.messages.len().saturating_sub(1);
+                        content.scrolled = content.scrolled.saturating_add_signed(by).min(most);
                     }
                     KeyRequest::Nothing => {}
                 }
             }
         }
-        let seen = self.scene.lock().clone();
+        let content = self.content.lock().clone();
         let title = &self.title;
-        let _ = self.terminal.draw(|frame| draw(frame, title, status, &seen));
+        let _ = self.terminal.draw(|frame| draw(frame, title, status, &content));
         stop
     }
 }
@@ -106,7 +106,7 @@ impl Drop for Screen {
     fn drop(&mut self) {
         restore();
         status_line::print_on(None);
-        for message in &self.scene.lock().messages {
+        for message in &self.content.lock().messages {
             super::print_status(format_args!("{message}"));
         }
     }

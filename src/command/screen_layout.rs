@@ -6,7 +6,7 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Gauge, Paragraph};
 
-use super::scene::Seen;
+use super::screen_content::ScreenContent;
 use crate::station::Status;
 
 const GOOD: Color = Color::Green;
@@ -15,7 +15,7 @@ const BAD: Color = Color::Red;
 /// Share of charge below which the battery is shown as a warning.
 const LOW_CHARGE: f64 = 0.2;
 
-pub(super) fn draw(frame: &mut Frame<'_>, title: &str, status: &Status, seen: &Seen) {
+pub(super) fn draw(frame: &mut Frame<'_>, title: &str, status: &Status, content: &ScreenContent) {
     let heights = [1, 1, 1, 1, 1, 1, 1, 1];
     let rows = heights.map(Constraint::Length).into_iter();
     let rows = rows.chain([Constraint::Min(3), Constraint::Length(1)]);
@@ -23,18 +23,18 @@ pub(super) fn draw(frame: &mut Frame<'_>, title: &str, status: &Status, seen: &S
     let lines = [
         Line::styled(title, Style::new().add_modifier(Modifier::BOLD)),
         flight(status),
-        link(status, seen),
-        position(status, seen),
-        attitude(seen),
-        rates(status, seen),
+        link(status, content),
+        position(status, content),
+        attitude(content),
+        rates(status, content),
     ];
     for (line, area) in lines.into_iter().zip(areas.iter()) {
         frame.render_widget(Paragraph::new(line), *area);
     }
     let [.., progress, battery, messages, keys] = &*areas else { return };
     draw_progress(frame, *progress, status);
-    draw_battery(frame, *battery, status, seen);
-    draw_messages(frame, *messages, seen);
+    draw_battery(frame, *battery, status, content);
+    draw_messages(frame, *messages, content);
     let text =
         "q or Ctrl-C: land and stop; again: stop sending at once    Up, Down, PgUp, PgDn: events";
     frame
@@ -85,9 +85,9 @@ fn flight(status: &Status) -> Line<'_> {
     ])
 }
 
-fn link<'a>(status: &Status, seen: &Seen) -> Line<'a> {
+fn link<'a>(status: &Status, content: &ScreenContent) -> Line<'a> {
     let colour = if status.link == "connected" { GOOD } else { BAD };
-    let stats = seen.link.as_ref();
+    let stats = content.link.as_ref();
     let lost = stats.map_or("-".to_owned(), |stats| stats.lost_frames.to_string());
     line([
         item("link", status.link.to_owned(), Style::new().fg(colour)),
@@ -97,13 +97,13 @@ fn link<'a>(status: &Status, seen: &Seen) -> Line<'a> {
     ])
 }
 
-fn position<'a>(status: &Status, seen: &Seen) -> Line<'a> {
+fn position<'a>(status: &Status, content: &ScreenContent) -> Line<'a> {
     let p = status.position;
     let place = match status.tick_rate_hz > 0.0 {
         true => format!("n {:+.2} e {:+.2} d {:+.2} m", p.north(), p.east(), p.down()),
         false => "-".to_owned(),
     };
-    let error = seen.tick.and_then(|tick| {
+    let error = content.tick.and_then(|tick| {
         let desired = tick.desired.or(tick.reference.map(|reference| reference.position))?;
         Some(tick.state.position - desired)
     });
@@ -114,8 +114,8 @@ fn position<'a>(status: &Status, seen: &Seen) -> Line<'a> {
     line([plain("position", place), plain("error", error)])
 }
 
-fn attitude<'a>(seen: &Seen) -> Line<'a> {
-    let Some(tick) = seen.tick else {
+fn attitude<'a>(content: &ScreenContent) -> Line<'a> {
+    let Some(tick) = content.tick else {
         return line([plain("attitude", "-".to_owned()), plain("rates", "-".to_owned())]);
     };
     let euler = tick.state.attitude.euler();
@@ -127,8 +127,8 @@ fn attitude<'a>(seen: &Seen) -> Line<'a> {
     ])
 }
 
-fn rates<'a>(status: &Status, seen: &Seen) -> Line<'a> {
-    let stats = seen.link.as_ref();
+fn rates<'a>(status: &Status, content: &ScreenContent) -> Line<'a> {
+    let stats = content.link.as_ref();
     line([
         plain("control", known(Some(status.tick_rate_hz), 0, "Hz")),
         plain("attitude", known(stats.map(|s| s.attitude_hz), 0, "Hz")),
@@ -151,23 +151,23 @@ fn draw_progress(frame: &mut Frame<'_>, area: Rect, status: &Status) {
     draw_gauge(frame, area, ratio, label, Color::Blue);
 }
 
-fn draw_battery(frame: &mut Frame<'_>, area: Rect, status: &Status, seen: &Seen) {
+fn draw_battery(frame: &mut Frame<'_>, area: Rect, status: &Status, content: &ScreenContent) {
     let share = known(status.battery.map(|share| 100.0 * share), 0, "%");
     let label = format!(
         "battery {share}, {}, {}",
-        known(seen.voltage, 2, "V"),
-        known(seen.current, 1, "A")
+        known(content.voltage, 2, "V"),
+        known(content.current, 1, "A")
     );
     let colour = if status.battery.is_some_and(|left| left < LOW_CHARGE) { BAD } else { GOOD };
     draw_gauge(frame, area, status.battery.unwrap_or(0.0), label, colour);
 }
 
 /// The newest message is at the bottom.
-fn draw_messages(frame: &mut Frame<'_>, area: Rect, seen: &Seen) {
+fn draw_messages(frame: &mut Frame<'_>, area: Rect, content: &ScreenContent) {
     let block = Block::bordered().title("events");
     let height = usize::from(block.inner(area).height);
-    let end = seen.messages.len().saturating_sub(seen.scrolled);
+    let end = content.messages.len().saturating_sub(content.scrolled);
     let begin = end.saturating_sub(height);
-    let shown = seen.messages.range(begin..end).map(|message| Line::raw(message.as_str()));
+    let shown = content.messages.range(begin..end).map(|message| Line::raw(message.as_str()));
     frame.render_widget(Paragraph::new(Vec::from_iter(shown)).block(block), area);
 }

@@ -153,6 +153,15 @@ pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<Exit> {
     } else {
         simulation.fly_with(folder, learn, watch)?
     };
+    for onset in simulation.truth.onsets.iter().filter(|onset| onset.at_s > row.simulated_s) {
+        let names: Vec<&str> = onset.effects.iter().map(|(id, _)| id.name()).collect();
+        print_status(format_args!(
+            "warning: the flight ended at {:.1} s, before the onset of {} at {:.1} s",
+            row.simulated_s,
+            names.join(", "),
+            onset.at_s
+        ));
+    }
     row.laps = learner.map(|learner| learner.laps().to_vec()).unwrap_or_default();
     bar.finish_and_clear();
     if let Some(log) = row.log.as_ref().filter(|_| !args.no_report) {

@@ -6,14 +6,14 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use super::scene::Scene;
+use super::screen_content::SharedContent;
 use crate::station::Status;
 
 /// The display that is always visible.
 #[derive(Clone)]
 enum Shown {
     Line(ProgressBar),
-    Screen(Scene),
+    Screen(SharedContent),
 }
 
 /// A process has one terminal, and so one line or one screen. Everything that prints must know of
@@ -25,7 +25,7 @@ fn set_shown(shown: Option<Shown>) {
 }
 
 /// Messages go to the screen from now on, or to stderr again.
-pub(super) fn print_on(screen: Option<Scene>) {
+pub(super) fn print_on(screen: Option<SharedContent>) {
     set_shown(screen.map(Shown::Screen));
 }
 
@@ -39,8 +39,8 @@ pub(super) fn print_above(text: &[u8]) -> io::Result<()> {
     match shown {
         None => print(),
         Some(Shown::Line(bar)) => bar.suspend(print),
-        Some(Shown::Screen(scene)) => {
-            scene.print(text);
+        Some(Shown::Screen(content)) => {
+            content.print(text);
             Ok(())
         }
     }

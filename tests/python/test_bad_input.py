@@ -89,6 +89,18 @@ def test_bad_configuration_files_are_refused(program, hover, tmp_path, text, wor
     refused(program, [*fly(hover, tmp_path), "--config", path], 2, "config.toml", *words)
 
 
+def test_settings_of_another_schema_are_refused_on_the_command_line(program, tmp_path):
+    args = ["simulate", "--set", "schema_version=2", "--no-log", "--out", tmp_path / "flights"]
+    refused(program, args, 2, "schema_version", "expected 1, found 2")
+
+
+def test_onset_after_the_end_of_a_flight_is_reported(program, hover, tmp_path):
+    args = ["simulate", hover, "--no-log", "--effect", "wind:north_m_s=1@500"]
+    one = program(*args, cwd=tmp_path)
+    code, _ = one.finish(60)
+    assert code == 0 and "before the onset of wind at 500.0 s" in one.err, one.err
+
+
 @pytest.mark.parametrize(
     "url, word",
     [

@@ -11,7 +11,7 @@ const MESSAGES: usize = 500;
 
 /// The content of the screen besides the status.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Seen {
+pub(super) struct ScreenContent {
     pub tick: Option<Tick>,
     pub link: Option<LinkStats>,
     /// Battery voltage, V.
@@ -25,38 +25,38 @@ pub(super) struct Seen {
 
 /// The shared content of one flight's view. The log's thread and every source of messages write it.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Scene(Arc<Mutex<Seen>>);
+pub(super) struct SharedContent(Arc<Mutex<ScreenContent>>);
 
-impl Scene {
-    pub fn lock(&self) -> MutexGuard<'_, Seen> {
+impl SharedContent {
+    pub fn lock(&self) -> MutexGuard<'_, ScreenContent> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Adds lines to the messages, without terminal sequences.
     pub fn print(&self, text: &[u8]) {
         let text = plain(&String::from_utf8_lossy(text));
-        let mut seen = self.lock();
+        let mut content = self.lock();
         for line in text.lines().filter(|line| !line.trim().is_empty()) {
-            if seen.messages.len() == MESSAGES {
-                seen.messages.pop_front();
+            if content.messages.len() == MESSAGES {
+                content.messages.pop_front();
             }
-            seen.messages.push_back(line.to_owned());
+            content.messages.push_back(line.to_owned());
             // While the user reads older messages, they keep their place until they are dropped.
-            if seen.scrolled > 0 {
-                seen.scrolled = (seen.scrolled + 1).min(seen.messages.len() - 1);
+            if content.scrolled > 0 {
+                content.scrolled = (content.scrolled + 1).min(content.messages.len() - 1);
             }
         }
     }
 }
 
-impl Listener for Scene {
+impl Listener for SharedContent {
     fn on_record(&mut self, record: &Record) {
         match record {
             Record::Tick(tick) => self.lock().tick = Some(*tick),
             Record::Link { stats, .. } => self.lock().link = Some(*stats),
             Record::Battery { voltage, current, .. } => {
-                let mut seen = self.lock();
-                (seen.voltage, seen.current) = (*voltage, *current);
+                let mut content = self.lock();
+                (content.voltage, content.current) = (*voltage, *current);
             }
             _ => {}
         }
@@ -95,14 +95,14 @@ mod tests {
 
     #[test]
     fn message_history_is_bounded_and_keeps_its_scroll_position() {
-        let scene = Scene::default();
-        scene.print(b"one\n\ntwo\n");
-        scene.lock().scrolled = 1;
-        scene.print(b"three\n");
-        assert_eq!(scene.lock().scrolled, 2);
-        (0..2 * MESSAGES).for_each(|n| scene.print(format!("{n}\n").as_bytes()));
-        assert_eq!(scene.lock().messages.len(), MESSAGES);
-        assert_eq!(scene.lock().messages.back().map(String::as_str), Some("999"));
-        assert_eq!(scene.lock().scrolled, MESSAGES - 1, "the oldest message is still in view");
+        let content = SharedContent::default();
+        content.print(b"one\n\ntwo\n");
+        content.lock().scrolled = 1;
+        content.print(b"three\n");
+        assert_eq!(content.lock().scrolled, 2);
+        (0..2 * MESSAGES).for_each(|n| content.print(format!("{n}\n").as_bytes()));
+        assert_eq!(content.lock().messages.len(), MESSAGES);
+        assert_eq!(content.lock().messages.back().map(String::as_str), Some("999"));
+        assert_eq!(content.lock().scrolled, MESSAGES - 1, "the oldest message is still in view");
     }
 }
