@@ -36,7 +36,7 @@ exits! {
     NoPlan = 6,
     /// A requested check failed: `log audit --fail-on`, `diagnose --fail-on`,
     /// `onset --fail-on-change`, `exam --fail-on-miss`, `compare --baseline`, `vehicle check`,
-    /// `campaign`.
+    /// `tube check`, `campaign`.
     Check = 10,
     /// Interrupted by Ctrl-C or SIGTERM: a command that flies no vehicle ends within two seconds
     /// and keeps its finished work; one that flies lands first. A lost link, a pilot's takeover or

@@ -22,7 +22,7 @@ use crate::diagnose::residual_analysis::turbulence::EXPLAINED_MAX;
 use crate::diagnose::verdict::calibration::{Calibration, SIGNS};
 use crate::diagnose::verdict::evidence::{Evidence, ForceLeft};
 use crate::diagnose::verdict::leading::Leading;
-use crate::diagnose::verdict::posterior::{HEALTHY_GAP, OPEN_GAP, Posterior};
+use crate::diagnose::verdict::posterior::{HEALTHY_GAP, OPEN_GAP, PREDICTION_SHARE_MIN, Posterior};
 
 /// The verdict in three words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
@@ -192,9 +192,10 @@ fn by_predictions(
     decision.explanation = 0;
     let open = (OPEN_GAP + 4.0 * evidence.scatter).powi(2);
     let is_open = shipped.powi(2) > open;
-    // However much the file's numbers close, a gap of twice the noise is open. Where a learner
-    // measured the noise, so is one beyond a healthy vehicle's.
-    let healthy = if evidence.learned.is_some() { HEALTHY_GAP } else { 2.0 };
+    // However much the file's numbers close, a gap of twice the noise is open. So is one beyond a
+    // healthy vehicle's noise, where a learner predicts a part of the force or the moment.
+    let is_learned = evidence.structure.iter().any(|share| *share > PREDICTION_SHARE_MIN);
+    let healthy = if is_learned { HEALTHY_GAP } else { 2.0 };
     let is_large = file - noise > SUBSTANTIAL_SHARE * (shipped.powi(2) - noise)
         || file > healthy.powi(2) * noise;
     let is_left = file > noise * open && is_large;

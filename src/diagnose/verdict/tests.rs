@@ -119,15 +119,17 @@ fn effect_without_influence_on_predictions_is_not_named() {
 
 #[test]
 fn gap_above_a_healthy_vehicles_noise_stays_open() {
-    let leaves = |learned: Option<f64>, gap: f64| {
+    let leaves = |predicted: f64, gap: f64| {
         let file = explained(&[], 0.0, [24.0, gap]);
         let wind = explained(&["wind"], -2.0, [24.0, gap]);
-        decide(&Evidence { learned, ..evidence(24.0, vec![file, wind]) }).verdict
+        let (learned, structure) = (Some(1.0), [0.0, predicted]);
+        let all = evidence(24.0, vec![file, wind]);
+        decide(&Evidence { learned, structure, ..all }).verdict
     };
-    let measured = |gap| leaves(Some(1.0), gap);
-    assert_eq!([1.25, 1.35].map(measured), [Verdict::None, Verdict::Unknown]);
-    let assumed = |gap| leaves(None, gap);
-    assert_eq!([1.9, 2.4].map(assumed), [Verdict::None, Verdict::Unknown]);
+    let learned = |gap| leaves(0.4, gap);
+    assert_eq!([1.25, 1.35].map(learned), [Verdict::None, Verdict::Unknown]);
+    let not_learned = |gap| leaves(0.0, gap);
+    assert_eq!([1.9, 2.4].map(not_learned), [Verdict::None, Verdict::Unknown]);
 }
 
 #[test]
