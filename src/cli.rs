@@ -31,7 +31,7 @@ pub use self::exam::ExamArgs;
 pub use self::flight::{
     CollectArgs, DaemonArgs, DoctorArgs, FlyArgs, LearnArgs, ListenArgs, SimulationArgs,
 };
-pub use self::log::{ExportFormat, FailOnFinding, LogCommand};
+pub use self::log::{ExportFormat, FailOnFinding, FlightChoiceArgs, LogCommand};
 pub use self::mocap::{MocapArgs, UpChoice};
 pub use self::model::{FeatureChoice, MethodChoice, ModelCommand, PlanArgs, TrainArgs};
 pub use self::reference::{PageChoice, ReferenceArgs};

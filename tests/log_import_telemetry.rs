@@ -92,7 +92,7 @@ fn longest_flight_or_the_requested_boot_is_imported() {
     assert_eq!(span(&flight), (2.0, 22.0));
     let note = |words: &str| flight.facts.notes.iter().any(|note| note.contains(words));
     assert!(note("boot 2 of 3 (--boot 2)") && note("flown, used"), "{:?}", flight.facts.notes);
-    let chosen = |boot| open_chosen(&path, Choice { mapping: None, boot: Some(boot) });
+    let chosen = |boot| open_chosen(&path, Choice { boot: Some(boot), ..Choice::default() });
     assert_eq!(span(&chosen(1).expect("a boot")), (1.0, 41.0));
     assert_eq!(span(&chosen(3).expect("a boot")), (3.0, 8.0));
     for boot in [0, 4] {

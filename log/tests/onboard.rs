@@ -315,7 +315,7 @@ fn of_two_boots_in_one_log_one_is_read() {
         ("ulog", [ulog(8.0).bytes, ulog(12.0).bytes].concat()),
     ] {
         fs::write(&path, log).expect("a file");
-        let chosen = |boot| open_chosen(&path, Choice { mapping: None, boot });
+        let chosen = |boot| open_chosen(&path, Choice { boot, ..Choice::default() });
         let length = |flight: &Flight| {
             let times = flight.attitude.times();
             (times[times.len() - 1] - times[0]).round()

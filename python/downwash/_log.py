@@ -99,12 +99,21 @@ class Log(Mapping[str, Stream]):
         return f"<downwash.Log {self.facts['run']!r}: {', '.join(self)}>"
 
 
-def read(path: Path, *, mapping: Path | None = None, boot: int | None = None) -> Log:
+def read(
+    path: Path,
+    *,
+    mapping: Path | None = None,
+    boot: int | None = None,
+    system: int | None = None,
+) -> Log:
     """Reads a flight log of any format: .mcap, .tlog, ULog, DataFlash, or a table with the mapping file
-    that defines its columns. ``boot`` selects a boot of the vehicle, counted from 1."""
+    that defines its columns. ``boot`` selects a boot of the vehicle, counted from 1, and
+    ``system`` a vehicle by its system id, in telemetry of several."""
     if boot is not None:
         boot = count("boot", boot, 1, 2**32)
-    return Log(_native.Log.read(path, mapping, boot), mapping)
+    if system is not None:
+        system = count("system", system, 1, 255)
+    return Log(_native.Log.read(path, mapping, boot, system), mapping)
 
 
 def audit(logs: Path | Iterable[Path], *, mapping: Path | None = None) -> dict[str, Any]:

@@ -46,15 +46,16 @@ fn flat<const N: usize, T>(
 #[pymethods]
 impl Log {
     #[staticmethod]
-    #[pyo3(signature = (path, mapping, boot))]
+    #[pyo3(signature = (path, mapping, boot, system))]
     fn read(
         py: Python<'_>,
         path: PathBuf,
         mapping: Option<PathBuf>,
         boot: Option<usize>,
+        system: Option<u8>,
     ) -> PyResult<Self> {
         let flight = watched(py, None, None, move |_| {
-            let choice = Choice { mapping: mapping.as_deref(), boot };
+            let choice = Choice { mapping: mapping.as_deref(), boot, system };
             Ok(import::open_chosen(&path, choice)?)
         })?;
         Ok(Self { flight })

@@ -129,7 +129,7 @@ CALLS: list[Callable[[random.Random], object]] = [
     lambda r: dw.plan(paths(r)),
     lambda r: dw.Plan.load(paths(r)),
     lambda r: dw.Model(paths(r)),
-    lambda r: dw.read(paths(r), mapping=paths(r), boot=scalars(r)),
+    lambda r: dw.read(paths(r), mapping=paths(r), boot=scalars(r), system=scalars(r)),
     lambda r: dw.audit(paths(r)),
     lambda r: dw.Learner(hidden=scalars(r), passes=scalars(r), features=scalars(r)).fit(paths(r)),
     lambda r: dw.Learner().predict(arrays(r)),

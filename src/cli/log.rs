@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
-use clap::{Subcommand, ValueEnum};
+use clap::{Args, Subcommand, ValueEnum};
+
+use crate::log::import::Choice;
 
 /// Commands on flight logs.
 #[derive(Debug, Subcommand)]
@@ -39,16 +41,11 @@ pub enum LogCommand {
     Import {
         /// Flight log.
         file: PathBuf,
-        /// Mapping of a table's columns: a TOML file, or the name of a shipped one (motion-capture,
-        /// motive).
-        #[arg(long, value_name = "MAP")]
-        mapping: Option<PathBuf>,
-        /// Which boot of the vehicle to read, from 1, if a log holds several [default: the one that
-        /// flew longest].
-        #[arg(long, value_name = "N")]
-        boot: Option<usize>,
+        /// The flight to read of it.
+        #[command(flatten)]
+        choice: FlightChoiceArgs,
         /// Prints a mapping file for a table, proposed from its column names, and imports nothing.
-        #[arg(long, conflicts_with_all = ["mapping", "boot", "out", "json"])]
+        #[arg(long, conflicts_with_all = ["mapping", "boot", "system", "out", "json"])]
         propose: bool,
         /// The log to write (.mcap).
         #[arg(short, long, value_name = "OUT", required_unless_present = "propose")]
@@ -82,14 +79,9 @@ pub enum LogCommand {
     Report {
         /// Flight log.
         file: PathBuf,
-        /// Mapping of a table's columns: a TOML file, or the name of a shipped one (motion-capture,
-        /// motive).
-        #[arg(long, value_name = "MAP")]
-        mapping: Option<PathBuf>,
-        /// Which boot of the vehicle to read, from 1, if a log holds several [default: the one that
-        /// flew longest].
-        #[arg(long, value_name = "N")]
-        boot: Option<usize>,
+        /// The flight to read of it.
+        #[command(flatten)]
+        choice: FlightChoiceArgs,
         /// The report to write [default: next to the log, with its name].
         #[arg(short, long)]
         out: Option<PathBuf>,
@@ -97,6 +89,30 @@ pub enum LogCommand {
         #[arg(long)]
         json: bool,
     },
+}
+
+/// The flight to read of a log.
+#[derive(Debug, Args)]
+pub struct FlightChoiceArgs {
+    /// Mapping of a table's columns: a TOML file, or the name of a shipped one (motion-capture,
+    /// motive).
+    #[arg(long, value_name = "MAP")]
+    mapping: Option<PathBuf>,
+    /// Which boot of the vehicle to read, from 1, if a log holds several [default: the one that
+    /// flew longest].
+    #[arg(long, value_name = "N")]
+    boot: Option<usize>,
+    /// System id of the vehicle to read, if telemetry holds several [default: the one that sent
+    /// most among those that flew].
+    #[arg(long, value_name = "ID")]
+    system: Option<u8>,
+}
+
+impl FlightChoiceArgs {
+    /// The options of the importer.
+    pub fn choice(&self) -> Choice<'_> {
+        Choice { mapping: self.mapping.as_deref(), boot: self.boot, system: self.system }
+    }
 }
 
 /// Findings that end `log audit` with exit code 10.

@@ -39,18 +39,18 @@ pub(super) fn run(command: LogCommand) -> anyhow::Result<Exit> {
             let _patience = Patience::with(format!("exporting {}", file.display()));
             export(&file, topic.as_deref(), format, out)
         }
-        LogCommand::Import { file, mapping, boot, propose: _, out, json } => {
+        LogCommand::Import { file, choice, propose: _, out, json } => {
             let _patience = Patience::with(format!("importing {}", file.display()));
-            let choice = Choice { mapping: mapping.as_deref(), boot };
+            let choice = choice.choice();
             import::run(Import { file: &file, choice, out: out.as_deref(), json })
         }
         LogCommand::Audit { logs, mapping, fail_on, json } => {
             let _patience = Patience::with(format!("auditing {}", counted(&logs)));
             audit::run(&logs, mapping.as_deref(), fail_on, json)
         }
-        LogCommand::Report { file, mapping, boot, out, json } => {
+        LogCommand::Report { file, choice, out, json } => {
             let _patience = Patience::with(format!("reading {}", file.display()));
-            report(&file, Choice { mapping: mapping.as_deref(), boot }, out, json)
+            report(&file, choice.choice(), out, json)
         }
     }
 }

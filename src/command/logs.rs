@@ -113,6 +113,10 @@ pub(super) fn check_own(log: &Path, choice: Choice<'_>) -> Result<(), ImportErro
         Choice { boot: Some(boot), .. } if boot != 1 => {
             Err(ImportError::NoBoot { path: log.to_owned(), boot, boots: 1 })
         }
+        Choice { system: Some(system), .. } => {
+            let found = "a flight of this program has one vehicle, without an id".to_owned();
+            Err(ImportError::NoSystem { path: log.to_owned(), system, found })
+        }
         Choice { .. } => Ok(()),
     }
 }

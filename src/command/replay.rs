@@ -52,7 +52,7 @@ fn read(path: &Path, mapping: Option<&Path>) -> anyhow::Result<Recording> {
     let named = || path.display().to_string();
     let foreign = match LogReader::open(path) {
         Ok(reader) => {
-            check_own(path, Choice { mapping, boot: None }).or_exit(Exit::Usage)?;
+            check_own(path, Choice { mapping, ..Choice::default() }).or_exit(Exit::Usage)?;
             return Recording::read(reader).with_context(named);
         }
         Err(ReadError::NotMcap { .. }) => import::open(path, mapping).or_exit(Exit::Usage)?,

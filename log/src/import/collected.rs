@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use wire::Frame;
 
+use super::Choice;
 use super::flight::Flight;
 use super::frames::{Frames, UNREAD_FRAME};
 use crate::record::{FrameRecord, Record, stated_parameter};
@@ -57,8 +58,8 @@ impl Collected {
                 None => frames.left_out(UNREAD_FRAME, 1),
             }
         }
-        // Fails only if a boot is selected.
-        let _ = frames.finish(None, &mut flight);
+        // Fails only if a vehicle or a boot is selected.
+        let _ = frames.finish(Choice::default(), &mut flight);
         flight
     }
 }

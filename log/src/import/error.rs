@@ -46,6 +46,16 @@ pub enum ImportError {
         /// Number of boots in the file.
         boots: usize,
     },
+    /// The log has no vehicle with the chosen system id.
+    #[error("{}: no vehicle with the system id {system} (--system): {found}", path.display())]
+    NoSystem {
+        /// The file.
+        path: PathBuf,
+        /// The requested id.
+        system: u8,
+        /// The vehicles of the log.
+        found: String,
+    },
     /// The file is a table and no mapping file was given.
     #[error(
         "{} is a table: expected a mapping file that states its columns (--mapping MAP.toml); \

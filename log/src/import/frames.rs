@@ -9,12 +9,12 @@ use wire::dialect::{
 };
 use wire::{Frame, message_name};
 
-use super::LogFault;
 use super::clocks::{Exchange, FrameTime};
 use super::flight::{AttitudeSetpoint, Flight};
 use super::setpoints::Sent;
 use super::tally::Tally;
 use super::vehicle::VehicleLog;
+use super::{Choice, LogFault};
 
 /// Largest number of senders; a log has one or two vehicles and some ground stations.
 const SENDERS_MAX: usize = 32;
@@ -188,13 +188,13 @@ impl Frames {
         }
     }
 
-    /// Fills `flight` with one vehicle: autopilots first, then those that flew longest in one boot,
-    /// then the one with most attitudes, then with most messages. Notes the other vehicles. Returns
-    /// the names of all messages.
+    /// Fills `flight` with one vehicle, of the chosen system where one is chosen: autopilots first,
+    /// then those that flew longest in one boot, then the one with most attitudes, then with most
+    /// messages. Notes the other vehicles. Returns the names of all messages.
     ///
     /// # Errors
-    /// The vehicle does not have the chosen boot.
-    pub fn finish(self, boot: Option<usize>, flight: &mut Flight) -> Result<Vec<String>, LogFault> {
+    /// The log has no vehicle of the chosen system, or the vehicle does not have the chosen boot.
+    pub fn finish(self, choice: Choice<'_>, flight: &mut Flight) -> Result<Vec<String>, LogFault> {
         let Self { mut vehicles, mut setpoints, mut tally, seen, .. } = self;
         let any_autopilot = vehicles.values().any(VehicleLog::is_autopilot);
         let flown_s = |log: &VehicleLog| log.flown().into_iter().fold(0.0, f64::max);
@@ -205,8 +205,20 @@ impl Frames {
             let is_kind = log.is_autopilot() == any_autopilot;
             (is_kind, has_flown(log), log.attitudes(), log.messages())
         };
-        let chosen =
-            vehicles.iter().rev().max_by_key(|(_, log)| weight(log)).map(|(sender, _)| *sender);
+        let is_chosen =
+            |sender: &Sender| choice.system.is_none_or(|system| sender.0 == u32::from(system));
+        let candidates = vehicles.iter().rev().filter(|(sender, _)| is_chosen(sender));
+        let chosen = candidates.max_by_key(|(_, log)| weight(log)).map(|(sender, _)| *sender);
+        if let (None, Some(system)) = (chosen, choice.system) {
+            let mut systems: Vec<u32> = vehicles.keys().map(|sender| sender.0).collect();
+            systems.dedup();
+            let systems: Vec<String> = systems.iter().map(u32::to_string).collect();
+            let found = match systems.as_slice() {
+                [] => "this log has none".to_owned(),
+                systems => format!("this log has {}", systems.join(", ")),
+            };
+            return Err(LogFault::NoSystem { system, found });
+        }
         if let Some(chosen) = chosen
             && let Some(vehicle) = vehicles.remove(&chosen)
         {
@@ -219,16 +231,19 @@ impl Frames {
                 .max_by_key(|(_, sent)| sent.len())
                 .map(|(key, _)| *key);
             let sent = commander.and_then(|key| setpoints.remove(&key)).unwrap_or_default();
-            tally.merge(vehicle.finish(sent, boot, flight)?);
+            tally.merge(vehicle.finish(sent, choice.boot, flight)?);
             let is_vehicle = |(_, log): &(&Sender, &VehicleLog)| {
                 log.is_autopilot() == any_autopilot && log.attitudes() > 0
             };
             let others = vehicles.iter().filter(is_vehicle);
             let others: Vec<String> = others.map(|(sender, _)| sender.0.to_string()).collect();
             if !others.is_empty() {
+                let why = match choice.system {
+                    Some(_) => "chosen by --system",
+                    None => "which flew as long as any and sent most (--system chooses another)",
+                };
                 flight.facts.notes.push(format!(
-                    "of several vehicles, system {} is read, which flew as long as any and sent most; \
-                     the others are {}",
+                    "of several vehicles, system {} is read, {why}; the others are {}",
                     chosen.0,
                     others.join(", ")
                 ));
@@ -254,8 +269,8 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn the_vehicle_that_flew_is_read_and_the_others_are_noted() {
+    /// Frames of system 1, which is armed, and of system 2.
+    fn of_two_vehicles() -> Frames {
         let mut frames = Frames::default();
         let mut encoders = [Encoder::new(1, 1), Encoder::new(2, 1)];
         for step in 0..400_u32 {
@@ -283,10 +298,26 @@ mod tests {
                 }
             }
         }
-        let mut flight = Flight::in_memory("memory", "tlog");
-        assert!(frames.finish(None, &mut flight).is_ok());
-        assert_eq!(flight.attitude.len(), 100);
-        let said = flight.facts.notes.iter().any(|note| note.contains("system 1 is read"));
-        assert!(said && flight.facts.notes.iter().any(|note| note.ends_with("others are 2")));
+        frames
+    }
+
+    #[test]
+    fn the_vehicle_that_flew_is_read_unless_another_is_chosen() {
+        let read = |system: Option<u8>| {
+            let mut flight = Flight::in_memory("memory", "tlog");
+            let choice = Choice { system, ..Choice::default() };
+            of_two_vehicles().finish(choice, &mut flight).map(|_| flight)
+        };
+        for (system, read_system, other, attitudes) in [(None, 1, 2, 100), (Some(2), 2, 1, 400)] {
+            let flight = read(system).expect("a flight");
+            assert_eq!(flight.attitude.len(), attitudes);
+            let is_noted = |text: String| flight.facts.notes.iter().any(|n| n.contains(&text));
+            assert!(is_noted(format!("system {read_system} is read")));
+            assert!(is_noted(format!("the others are {other}")));
+        }
+        let Err(LogFault::NoSystem { system: 7, found }) = read(Some(7)) else {
+            panic!("a flight of no vehicle")
+        };
+        assert_eq!(found, "this log has 1, 2");
     }
 }

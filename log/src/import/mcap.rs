@@ -11,7 +11,7 @@ use super::flight::Flight;
 use super::frames::{Frames, UNREAD_FRAME};
 use super::references::References;
 use super::tally::Tally;
-use super::{Contents, LogFault};
+use super::{Choice, Contents, LogFault};
 use crate::reader::{Channel, LogReader};
 use crate::record::stated_parameter;
 use crate::schema::{Flat, MavlinkFrameMessage};
@@ -24,10 +24,10 @@ const TOPICS_MAX: usize = 64;
 /// Reads the rest of `reader` into `flight`. Returns the foreign topics in the log.
 ///
 /// # Errors
-/// Errors of the source, or the log does not have the chosen boot.
+/// Errors of the source, or the log does not have the chosen vehicle or boot.
 pub(super) fn read(
     reader: &mut LogReader<impl Read>,
-    boot: Option<usize>,
+    choice: Choice<'_>,
     flight: &mut Flight,
 ) -> Result<Contents, LogFault> {
     let mut frames: Option<Frames> = None;
@@ -82,9 +82,12 @@ pub(super) fn read(
         let facts = reader.run().iter();
         let stated = facts.filter_map(|(key, value)| stated_parameter(key, value));
         flight.facts.parameters = stated.collect();
-        frames.finish(boot, flight)?;
-    } else if let Some(boot) = boot.filter(|boot| *boot != 1) {
+        frames.finish(choice, flight)?;
+    } else if let Some(boot) = choice.boot.filter(|boot| *boot != 1) {
         return Err(LogFault::NoBoot { boot, boots: 1 });
+    } else if let Some(system) = choice.system {
+        let found = "this log has one vehicle, without an id".to_owned();
+        return Err(LogFault::NoSystem { system, found });
     }
     let vehicle = reader.attachments().iter().find(|attachment| attachment.name != CONFIG);
     flight.vehicle_file =

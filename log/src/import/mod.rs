@@ -64,6 +64,9 @@ pub struct Choice<'a> {
     pub mapping: Option<&'a Path>,
     /// Boot of the vehicle, counted from 1; by default the one that flew longest.
     pub boot: Option<usize>,
+    /// System id of the vehicle in telemetry; by default of the one that sent most among those that
+    /// flew as long as any.
+    pub system: Option<u8>,
 }
 
 /// Reads a flight log and detects its format from the content: downwash's log (.mcap), a telemetry
@@ -75,13 +78,13 @@ pub struct Choice<'a> {
 /// [`ImportError`] if a file cannot be read, is not a log, has no data of a flight, or a table's
 /// mapping is incomplete.
 pub fn open(path: &Path, mapping: Option<&Path>) -> Result<Flight, ImportError> {
-    open_chosen(path, Choice { mapping, boot: None })
+    open_chosen(path, Choice { mapping, ..Choice::default() })
 }
 
 /// As [`open`], with options.
 ///
 /// # Errors
-/// As [`open`]; also if the log does not have the chosen boot.
+/// As [`open`]; also if the log does not have the chosen boot or system.
 pub fn open_chosen(path: &Path, choice: Choice<'_>) -> Result<Flight, ImportError> {
     let io = |source| ImportError::Read { path: path.to_owned(), source };
     let format = source::recognise(path)?;
@@ -97,16 +100,24 @@ pub fn open_chosen(path: &Path, choice: Choice<'_>) -> Result<Flight, ImportErro
     if let (Some(_), Some(boot @ (0 | 2..))) = (&mapping, choice.boot) {
         return Err(ImportError::NoBoot { path: path.to_owned(), boot, boots: 1 });
     }
+    if let (Some(system), Format::Csv | Format::Ulog | Format::DataFlash) = (choice.system, format)
+    {
+        let found = format!("a {} file has one vehicle, without an id", format.name());
+        return Err(ImportError::NoSystem { path: path.to_owned(), system, found });
+    }
     let origin = source::origin(path, format)?;
     let file = File::open(path).map_err(io)?;
     let mut flight = Flight::empty(origin, Clock::Single);
     let source = io::BufReader::with_capacity(1 << 16, file);
     let contents = match mapping {
-        None => read(source, format, choice.boot, &mut flight).map_err(|error| match error {
+        None => read(source, format, choice, &mut flight).map_err(|error| match error {
             LogFault::Io(source) => io(source),
             LogFault::Foreign(found) => ImportError::not_a_log(path, found),
             LogFault::NoBoot { boot, boots } => {
                 ImportError::NoBoot { path: path.to_owned(), boot, boots }
+            }
+            LogFault::NoSystem { system, found } => {
+                ImportError::NoSystem { path: path.to_owned(), system, found }
             }
         })?,
         Some((file, mapping)) => table::read(source, &mapping, &mut flight)
@@ -205,6 +216,7 @@ pub fn open_among(path: &Path, mapping: Option<&Path>) -> Result<Flight, ImportE
 }
 
 /// Why a self-describing log cannot be read.
+#[derive(Debug)]
 enum LogFault {
     Io(io::Error),
     /// The file is something else; the text says what.
@@ -213,6 +225,11 @@ enum LogFault {
     NoBoot {
         boot: usize,
         boots: usize,
+    },
+    /// The log has no such vehicle; the text says which it has.
+    NoSystem {
+        system: u8,
+        found: String,
     },
 }
 
@@ -244,14 +261,14 @@ impl From<UlogError> for LogFault {
 fn read(
     source: impl Read,
     format: Format,
-    boot: Option<usize>,
+    choice: Choice<'_>,
     flight: &mut Flight,
 ) -> Result<Contents, LogFault> {
     match format {
-        Format::Mcap => mcap::read(&mut LogReader::new(source)?, boot, flight),
-        Format::Ulog => ulog::read(source, boot, flight),
-        Format::DataFlash => dataflash::read(source, boot, flight),
-        Format::Tlog | Format::Csv => tlog::read(source, boot, flight),
+        Format::Mcap => mcap::read(&mut LogReader::new(source)?, choice, flight),
+        Format::Ulog => ulog::read(source, choice.boot, flight),
+        Format::DataFlash => dataflash::read(source, choice.boot, flight),
+        Format::Tlog | Format::Csv => tlog::read(source, choice, flight),
     }
 }
 
@@ -268,7 +285,7 @@ pub fn read_bytes(bytes: &[u8], mapping: &str) -> Vec<Flight> {
     let mut flights = Vec::new();
     for format in [Format::Mcap, Format::Tlog, Format::Ulog, Format::DataFlash] {
         let mut flight = flight();
-        if read(bytes, format, None, &mut flight).is_ok() {
+        if read(bytes, format, Choice::default(), &mut flight).is_ok() {
             flights.push(flight);
         }
     }

@@ -7,15 +7,15 @@ use wire::tlog::Reader;
 
 use super::flight::Flight;
 use super::frames::Frames;
-use super::{Contents, LogFault};
+use super::{Choice, Contents, LogFault};
 
 /// Reads all frames of `source` into `flight`. Returns the names of the messages.
 ///
 /// # Errors
-/// Errors of `source`, or the vehicle does not have the chosen boot.
+/// Errors of `source`, or the log does not have the chosen vehicle or boot.
 pub(super) fn read(
     source: impl Read,
-    boot: Option<usize>,
+    choice: Choice<'_>,
     flight: &mut Flight,
 ) -> Result<Contents, LogFault> {
     let mut reader = Reader::new(source);
@@ -31,6 +31,6 @@ pub(super) fn read(
     if let Some(first) = reader.first_skipped() {
         frames.lose(format!("{skipped} bytes belong to no whole frame, the first at byte {first}"));
     }
-    let names = frames.finish(boot, flight)?;
+    let names = frames.finish(choice, flight)?;
     Ok(Contents { part: "message", names, reason: None })
 }
