@@ -195,9 +195,9 @@ fn by_predictions(
     // However much the file's numbers close, a gap of twice the noise is open. So is one beyond a
     // healthy vehicle's noise, where a learner predicts a part of the force or the moment.
     let is_learned = evidence.structure.iter().any(|share| *share > PREDICTION_SHARE_MIN);
-    let healthy = if is_learned { HEALTHY_GAP } else { 2.0 };
+    let noise_gap_max = if is_learned { HEALTHY_GAP } else { 2.0 };
     let is_large = file - noise > SUBSTANTIAL_SHARE * (shipped.powi(2) - noise)
-        || file > healthy.powi(2) * noise;
+        || file > noise_gap_max.powi(2) * noise;
     let is_left = file > noise * open && is_large;
     // No learner predicts turbulence.
     let is_gusty = evidence.gusts_m_s.is_some() && evidence.structure[0] < EXPLAINED_MAX;

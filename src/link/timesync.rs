@@ -7,6 +7,9 @@
 //! clocks' possible drift. Two such bounds give the skew to within their sum over the time between
 //! them; a skew too small for them to show counts as zero.
 //!
+//! A second answer to one request, with a later `tc1`, shows that the link carried the request to the
+//! vehicle twice, and how long after.
+//!
 //! An exchange whose bounds contradict the estimate proves that the clock slipped. Several in a row
 //! that agree with one another restart the estimate.
 

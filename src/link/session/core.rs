@@ -322,13 +322,10 @@ impl Core {
         }
         let answer = self.clock.answer(now, data.tc1, data.ts1);
         self.timesync_due = self.timesync_due.min(now + self.clock.period());
-        match answer {
-            Answer::NotOurs => return false,
-            Answer::Again { after } => {
-                self.events.push_back(Event::RequestAgain(after));
-                return false;
-            }
-            _ => self.events.extend(self.clock.round_trip().map(Event::RoundTrip)),
+        if let Answer::Again { after } = answer {
+            self.events.push_back(Event::RequestAgain(after));
+        } else if answer != Answer::NotOurs {
+            self.events.extend(self.clock.round_trip().map(Event::RoundTrip));
         }
         let by_ns = match answer {
             Answer::NotOurs | Answer::Again { .. } | Answer::Sample => return false,
