@@ -22,6 +22,8 @@ pub struct Candidate {
     pub latency: f64,
     /// Trim of the reported attitude.
     pub trim: Option<AttitudeTrim>,
+    /// Variance of the times over which the reported velocity is smoothed, s^2.
+    pub velocity_smoothing: f64,
     /// Delay from sending a setpoint to its use, s.
     pub command_delay: f64,
     /// Scales of the on-board gains.
@@ -113,16 +115,16 @@ impl Catalogue {
     /// # Errors
     /// A vehicle that the physics rejects.
     pub fn candidate(&self, values: &[f64]) -> Result<Candidate, VehicleError> {
-        let delays = self.numbers.iter().zip(values);
-        let output_delay = delays
-            .filter(|(number, _)| number.target == Target::OutputDelay)
-            .map(|(_, value)| *value)
-            .sum();
+        let of_target = |target: Target| {
+            let numbers = self.numbers.iter().zip(values);
+            numbers.filter(move |(number, _)| number.target == target).map(|(_, value)| *value)
+        };
         let (vehicle, overlay) = self.vehicle_of(values);
         let effects = vehicle.modelled_effects.overlay(&overlay);
         let physics = Physics::new(&vehicle, &overlay)?;
         Ok(Candidate {
-            output_delay,
+            output_delay: of_target(Target::OutputDelay).sum(),
+            velocity_smoothing: of_target(Target::VelocitySmoothing).sum(),
             lag: physics.constants().motor_time_constant,
             latency: effects.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
             trim: effects.get::<AttitudeTrim>(),

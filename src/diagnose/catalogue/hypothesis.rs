@@ -10,7 +10,9 @@ use vehicle::{ROTORS, VehicleParams};
 
 use crate::diagnose::catalogue::number::{CONTRASTS, Number, Target};
 use crate::diagnose::catalogue::term::Term;
-use crate::diagnose::catalogue::tolerances::{DAMPING_RATE, DAMPING_TIME_S, Scales, Tolerances};
+use crate::diagnose::catalogue::tolerances::{
+    DAMPING_RATE, DAMPING_TIME_S, Scales, Tolerances, VELOCITY_SMOOTHING_S2,
+};
 use crate::diagnose::flights::command_delay::MeasuredDelay;
 
 /// Limit of a nuisance, in tolerances: anything further off is an effect.
@@ -112,6 +114,7 @@ impl Catalogue {
         }
         catalogue.add_dampings();
         catalogue.add_imbalances(&known);
+        catalogue.add_velocity_smoothing();
         catalogue
     }
 
@@ -193,6 +196,13 @@ impl Catalogue {
             let widths = [known.rotor(), 0.2];
             self.add(Number::nuisance(Target::Imbalance(contrast), 0.0, widths, [-0.9, 0.9]));
         }
+    }
+
+    /// Adds the smoothing of the reported velocity, a nuisance.
+    fn add_velocity_smoothing(&mut self) {
+        let widths = [VELOCITY_SMOOTHING_S2; 2];
+        let bounds = [0.0, TOLERANCES_MAX * VELOCITY_SMOOTHING_S2];
+        self.add(Number::nuisance(Target::VelocitySmoothing, 0.0, widths, bounds));
     }
 
     /// Removes these effects and those that act alike. Their numbers stay free within their

@@ -29,6 +29,9 @@ pub enum Target {
     Damping(usize),
     /// Delay of the motor outputs after their stamps, without the lag, s.
     OutputDelay,
+    /// Variance of the times over which the reported velocity is smoothed, s^2: slopes of positions
+    /// and estimators smooth, and fast accelerations then look smaller than the tilt requires.
+    VelocitySmoothing,
     /// Coefficient of a term of a law.
     Term(usize),
 }
@@ -47,6 +50,7 @@ impl Target {
             },
             Self::RotorScale(_) => "scale".to_owned(),
             Self::OutputDelay => "delay_s".to_owned(),
+            Self::VelocitySmoothing => "smoothing of the reported velocity".to_owned(),
             Self::Term(index) => format!("term {index}"),
             Self::Imbalance(contrast) => format!("imbalance of the thrusts[{contrast}]"),
             Self::Damping(axis) => format!("damping of the rate[{axis}]"),
@@ -71,7 +75,9 @@ impl Display for Target {
             Self::Effect(id, _) => write!(f, "{id} {}", self.name()),
             Self::RotorScale(rotor) => write!(f, "{} {rotor}", EffectId::RotorLoss),
             Self::OutputDelay => f.write_str("delay of the outputs"),
-            Self::Imbalance(_) | Self::Damping(_) | Self::Term(_) => f.write_str(&self.name()),
+            Self::Imbalance(_) | Self::Damping(_) | Self::VelocitySmoothing | Self::Term(_) => {
+                f.write_str(&self.name())
+            }
         }
     }
 }

@@ -39,6 +39,9 @@ const OUTPUT_DELAY_S: f64 = 0.002;
 const DELAY_READ_S: f64 = 5.3e-4;
 /// Standard deviation of air motion that a file does not mention, m/s.
 const STILL_AIR_M_S: f64 = 0.03;
+/// Tolerance of the variance of the times over which the reported velocity is smoothed, whatever the
+/// file claims, s^2: three of these are a slope over 0.35 s.
+pub(in crate::diagnose) const VELOCITY_SMOOTHING_S2: f64 = 0.0034;
 /// Tolerance of the damping moment: a time that multiplies kp, and a rate in 1/s that multiplies
 /// the inertia.
 pub(in crate::diagnose) const DAMPING_TIME_S: f64 = 0.002;

@@ -11,9 +11,11 @@
 //! | attitude | rotation of the attitude minus the body rate: kinematics, no vehicle model |
 //! | command | collective and moments of the logged outputs minus the on-board law's |
 //!
+//! The candidate's accelerations are smoothed as the reported velocity is.
 //! Specific force and attitude leave out each block's mean, and with it the constant bias of
 //! accelerometer and gyro.
 
+use std::f64::consts::PI;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -86,6 +88,14 @@ pub struct Evaluator {
     stop: Arc<AtomicBool>,
 }
 
+/// A block over time.
+struct Series {
+    /// The residuals, one series a channel.
+    residuals: [Vec<f64>; CHANNELS],
+    /// The candidate's acceleration along north, east and down, m/s^2.
+    modelled: [Vec<f64>; 3],
+}
+
 /// Motion over a block according to the candidate.
 struct Motion {
     /// At the edges of the cells, like attitude and body rate.
@@ -147,32 +157,40 @@ impl Evaluator {
         let mut out = Vec::with_capacity(layout.bins.len());
         let mut scratch = Vec::new();
         for block in &flight.blocks {
-            let series = self.series(flight, layout, block, candidate, groups);
-            self.transform_into(&mut out, layout, block, series, groups, &mut scratch);
+            let Series { residuals: mut series, mut modelled } =
+                self.block_series(flight, layout, block, candidate, groups);
+            self.to_coefficients(&mut series, layout, block, groups, &mut scratch);
+            if groups.dynamics && candidate.velocity_smoothing > 0.0 && layout.has(VELOCITY) {
+                for (residual, modelled) in series[VELOCITY..].iter_mut().zip(&mut modelled) {
+                    self.transform.apply(modelled, &mut scratch);
+                    for (index, (residual, modelled)) in
+                        residual.iter_mut().zip(modelled).enumerate()
+                    {
+                        let angular = 2.0 * PI * frequency(index, block.cells);
+                        let kept = (-0.5 * candidate.velocity_smoothing * angular * angular).exp();
+                        *residual += (1.0 - kept) * *modelled;
+                    }
+                }
+            }
+            append(&mut out, layout, block, &series);
         }
         out
     }
 
-    /// Appends the coefficients in use of a block's series.
-    fn transform_into(
+    /// Transforms the channels in use of `groups` to coefficients, in place.
+    fn to_coefficients(
         &self,
-        out: &mut Vec<f64>,
+        series: &mut [Vec<f64>; CHANNELS],
         layout: &Layout,
         block: &Block,
-        mut series: [Vec<f64>; CHANNELS],
         groups: Groups,
         scratch: &mut Vec<f64>,
     ) {
         for (channel, values) in series.iter_mut().enumerate() {
-            let used = layout.used(channel, block);
-            if used.is_empty() || !layout.has(channel) {
-                continue;
-            }
-            if groups.has(channel) {
+            if groups.has(channel) && layout.has(channel) && !layout.used(channel, block).is_empty()
+            {
                 self.transform.apply(values, scratch);
             }
-            let is_banded = |index: &usize| band(frequency(*index, block.cells)).is_some();
-            out.extend(used.filter(is_banded).map(|index| values[index]));
         }
     }
 
@@ -190,12 +208,13 @@ impl Evaluator {
                 put(&mut series, RATE, k, ((after - before) * (1.0 / CELL_S)).to_array());
                 before = after;
             }
-            self.transform_into(&mut out, layout, block, series, Groups::ALL, &mut scratch);
+            self.to_coefficients(&mut series, layout, block, Groups::ALL, &mut scratch);
+            append(&mut out, layout, block, &series);
         }
         out
     }
 
-    /// The residuals of a block over time, one series a channel.
+    /// The residuals of a block over time, one series a channel, before any smoothing.
     pub fn series(
         &self,
         flight: &PreparedFlight,
@@ -204,12 +223,26 @@ impl Evaluator {
         candidate: &Candidate,
         groups: Groups,
     ) -> [Vec<f64>; CHANNELS] {
-        let mut series: [Vec<f64>; CHANNELS] = std::array::from_fn(|_| vec![0.0; block.cells]);
+        self.block_series(flight, layout, block, candidate, groups).residuals
+    }
+
+    fn block_series(
+        &self,
+        flight: &PreparedFlight,
+        layout: &Layout,
+        block: &Block,
+        candidate: &Candidate,
+        groups: Groups,
+    ) -> Series {
+        let mut series = Series {
+            residuals: std::array::from_fn(|_| vec![0.0; block.cells]),
+            modelled: std::array::from_fn(|_| vec![0.0; block.cells]),
+        };
         if groups.dynamics || groups.kinematics {
             self.motion(flight, block, candidate, &mut series);
         }
         if groups.command && layout.has(COMMAND) {
-            self.command(flight, block, candidate, &mut series);
+            self.command(flight, block, candidate, &mut series.residuals);
         }
         series
     }
@@ -220,7 +253,7 @@ impl Evaluator {
         flight: &PreparedFlight,
         block: &Block,
         candidate: &Candidate,
-        series: &mut [Vec<f64>; CHANNELS],
+        Series { residuals: series, modelled }: &mut Series,
     ) {
         let motion = motion(flight, block, candidate);
         let rotors = rotors(flight, block, candidate);
@@ -236,6 +269,7 @@ impl Evaluator {
             let (linear, angular) = physics.accelerations_under(state, loads, &environment);
             let gained = (motion.velocity[k + 1] - motion.velocity[k]) * (1.0 / CELL_S);
             put(series, VELOCITY, k, (gained - linear).to_array());
+            modelled.iter_mut().zip(linear.to_array()).for_each(|(axis, value)| axis[k] = value);
             let force = state.attitude.to_body(linear - gravity);
             put(series, FORCE, k, (motion.specific_force[k] - force).to_array());
             let turned = (motion.body_rate[k + 1] - motion.body_rate[k]) * (1.0 / CELL_S);
@@ -323,6 +357,18 @@ impl Evaluator {
                 std::array::from_fn::<f64, 4, _>(|i| a[i] + share * (b[i] - a[i])),
             );
         }
+    }
+}
+
+/// Appends the coefficients in use of a block's transformed series.
+fn append(out: &mut Vec<f64>, layout: &Layout, block: &Block, series: &[Vec<f64>; CHANNELS]) {
+    for (channel, values) in series.iter().enumerate() {
+        let used = layout.used(channel, block);
+        if used.is_empty() || !layout.has(channel) {
+            continue;
+        }
+        let is_banded = |index: &usize| band(frequency(*index, block.cells)).is_some();
+        out.extend(used.filter(is_banded).map(|index| values[index]));
     }
 }
 
