@@ -84,12 +84,15 @@ impl<'a> Search<'a> {
         Some((self.explanation(best)?, about))
     }
 
-    /// The sum of squares in each bin that the file's numbers and the hypothesis with the most
-    /// evidence leave, in the linearised problem.
-    pub fn least_power(&self, about: &Linearised) -> Option<Vec<f64>> {
-        let (best, _) = *self.screen(about, &[]).first()?;
-        let numbers = &self.hypothesis(best).numbers;
-        Some(about.solve(self.catalogue, self.fitted.counts(), numbers)?.power)
+    /// The sums of squares in each bin that the file's numbers leave with each hypothesis that adds
+    /// evidence, in the linearised problem; that with the most evidence first.
+    pub fn powers<'b>(&'b self, about: &'b Linearised) -> impl Iterator<Item = Vec<f64>> + 'b {
+        let screened = self.screen(about, &[]).into_iter();
+        let gaining = screened.take_while(|(_, gain)| *gain > GAIN_MIN);
+        gaining.filter_map(|(h, _)| {
+            let numbers = &self.hypothesis(h).numbers;
+            Some(about.solve(self.catalogue, self.fitted.counts(), numbers)?.power)
+        })
     }
 
     /// The hypotheses with the evidence that each adds to `set` in the linearised problem, the best

@@ -20,7 +20,7 @@ use vehicle::effects::EffectId;
 
 use crate::diagnose::residual_analysis::turbulence::EXPLAINED_MAX;
 use crate::diagnose::verdict::calibration::{Calibration, SIGNS};
-use crate::diagnose::verdict::evidence::{Evidence, ForceLeft};
+use crate::diagnose::verdict::evidence::{EQUATION_SHARE_MIN, Evidence, ForceLeft};
 use crate::diagnose::verdict::leading::Leading;
 use crate::diagnose::verdict::posterior::{HEALTHY_GAP, OPEN_GAP, PREDICTION_SHARE_MIN, Posterior};
 
@@ -168,14 +168,19 @@ fn by_predictions(
     }
     let closable = (file - noise).max(f64::MIN_POSITIVE);
     let closed = file - after;
-    let remainder = ((after - noise) / closable).clamp(0.0, 1.0);
+    let is_closed = closed > SUBSTANTIAL_SHARE * (file - 1.0).max(f64::MIN_POSITIVE)
+        && closed > 0.1 + 4.0 * evidence.scatter;
+    let by_equation = evidence.explanations.first();
+    let by_equation = by_equation.map_or(0.0, |file| evidence.equation_share(explained, file, 1));
+    // A share of the open gap, and more than noise scatters the gap by; or of an equation.
+    let is_substantial = is_closed || by_equation > EQUATION_SHARE_MIN;
+    let remainder = match is_substantial && !is_closed {
+        true => 1.0 - by_equation,
+        false => ((after - noise) / closable).clamp(0.0, 1.0),
+    };
     decision.signs = [1.0, remainder];
     decision.outside = calibration.discrepancy(&decision.signs);
-    // A share of the open gap, and more than noise scatters the gap by.
-    let is_substantial = closed > SUBSTANTIAL_SHARE * (file - 1.0).max(f64::MIN_POSITIVE)
-        && closed > 0.1 + 4.0 * evidence.scatter;
-    let file_gaps = evidence.explanations.first().and_then(|file| file.reported);
-    let is_worse = evidence.is_worse([file_gaps, explained.reported], 1);
+    let is_worse = evidence.is_worse(explained, 1);
     if !leading.practical.is_empty() && is_substantial && !is_worse {
         decision.effects = leading.probabilities(decision.outside);
         if surest(&decision.effects) >= NAMED || remainder < 0.5 {

@@ -3,16 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::diagnose::flights::spectrum::{BANDS, mean_square_share};
 use crate::diagnose::likelihood::channels::RATE;
-use crate::diagnose::likelihood::layout::Bin;
+use crate::diagnose::likelihood::equation_residual::{gyro_noise, mean_square, measured_rotation};
 use crate::diagnose::likelihood::linearised::Linearised;
-use crate::diagnose::likelihood::noise::{increments_of_white, report_noise};
+use crate::diagnose::likelihood::noise::report_noise;
 use crate::diagnose::search::Search;
 use crate::diagnose::search::explanation::Explanation;
-
-/// Highest frequency at which angular acceleration is compared, Hz.
-const MAX_HZ: f64 = 6.0;
 
 /// Upper limit of the unexplained share; at it, nothing is known of an axis.
 const UNEXPLAINED_MAX: f64 = 0.95;
@@ -23,7 +19,7 @@ const UNEXPLAINED_MAX: f64 = 0.95;
 pub struct RotationPrediction {
     /// Measured by the gyro.
     pub measured: f64,
-    /// Left by the best explanation.
+    /// Left by the effect that explains most of it.
     pub left: f64,
     /// Caused by the gyro's noise.
     pub noise: f64,
@@ -32,7 +28,7 @@ pub struct RotationPrediction {
 }
 
 impl RotationPrediction {
-    /// Share of the angular acceleration that the best explanation leaves, beyond the gyro's noise.
+    /// Share of the angular acceleration that every effect leaves, beyond the gyro's noise.
     pub fn unexplained(&self) -> f64 {
         let beyond = |power: f64| (power - self.noise).max(0.0);
         let measured = beyond(self.measured).max(f64::MIN_POSITIVE);
@@ -55,8 +51,8 @@ impl RotationPrediction {
 /// Moments are computed from motor outputs. Outputs that are logged more slowly than the loop runs
 /// alias. Others have wrong units, or contain torques that are not modelled and the feedback's
 /// response to them. A fit then looks like an inertia or a torque constant that is far off, because
-/// least squares shrink a regressor that is mostly error. An axis is not usable if the best
-/// explanation leaves more of its angular acceleration than it explains, beyond the gyro's noise.
+/// least squares shrink a regressor that is mostly error. An axis is not usable if every
+/// single effect leaves more of its angular acceleration than it explains, beyond the gyro's noise.
 pub fn rotation_predictions(
     search: &Search<'_>,
     file: &Explanation,
@@ -64,30 +60,21 @@ pub fn rotation_predictions(
     is_loop_known: bool,
 ) -> ([RotationPrediction; 3], Vec<usize>) {
     let observed = search.fitted;
-    let flights = observed.flights;
     let usable = RotationPrediction { is_usable: true, ..RotationPrediction::default() };
-    let least = search.least_power(about).unwrap_or_else(|| file.fit.power.clone());
-    let layouts = flights.iter().zip(&observed.layouts);
-    let measured = layouts
-        .map(|(flight, layout)| observed.evaluator.angular_acceleration(flight, layout))
-        .collect();
-    let measured = observed.power_of(&measured);
-    let noise = report_noise(flights, &file.fit.power, observed.counts());
-    let rate = flights.iter().map(|flight| flight.body_rate.rate()).sum::<f64>()
-        / flights.len().max(1) as f64;
+    let powers: Vec<Vec<f64>> =
+        search.powers(about).chain(std::iter::once(file.fit.power.clone())).collect();
+    let measured = measured_rotation(observed);
+    let noise = report_noise(observed.flights, &file.fit.power, observed.counts());
     let of_axis = |axis: usize| {
-        let mut found = usable;
-        for band in (0..BANDS.len()).filter(|band| BANDS[*band] <= MAX_HZ) {
-            let bin = Bin::index_of(RATE + axis, band);
-            let count = observed.counts()[bin];
-            if count < 1.0 {
-                continue;
-            }
-            let share = mean_square_share(band);
-            found.measured += measured[bin] / count * share;
-            found.left += least[bin].min(file.fit.power[bin]) / count * share;
-            found.noise += increments_of_white(noise.body_rate, rate, band) * share;
-        }
+        let mut found = RotationPrediction {
+            measured: measured[axis],
+            left: powers
+                .iter()
+                .map(|power| mean_square(observed, power, RATE + axis))
+                .fold(f64::INFINITY, f64::min),
+            noise: gyro_noise(observed, noise.body_rate, axis),
+            ..usable
+        };
         let left = (found.left - found.noise).max(0.0);
         found.is_usable = is_loop_known
             || left <= 0.5 * (found.measured - found.noise).max(0.0)

@@ -401,7 +401,7 @@ pub fn screened(
     // Adds residuals beyond the sensors' noise: turbulence, vibration and gaps in the model. The
     // part that the best hypothesis explains is not noise: a lasting one, like a moment, would be
     // mistaken for itself.
-    let least = search.least_power(about).unwrap_or_else(|| null.fit.power.clone());
+    let least = search.powers(about).next().unwrap_or_else(|| null.fit.power.clone());
     let more: Vec<f64> = twins
         .moments()
         .iter()

@@ -9,6 +9,9 @@ use crate::diagnose::catalogue::number::{Number, Target};
 use crate::diagnose::context::DiagnosisContext;
 use crate::diagnose::error::DiagnoseError;
 use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::likelihood::equation_residual::{
+    EquationResidual, gyro_noise, measured_rotation,
+};
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::residual_analysis::learner::Learner;
@@ -22,7 +25,9 @@ use crate::diagnose::search::rotation_prediction::RotationPrediction;
 use crate::diagnose::search::twins::Twins;
 use crate::diagnose::simulate::gap::Errors;
 use crate::diagnose::simulate::open_loop::Simulator;
-use crate::diagnose::verdict::evidence::{Evidence, Explained, FileNumber, ForceLeft, Found, Gaps};
+use crate::diagnose::verdict::evidence::{
+    Evidence, Explained, FileNumber, ForceLeft, Found, Gaps, MeasuredRotation,
+};
 use crate::diagnose::verdict::parameter::parameters;
 use crate::diagnose::verdict::untestable::{is_flat, voltage_range};
 
@@ -108,9 +113,11 @@ impl DiagnosisContext<'_> {
                 let value = fit.values[*index];
                 let near = 1e-3 * number.magnitude;
                 let off = (value - number.reference).abs() > near;
-                // An absent effect of the file is at a bound, but that is a valid value.
+                // An absent effect of the file is at a bound, but that is a valid value, as is no delay
+                // or no lag.
                 let is_absent =
-                    number.target.absent().is_some_and(|absent| (value - absent).abs() < near);
+                    number.target.absent().is_some_and(|absent| (value - absent).abs() < near)
+                        || low == 0.0 && value < near;
                 Found {
                     effect: hypothesis.effect.name().to_owned(),
                     name: number.target.name(),
@@ -138,8 +145,7 @@ impl DiagnosisContext<'_> {
             parameters: parameters.collect(),
             blocks: explanation.blocks.clone(),
             chance: fit.hypotheses.iter().map(chance).fold(0.0, f64::hypot),
-            choosing: None,
-            reported: None,
+            ..Explained::default()
         }
     }
 
@@ -186,14 +192,21 @@ impl DiagnosisContext<'_> {
         let gaps = |one: &Explanation, which: usize| match &floors[which] {
             Some(floor) => {
                 let adapted = self.adapted(one, data[which], about[which].as_ref());
-                self.gaps(&adapted, [choosing, reported][which], &floor.errors)
+                let left = data[which].residuals(&adapted.fit.values);
+                let left = left.map(|left| data[which].power_of(&left));
+                let left = left.map(|power| EquationResidual::of(data[which], &power));
+                Ok((self.gaps(&adapted, [choosing, reported][which], &floor.errors)?, left))
             }
-            None => Ok(None),
+            None => Ok::<_, VehicleError>((None, None)),
         };
+        let rotation = data.map(|observed| MeasuredRotation {
+            measured: measured_rotation(observed),
+            noise: [0, 1, 2].map(|axis| gyro_noise(observed, found.noise.body_rate, axis)),
+        });
         let mut explanations = Vec::new();
         for one in std::iter::once(&found.file).chain(&found.sets) {
             let mut explained = self.explained(one, found.twins.as_ref(), &turning);
-            explained.choosing = gaps(one, 0)?;
+            (explained.choosing, explained.equations[0]) = gaps(one, 0)?;
             explanations.push(explained);
         }
         let shipped_gaps = [over(&shipped, 0), over(&shipped, 1)];
@@ -209,6 +222,7 @@ impl DiagnosisContext<'_> {
             explanations,
             file_numbers: self.file_numbers(&found.file),
             shipped: shipped_gaps,
+            rotation,
             scatter: floors[1].map_or(0.0, |floor| floor.scatter),
             learned: None,
             structure: [0.0; 2],
@@ -234,7 +248,8 @@ impl DiagnosisContext<'_> {
         };
         for rank in std::iter::once(0).chain((1..scores.len()).filter(is_part)) {
             let one = if rank == 0 { &found.file } else { &found.sets[rank - 1] };
-            evidence.explanations[rank].reported = gaps(one, 1)?;
+            let explained = &mut evidence.explanations[rank];
+            (explained.reported, explained.equations[1]) = gaps(one, 1)?;
         }
         let learner = self.learner(best);
         if let Some(learner) = &learner {

@@ -4,12 +4,14 @@
 //! from a file.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use vehicle::effects::ParameterValue;
 
 use crate::diagnose::catalogue::hypothesis::TOLERANCES_MAX;
+use crate::diagnose::likelihood::equation_residual::EquationResidual;
 use crate::diagnose::search::rotation_prediction::RotationPrediction;
 use crate::diagnose::simulate::gap::Errors;
 use crate::diagnose::simulate::metric::{Metric, PARTS_MAX};
@@ -17,6 +19,9 @@ use crate::diagnose::simulate::metric::{Metric, PARTS_MAX};
 /// Most that effects alone may add to a squared gap, as a share of the reduction by the file's
 /// numbers. True effects may add to it where the file is off, since its errors can cancel them.
 const COMPENSATED_SHARE_MAX: f64 = 0.5;
+
+/// Share of an equation's residual that an effect must close to count by that equation.
+pub(super) const EQUATION_SHARE_MIN: f64 = 2.0 / 3.0;
 
 /// Everything that a verdict rests on.
 #[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
@@ -45,6 +50,9 @@ pub struct Evidence {
     /// The gap as shipped on the flights for choosing and on the held-out flights, in units of the
     /// floor.
     pub shipped: [Option<f64>; 2],
+    /// The measured rotation on the flights for choosing and on the held-out flights.
+    #[serde(default)]
+    pub rotation: [MeasuredRotation; 2],
     /// Scatter that noise alone gives the gap on the held-out flights.
     pub scatter: f64,
     /// The gap on the held-out flights with the best explanation and the corrections of a flexible
@@ -98,18 +106,36 @@ impl Evidence {
     }
 
     /// Whether an explanation's effects make predictions worse on the flights for choosing (0) or
-    /// the held-out flights (1). `file` and `own` are the gaps of the file and of the explanation
-    /// there.
-    pub fn is_worse(&self, [file, own]: [Option<Gaps>; 2], flights: usize) -> bool {
-        let all = self.shipped[flights].zip(file).zip(own);
+    /// the held-out flights (1). Not where they close an equation: other errors of the predictions,
+    /// such as wrong moments, may then grow with them.
+    pub fn is_worse(&self, own: &Explained, flights: usize) -> bool {
+        let Some(file) = self.explanations.first() else { return false };
+        let gaps = |of: &Explained| [of.choosing, of.reported][flights];
+        let all = self.shipped[flights].zip(gaps(file)).zip(gaps(own));
         all.is_some_and(|((shipped, file), own)| own.is_worse(shipped, file))
+            && self.equation_share(own, file, flights) <= EQUATION_SHARE_MIN
+    }
+
+    /// The share of an equation's residual that `more` closes and `less` leaves: of rotation, of the
+    /// collective or of the moments that the on-board loop commands, the largest, on the flights for
+    /// choosing (0) or the held-out flights (1). Predictions of the position hardly show a moment
+    /// that feedback holds.
+    pub fn equation_share(&self, more: &Explained, less: &Explained, flights: usize) -> f64 {
+        let equations = more.equations[flights].zip(less.equations[flights]);
+        let Some((more, less)) = equations else { return 0.0 };
+        let rotation = self.rotation[flights].share(more.rotation, less.rotation);
+        let command = |of: Range<usize>| {
+            let sum = |all: [f64; 4]| all[of.clone()].iter().sum::<f64>();
+            1.0 - sum(more.command) / sum(less.command)
+        };
+        // A share of an equation that is not used is not a number.
+        [rotation, command(0..1), command(1..4)].into_iter().fold(0.0, f64::max)
     }
 
     /// Whether an explanation is ruled out: its most certain number is at the end of its range, or
     /// its effects worsen the predictions of the flights for choosing.
     pub fn is_implausible(&self, explained: &Explained) -> bool {
-        let file = self.explanations.first().and_then(|file| file.choosing);
-        explained.is_at_bound() || self.is_worse([file, explained.choosing], 0)
+        explained.is_at_bound() || self.is_worse(explained, 0)
     }
 
     /// The squared gap from noise on the held-out flights, where the best explanation leaves
@@ -126,6 +152,41 @@ impl Evidence {
             (_, Some(learned)) => after.min(learned).max(1.0),
             (false, None) => after.max(1.0),
         }
+    }
+}
+
+/// Measured angular acceleration about front, right and down, as mean squares in rad^2/s^4.
+#[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct MeasuredRotation {
+    /// Mean square.
+    pub measured: [f64; 3],
+    /// The part from the gyro's noise.
+    pub noise: [f64; 3],
+}
+
+/// Least share of the body's rotation about an axis that an effect must explain to count by it.
+const ROTATION_SHARE_MIN: f64 = 0.01;
+
+impl MeasuredRotation {
+    /// The share of the residual beyond the gyro's noise that `more` closes and `less` leaves, about
+    /// the axis where it is largest. Only axes count of which one of them explains at least half of
+    /// the rotation: an explanation that shrinks wrong moments closes much of their residual and
+    /// explains no rotation. 0 where `more` leaves more over all of these.
+    pub fn share(&self, more: [f64; 3], less: [f64; 3]) -> f64 {
+        let beyond = |of: f64, axis: usize| (of - self.noise[axis]).max(0.0);
+        let (mut largest, mut total) = (0.0_f64, 0.0);
+        for axis in 0..3 {
+            let measured = beyond(self.measured[axis], axis);
+            let [more, less] = [more, less].map(|left| beyond(left[axis], axis));
+            if less > 0.0 && more.min(less) <= 0.5 * measured {
+                let closed = less - more;
+                total += closed;
+                if closed >= ROTATION_SHARE_MIN * measured {
+                    largest = largest.max(closed / less);
+                }
+            }
+        }
+        if total > 0.0 { largest } else { 0.0 }
     }
 }
 
@@ -149,6 +210,10 @@ pub struct Explained {
     pub choosing: Option<Gaps>,
     /// The gap on the held-out flights.
     pub reported: Option<Gaps>,
+    /// What it leaves of the equations of rotation and of the on-board loop on the flights for
+    /// choosing and on the held-out flights.
+    #[serde(default)]
+    pub equations: [Option<EquationResidual>; 2],
 }
 
 impl Explained {

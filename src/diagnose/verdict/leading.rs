@@ -8,20 +8,26 @@ use crate::diagnose::verdict::posterior::{Posterior, RIVAL_MASS_MIN, class};
 
 /// Effects that act alike where some channel is missing, by class.
 struct Alike {
-    effects: [&'static str; 3],
+    /// Effects that others may stand for.
+    own: &'static [&'static str],
+    /// The effects that act alike.
+    effects: &'static [&'static str],
     are_separated: fn(&Evidence) -> bool,
 }
 
+const THRUST: &[&str] = &["battery_sag", "thrust_curve", "thrust_scale"];
+const MOMENT: &[&str] = &["inertia", "pd_gain", "yaw_torque"];
+
 /// Near one throttle, only a falling pack voltage separates effects on the thrust, and only motor
-/// outputs separate effects on a moment.
-const ALIKE: [Alike; 2] = [
+/// outputs separate effects on a moment. A weak rotor is one by its moments: forces alone hardly
+/// separate it from another level of the thrust.
+const ALIKE: [Alike; 3] = [
+    Alike { own: THRUST, effects: THRUST, are_separated: |evidence| evidence.voltage_differs },
+    Alike { own: MOMENT, effects: MOMENT, are_separated: |evidence| evidence.outputs_logged },
     Alike {
-        effects: ["battery_sag", "thrust_curve", "thrust_scale"],
-        are_separated: |evidence| evidence.voltage_differs,
-    },
-    Alike {
-        effects: ["inertia", "pd_gain", "yaw_torque"],
-        are_separated: |evidence| evidence.outputs_logged,
+        own: &["rotor_loss"],
+        effects: &["battery_sag", "rotor_loss", "thrust_curve", "thrust_scale"],
+        are_separated: |evidence| evidence.turning[..2].iter().any(|axis| axis.is_usable),
     },
 ];
 /// Share of its probability that an effect keeps when its class is not separated.
@@ -53,8 +59,9 @@ impl<'a> Leading<'a> {
         let is_own = |effect: &&str| effects.iter().any(|own| class(own) == *effect);
         let unseparated = ALIKE
             .iter()
-            .filter(|alike| alike.effects.iter().any(is_own) && !(alike.are_separated)(evidence))
+            .filter(|alike| alike.own.iter().any(is_own) && !(alike.are_separated)(evidence))
             .flat_map(|alike| alike.effects)
+            .copied()
             .collect();
         let practical = effects.iter().filter(|effect| explained.is_practical(effect)).collect();
         let inclusion = posterior.inclusion();

@@ -8,7 +8,7 @@ use rand_pcg::Pcg64Mcg;
 use vehicle::effects::{EffectId, Need};
 
 use crate::diagnose::verdict::calibration::Calibration;
-use crate::diagnose::verdict::evidence::{Evidence, Explained};
+use crate::diagnose::verdict::evidence::{EQUATION_SHARE_MIN, Evidence, Explained};
 
 /// Price of an effect, nats: about forty could act, and in half of the cases one does.
 pub(in crate::diagnose) const PRICE: f64 = 3.7;
@@ -155,6 +155,12 @@ impl<'a> Posterior<'a> {
         less.iter().zip(more).any(|(less, more)| *less > HEALTHY_GAP * more.max(1.0))
     }
 
+    /// Whether `more` closes an equation that `less` leaves open, on the flights for choosing.
+    fn closes_an_equation(&self, more: usize, less: usize) -> bool {
+        let [more, less] = [more, less].map(|index| self.explained(index));
+        self.evidence.equation_share(more, less, 0) > EQUATION_SHARE_MIN
+    }
+
     /// The explanation with the most mass, without effects that change no prediction.
     pub fn best(&self) -> usize {
         let by_mass = |a: &usize, b: &usize| self.masses[*a].total_cmp(&self.masses[*b]);
@@ -224,9 +230,10 @@ impl<'a> Posterior<'a> {
                     effects.iter().filter(|other| *other != effect).map(|e| class(e)).collect();
                 let less = self.of(&rest)?;
                 let share = self.share(best, less);
-                let is_carried = share > -PREDICTION_SHARE_MIN
-                    && self.evidence_share(best, less) > EVIDENCE_SHARE_MIN
+                let is_predicting = share > -PREDICTION_SHARE_MIN
                     && (!acts_by_moments(effect) || self.closes_a_part(best, less));
+                let is_carried = self.evidence_share(best, less) > EVIDENCE_SHARE_MIN
+                    && (is_predicting || self.closes_an_equation(best, less));
                 Some((if is_carried { share.max(PREDICTION_SHARE_MIN) } else { share }, less))
             };
             let least = effects.iter().filter_map(without).min_by(|a, b| a.0.total_cmp(&b.0));

@@ -1,8 +1,9 @@
 //! Decisions on constructed evidence and on evidence stored from flights.
 
 use super::*;
+use crate::diagnose::likelihood::equation_residual::EquationResidual;
 use crate::diagnose::search::rotation_prediction::RotationPrediction;
-use crate::diagnose::verdict::evidence::{Explained, Found, Gaps};
+use crate::diagnose::verdict::evidence::{Explained, Found, Gaps, MeasuredRotation};
 
 /// A set of effects with its evidence over the file's in each of four blocks, and its gaps:
 /// with the effects alone, and with the file's numbers as well.
@@ -115,6 +116,52 @@ fn effect_without_influence_on_predictions_is_not_named() {
     let less = explained(&["rotor_drag"], 300.0, [4.0, 4.0]);
     let sets = vec![file, beside, less];
     assert_eq!(named(&decide(&evidence(8.0, sets))), ["motor_lag", "rotor_drag"]);
+}
+
+#[test]
+fn effect_that_closes_an_equation_is_named_though_predictions_hardly_show_it() {
+    let residual = |rotation: f64| {
+        let rotation = [rotation; 3];
+        [Some(EquationResidual { rotation, ..EquationResidual::default() }); 2]
+    };
+    let decision = |left: f64| {
+        let file = Explained { equations: residual(2.6), ..explained(&[], 0.0, [13.2, 13.2]) };
+        let inertia = explained(&["inertia"], 300.0, [12.9, 12.9]);
+        let inertia = Explained { equations: residual(left), ..inertia };
+        let rotation = [MeasuredRotation { measured: [10.4; 3], noise: [0.03; 3] }; 2];
+        let all = evidence(13.2, vec![file, inertia]);
+        decide(&Evidence { loop_known: false, learned: Some(12.95), rotation, ..all })
+    };
+    assert_eq!(named(&decision(0.3)), ["inertia"]);
+    // Half of the residual is too little.
+    assert_eq!(decision(1.3).verdict, Verdict::None);
+}
+
+#[test]
+fn equation_of_the_on_board_loop_counts_like_that_of_rotation() {
+    let residual = |command: [f64; 4]| [Some(EquationResidual { rotation: [0.0; 3], command }); 2];
+    let file = explained(&[], 0.0, [13.2, 13.2]);
+    let file = Explained { equations: residual([1.0, 4.0, 4.0, 1.0]), ..file };
+    let names = |command: [f64; 4]| {
+        let gain = explained(&["pd_gain"], 300.0, [13.1, 13.1]);
+        let gain = Explained { equations: residual(command), ..gain };
+        let all = evidence(13.2, vec![file.clone(), gain]);
+        named(&decide(&Evidence { learned: Some(13.05), ..all })).join(" ")
+    };
+    assert_eq!(names([1.0, 0.5, 0.5, 0.5]), "pd_gain");
+    // The moments count together, and the collective by itself.
+    assert_eq!(names([1.0, 0.1, 7.0, 1.0]), "");
+    assert_eq!(names([0.2, 4.0, 4.0, 1.0]), "pd_gain");
+}
+
+#[test]
+fn shrinking_wrong_moments_explains_no_rotation() {
+    let hover = MeasuredRotation { measured: [0.2, 0.2, 0.002], noise: [0.001; 3] };
+    // The moment about z is wrong: it says more than the vehicle turns.
+    assert_eq!(hover.share([0.0, 0.0, 0.15], [0.0, 0.0, 2.0]), 0.0);
+    assert!(hover.share([0.01, 0.15, 0.15], [0.1, 0.15, 2.0]) > 0.9);
+    // What one effect explains and another ruins counts against the other.
+    assert_eq!(hover.share([0.01, 0.4, 0.0], [0.1, 0.05, 0.0]), 0.0);
 }
 
 #[test]
