@@ -13,7 +13,7 @@ use crate::diagnose::likelihood::observed::Observed;
 /// Highest frequency at which the equations are compared, Hz.
 const MAX_HZ: f64 = 6.0;
 
-/// Mean squares of the residuals below [`MAX_HZ`]; 0 for an equation that is not used.
+/// Mean squares of the residuals up to 6 Hz; 0 for an equation that is not used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct EquationResidual {
     /// Angular acceleration about front, right and down, rad^2/s^4.
