@@ -49,7 +49,7 @@ fn strong(vehicle: &VehicleParams, id: EffectId) -> EffectSet {
     let mut growth = Growth::default();
     for slot in id.spec().slots() {
         growth.from[slot.index] =
-            downwash::diagnose::catalogue::hypothesis::reference(vehicle, id, slot.index);
+            downwash::diagnose::catalogue::reference::reference(vehicle, id, slot.index);
     }
     (id.spec().strong)(vehicle, &mut Middle, &mut growth);
     let mut slots = growth.from;

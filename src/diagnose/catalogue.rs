@@ -4,5 +4,6 @@
 pub mod candidate;
 pub mod hypothesis;
 pub mod number;
+pub mod reference;
 pub(super) mod term;
 pub(super) mod tolerances;

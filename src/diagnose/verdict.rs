@@ -2,8 +2,8 @@
 //!
 //! Each explanation has a posterior mass. The verdict rests on the one with the most mass, without
 //! effects that change no prediction. It is `effect` where those effects close a substantial share
-//! of the gap that the vehicle file's numbers leave open within their tolerances. Otherwise it is
-//! `none` where those numbers close the gap or only noise remains, and else `unknown`.
+//! of the gap that the vehicle file's numbers leave open within their tolerances, or most of the
+//! residual of an equation that feedback hides from the predictions. Otherwise it is `none` where those numbers close the gap or only noise remains, and else `unknown`.
 
 pub(super) mod assessment;
 pub mod attribution;
@@ -20,7 +20,7 @@ use vehicle::effects::EffectId;
 
 use crate::diagnose::residual_analysis::turbulence::EXPLAINED_MAX;
 use crate::diagnose::verdict::calibration::{Calibration, SIGNS};
-use crate::diagnose::verdict::evidence::{EQUATION_SHARE_MIN, Evidence, ForceLeft};
+use crate::diagnose::verdict::evidence::{EQUATION_SHARE_MIN, Evidence, ForceLeft, HELD_OUT};
 use crate::diagnose::verdict::leading::Leading;
 use crate::diagnose::verdict::posterior::{HEALTHY_GAP, OPEN_GAP, PREDICTION_SHARE_MIN, Posterior};
 
@@ -168,19 +168,23 @@ fn by_predictions(
     }
     let closable = (file - noise).max(f64::MIN_POSITIVE);
     let closed = file - after;
+    // A share of the open gap, and more than noise scatters the gap by.
     let is_closed = closed > SUBSTANTIAL_SHARE * (file - 1.0).max(f64::MIN_POSITIVE)
         && closed > 0.1 + 4.0 * evidence.scatter;
-    let by_equation = evidence.explanations.first();
-    let by_equation = by_equation.map_or(0.0, |file| evidence.equation_share(explained, file, 1));
-    // A share of the open gap, and more than noise scatters the gap by; or of an equation.
-    let is_substantial = is_closed || by_equation > EQUATION_SHARE_MIN;
-    let remainder = match is_substantial && !is_closed {
-        true => 1.0 - by_equation,
-        false => ((after - noise) / closable).clamp(0.0, 1.0),
+    let by_equation = evidence
+        .explanations
+        .first()
+        .map_or(0.0, |file| evidence.equation_share(explained, file, HELD_OUT));
+    let is_by_equation = !is_closed && by_equation > EQUATION_SHARE_MIN;
+    let remainder = if is_by_equation {
+        1.0 - by_equation
+    } else {
+        ((after - noise) / closable).clamp(0.0, 1.0)
     };
     decision.signs = [1.0, remainder];
     decision.outside = calibration.discrepancy(&decision.signs);
-    let is_worse = evidence.is_worse(explained, 1);
+    let is_worse = evidence.is_worse(explained, HELD_OUT);
+    let is_substantial = is_closed || is_by_equation;
     if !leading.practical.is_empty() && is_substantial && !is_worse {
         decision.effects = leading.probabilities(decision.outside);
         if surest(&decision.effects) >= NAMED || remainder < 0.5 {

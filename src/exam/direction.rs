@@ -5,7 +5,7 @@ use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet, Growth};
 
 use super::draw::{Draw, rounded};
-use crate::diagnose::catalogue::hypothesis::reference_slots;
+use crate::diagnose::catalogue::reference::reference_slots;
 
 /// An effect with a drawn direction.
 #[derive(Clone, Debug)]
@@ -51,7 +51,8 @@ impl Direction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::catalogue::hypothesis::{Catalogue, reference};
+    use crate::diagnose::catalogue::hypothesis::Catalogue;
+    use crate::diagnose::catalogue::reference::reference;
 
     #[test]
     fn drawn_effects_lie_within_the_diagnosis_bounds() {

@@ -5,8 +5,9 @@ use vehicle::law::{Law, LawText};
 use vehicle::physics::Physics;
 use vehicle::{VehicleError, VehicleParams};
 
-use crate::diagnose::catalogue::hypothesis::{Catalogue, reference_slots};
+use crate::diagnose::catalogue::hypothesis::Catalogue;
 use crate::diagnose::catalogue::number::{CONTRASTS, Target};
+use crate::diagnose::catalogue::reference::reference_slots;
 use crate::diagnose::catalogue::term::{law_of, name_of};
 
 /// A vehicle to explain flights with.

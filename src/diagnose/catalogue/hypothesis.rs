@@ -5,10 +5,11 @@
 //! under a prior of that width. An effect is named if its numbers must be further off; its
 //! hypothesis replaces their tolerance by a wide prior.
 
-use vehicle::effects::{Effect, EffectId, Neutral, Parameter, RotorDrag, RotorLoss, Slots};
+use vehicle::effects::{EffectId, Neutral, Parameter};
 use vehicle::{ROTORS, VehicleParams};
 
 use crate::diagnose::catalogue::number::{CONTRASTS, Number, Target};
+use crate::diagnose::catalogue::reference::{modelled_scale, reference};
 use crate::diagnose::catalogue::term::Term;
 use crate::diagnose::catalogue::tolerances::{
     DAMPING_RATE, DAMPING_TIME_S, Scales, Tolerances, VELOCITY_SMOOTHING_S2,
@@ -345,39 +346,6 @@ fn bounds(effect: EffectId, parameter: &Parameter, reference: f64, magnitude: f6
         _ => [reference - most, reference + most],
     };
     [low.max(least).min(reference), parameter.max.min(most).max(reference)]
-}
-
-/// The vehicle file's value of a slot, else the neutral one.
-pub fn reference(vehicle: &VehicleParams, effect: EffectId, slot: usize) -> f64 {
-    if effect == RotorDrag::ID
-        && let Some(drag) = vehicle.linear_drag_n_per_m_s
-    {
-        return drag;
-    }
-    if let Some(slots) = vehicle.modelled_effects.slots(effect) {
-        return slots[slot];
-    }
-    let found = effect.spec().slots().find(|s| s.index == slot);
-    found.map_or(0.0, |s| match s.parameter.neutral {
-        Neutral::Value(value) => value,
-        Neutral::Vehicle(value) => value(vehicle),
-        Neutral::None => s.parameter.default.unwrap_or(0.0),
-    })
-}
-
-/// The slots of an effect with the vehicle file's values, else the neutral ones.
-pub fn reference_slots(vehicle: &VehicleParams, effect: EffectId) -> Slots {
-    let mut slots = Slots::default();
-    for slot in effect.spec().slots() {
-        slots[slot.index] = reference(vehicle, effect, slot.index);
-    }
-    slots
-}
-
-/// The thrust scale of a rotor in the vehicle file.
-fn modelled_scale(vehicle: &VehicleParams, rotor: usize) -> f64 {
-    let loss = vehicle.modelled_effects.get::<RotorLoss>();
-    loss.filter(|loss| loss.rotor == rotor).map_or(1.0, |loss| loss.scale)
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use vehicle::VehicleParams;
 use vehicle::effects::{EffectId, EffectSet};
 
 use crate::diagnose::answer::{Answer, FullVerdict};
-use crate::diagnose::catalogue::hypothesis::reference_slots;
+use crate::diagnose::catalogue::reference::reference_slots;
 use crate::diagnose::fleet::shared::{Cause, Fleet};
 use crate::diagnose::fleet::survey::Survey;
 use crate::diagnose::likelihood::fit::interval;

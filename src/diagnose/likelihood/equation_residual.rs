@@ -28,34 +28,35 @@ impl EquationResidual {
     /// From sums of squares in each bin.
     pub(in crate::diagnose) fn of(observed: &Observed<'_>, power: &[f64]) -> Self {
         Self {
-            rotation: std::array::from_fn(|axis| mean_square(observed, power, RATE + axis)),
-            command: std::array::from_fn(|i| mean_square_from(1, observed, power, COMMAND + i)),
+            rotation: rotation(observed, power),
+            command: std::array::from_fn(|i| mean_square(observed, power, COMMAND + i, 1)),
         }
     }
 }
 
-/// Bands of a channel with coefficients, up to [`MAX_HZ`].
-fn bands<'a>(observed: &'a Observed<'_>, channel: usize) -> impl Iterator<Item = usize> + 'a {
-    let is_used = move |band: &usize| observed.counts()[Bin::index_of(channel, *band)] >= 1.0;
-    (0..BANDS.len()).filter(|band| BANDS[*band] <= MAX_HZ).filter(is_used)
-}
-
-/// Mean square of a channel below [`MAX_HZ`], from sums of squares in each bin.
-pub(in crate::diagnose) fn mean_square(
-    observed: &Observed<'_>,
-    power: &[f64],
+/// Bands of a channel with coefficients, from the band `first` up to [`MAX_HZ`].
+fn bands<'a>(
+    observed: &'a Observed<'_>,
     channel: usize,
-) -> f64 {
-    mean_square_from(0, observed, power, channel)
+    first: usize,
+) -> impl Iterator<Item = usize> + 'a {
+    let is_used = move |band: &usize| observed.counts()[Bin::index_of(channel, *band)] >= 1.0;
+    (first..BANDS.len()).filter(|band| BANDS[*band] <= MAX_HZ).filter(is_used)
 }
 
-/// The same from a band on.
-fn mean_square_from(first: usize, observed: &Observed<'_>, power: &[f64], channel: usize) -> f64 {
+/// Mean square of a channel in these bands, from sums of squares in each bin.
+fn mean_square(observed: &Observed<'_>, power: &[f64], channel: usize, first: usize) -> f64 {
     let of_band = |band: usize| {
         let bin = Bin::index_of(channel, band);
         power[bin] / observed.counts()[bin] * mean_square_share(band)
     };
-    bands(observed, channel).filter(|band| *band >= first).map(of_band).sum()
+    bands(observed, channel, first).map(of_band).sum()
+}
+
+/// Mean squares of the rotation's channels below [`MAX_HZ`], about front, right and down,
+/// rad^2/s^4, from sums of squares in each bin.
+pub(in crate::diagnose) fn rotation(observed: &Observed<'_>, power: &[f64]) -> [f64; 3] {
+    std::array::from_fn(|axis| mean_square(observed, power, RATE + axis, 0))
 }
 
 /// Mean square of the angular acceleration about `axis` that gyro noise of `deviation` rad/s causes
@@ -64,17 +65,17 @@ pub(in crate::diagnose) fn gyro_noise(observed: &Observed<'_>, deviation: f64, a
     let flights = observed.flights;
     let rate = flights.iter().map(|flight| flight.body_rate.rate()).sum::<f64>()
         / flights.len().max(1) as f64;
-    bands(observed, RATE + axis)
+    bands(observed, RATE + axis, 0)
         .map(|band| increments_of_white(deviation, rate, band) * mean_square_share(band))
         .sum()
 }
 
-/// Mean square of the measured angular acceleration about each axis below [`MAX_HZ`], rad^2/s^4.
+/// Mean squares of the measured angular acceleration below [`MAX_HZ`], about front, right and down,
+/// rad^2/s^4.
 pub(in crate::diagnose) fn measured_rotation(observed: &Observed<'_>) -> [f64; 3] {
     let layouts = observed.flights.iter().zip(&observed.layouts);
     let measured = layouts
         .map(|(flight, layout)| observed.evaluator.angular_acceleration(flight, layout))
         .collect();
-    let power = observed.power_of(&measured);
-    std::array::from_fn(|axis| mean_square(observed, &power, RATE + axis))
+    rotation(observed, &observed.power_of(&measured))
 }

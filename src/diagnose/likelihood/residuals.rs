@@ -11,7 +11,9 @@
 //! | attitude | rotation of the attitude minus the body rate: kinematics, no vehicle model |
 //! | command | collective and moments of the logged outputs minus the on-board law's |
 //!
-//! The candidate's accelerations are smoothed as the reported velocity is.
+//! The coefficients of the velocity compare its increment with the candidate's acceleration smoothed
+//! as the reported velocity is: times `exp(-v (2 pi f)^2 / 2)` at the frequency f, where v is the
+//! variance of the times that a reported velocity averages over.
 //! Specific force and attitude leave out each block's mean, and with it the constant bias of
 //! accelerometer and gyro.
 
@@ -88,12 +90,13 @@ pub struct Evaluator {
     stop: Arc<AtomicBool>,
 }
 
-/// A block over time.
-struct Series {
-    /// The residuals, one series a channel.
-    residuals: [Vec<f64>; CHANNELS],
+/// A block over time, one value a cell.
+#[derive(Clone, Debug)]
+pub struct Series {
+    /// The residuals, one series a channel, in the channel's unit.
+    pub residuals: [Vec<f64>; CHANNELS],
     /// The candidate's acceleration along north, east and down, m/s^2.
-    modelled: [Vec<f64>; 3],
+    acceleration: [Vec<f64>; 3],
 }
 
 /// Motion over a block according to the candidate.
@@ -157,18 +160,17 @@ impl Evaluator {
         let mut out = Vec::with_capacity(layout.bins.len());
         let mut scratch = Vec::new();
         for block in &flight.blocks {
-            let Series { residuals: mut series, mut modelled } =
-                self.block_series(flight, layout, block, candidate, groups);
+            let Series { residuals: mut series, acceleration } =
+                self.series(flight, layout, block, candidate, groups);
             self.to_coefficients(&mut series, layout, block, groups, &mut scratch);
-            if groups.dynamics && candidate.velocity_smoothing > 0.0 && layout.has(VELOCITY) {
-                for (residual, modelled) in series[VELOCITY..].iter_mut().zip(&mut modelled) {
-                    self.transform.apply(modelled, &mut scratch);
-                    for (index, (residual, modelled)) in
-                        residual.iter_mut().zip(modelled).enumerate()
-                    {
+            if groups.dynamics && layout.has(VELOCITY) && candidate.velocity_smoothing > 0.0 {
+                let residuals = series[VELOCITY..FORCE].iter_mut().zip(acceleration);
+                for (residual, mut acceleration) in residuals {
+                    self.transform.apply(&mut acceleration, &mut scratch);
+                    for index in layout.used(VELOCITY, block) {
                         let angular = 2.0 * PI * frequency(index, block.cells);
                         let kept = (-0.5 * candidate.velocity_smoothing * angular * angular).exp();
-                        *residual += (1.0 - kept) * *modelled;
+                        residual[index] += (1.0 - kept) * acceleration[index];
                     }
                 }
             }
@@ -214,19 +216,8 @@ impl Evaluator {
         out
     }
 
-    /// The residuals of a block over time, one series a channel, before any smoothing.
+    /// A block over time. Its residuals are those of an unsmoothed velocity.
     pub fn series(
-        &self,
-        flight: &PreparedFlight,
-        layout: &Layout,
-        block: &Block,
-        candidate: &Candidate,
-        groups: Groups,
-    ) -> [Vec<f64>; CHANNELS] {
-        self.block_series(flight, layout, block, candidate, groups).residuals
-    }
-
-    fn block_series(
         &self,
         flight: &PreparedFlight,
         layout: &Layout,
@@ -236,7 +227,7 @@ impl Evaluator {
     ) -> Series {
         let mut series = Series {
             residuals: std::array::from_fn(|_| vec![0.0; block.cells]),
-            modelled: std::array::from_fn(|_| vec![0.0; block.cells]),
+            acceleration: std::array::from_fn(|_| vec![0.0; block.cells]),
         };
         if groups.dynamics || groups.kinematics {
             self.motion(flight, block, candidate, &mut series);
@@ -253,7 +244,7 @@ impl Evaluator {
         flight: &PreparedFlight,
         block: &Block,
         candidate: &Candidate,
-        Series { residuals: series, modelled }: &mut Series,
+        Series { residuals: series, acceleration }: &mut Series,
     ) {
         let motion = motion(flight, block, candidate);
         let rotors = rotors(flight, block, candidate);
@@ -269,7 +260,10 @@ impl Evaluator {
             let (linear, angular) = physics.accelerations_under(state, loads, &environment);
             let gained = (motion.velocity[k + 1] - motion.velocity[k]) * (1.0 / CELL_S);
             put(series, VELOCITY, k, (gained - linear).to_array());
-            modelled.iter_mut().zip(linear.to_array()).for_each(|(axis, value)| axis[k] = value);
+            acceleration
+                .iter_mut()
+                .zip(linear.to_array())
+                .for_each(|(axis, value)| axis[k] = value);
             let force = state.attitude.to_body(linear - gravity);
             put(series, FORCE, k, (motion.specific_force[k] - force).to_array());
             let turned = (motion.body_rate[k + 1] - motion.body_rate[k]) * (1.0 / CELL_S);

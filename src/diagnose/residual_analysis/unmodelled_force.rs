@@ -71,7 +71,7 @@ pub fn unmodelled_force(
     let of_blocks: Vec<CrossPowers> = blocks
         .par_iter()
         .map(|(flight, layout, block)| {
-            let series = evaluator.series(flight, layout, block, candidate, Groups::ALL);
+            let series = evaluator.series(flight, layout, block, candidate, Groups::ALL).residuals;
             let [velocity, force] =
                 [VELOCITY, FORCE].map(|first| [0, 1, 2].map(|axis| &series[first + axis]));
             let force = in_world(flight, block, candidate, force);

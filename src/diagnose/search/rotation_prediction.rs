@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::diagnose::likelihood::channels::RATE;
-use crate::diagnose::likelihood::equation_residual::{gyro_noise, mean_square, measured_rotation};
+use crate::diagnose::likelihood::equation_residual::{gyro_noise, measured_rotation, rotation};
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::noise::report_noise;
 use crate::diagnose::search::Search;
@@ -28,7 +28,7 @@ pub struct RotationPrediction {
 }
 
 impl RotationPrediction {
-    /// Share of the angular acceleration that every effect leaves, beyond the gyro's noise.
+    /// Least share of the angular acceleration that a single effect leaves, beyond the gyro's noise.
     pub fn unexplained(&self) -> f64 {
         let beyond = |power: f64| (power - self.noise).max(0.0);
         let measured = beyond(self.measured).max(f64::MIN_POSITIVE);
@@ -61,17 +61,18 @@ pub fn rotation_predictions(
 ) -> ([RotationPrediction; 3], Vec<usize>) {
     let observed = search.fitted;
     let usable = RotationPrediction { is_usable: true, ..RotationPrediction::default() };
-    let powers: Vec<Vec<f64>> =
-        search.powers(about).chain(std::iter::once(file.fit.power.clone())).collect();
+    let powers = search.powers(about).chain(std::iter::once(file.fit.power.clone()));
+    let least = |least: [f64; 3], power: Vec<f64>| {
+        let left = rotation(observed, &power);
+        std::array::from_fn(|axis| least[axis].min(left[axis]))
+    };
+    let left = powers.fold([f64::INFINITY; 3], least);
     let measured = measured_rotation(observed);
     let noise = report_noise(observed.flights, &file.fit.power, observed.counts());
     let of_axis = |axis: usize| {
         let mut found = RotationPrediction {
             measured: measured[axis],
-            left: powers
-                .iter()
-                .map(|power| mean_square(observed, power, RATE + axis))
-                .fold(f64::INFINITY, f64::min),
+            left: left[axis],
             noise: gyro_noise(observed, noise.body_rate, axis),
             ..usable
         };

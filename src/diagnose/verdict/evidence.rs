@@ -23,6 +23,10 @@ const COMPENSATED_SHARE_MAX: f64 = 0.5;
 /// Share of an equation's residual that an effect must close to count by that equation.
 pub(super) const EQUATION_SHARE_MIN: f64 = 2.0 / 3.0;
 
+/// Index of the flights for choosing, and of the held-out flights, in pairs of both.
+pub(super) const CHOOSING: usize = 0;
+pub(super) const HELD_OUT: usize = 1;
+
 /// Everything that a verdict rests on.
 #[derive(Clone, Debug, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Evidence {
@@ -105,9 +109,9 @@ impl Evidence {
         self.explanations.iter().map(of_one).collect()
     }
 
-    /// Whether an explanation's effects make predictions worse on the flights for choosing (0) or
-    /// the held-out flights (1). Not where they close an equation: other errors of the predictions,
-    /// such as wrong moments, may then grow with them.
+    /// Whether an explanation's effects make predictions worse on the flights for choosing or on the
+    /// held-out ones (`flights`: `CHOOSING` or `HELD_OUT`). Not where they close an equation: other
+    /// errors of the predictions, such as wrong moments, may then grow with them.
     pub fn is_worse(&self, own: &Explained, flights: usize) -> bool {
         let Some(file) = self.explanations.first() else { return false };
         let gaps = |of: &Explained| [of.choosing, of.reported][flights];
@@ -116,10 +120,10 @@ impl Evidence {
             && self.equation_share(own, file, flights) <= EQUATION_SHARE_MIN
     }
 
-    /// The share of an equation's residual that `more` closes and `less` leaves: of rotation, of the
-    /// collective or of the moments that the on-board loop commands, the largest, on the flights for
-    /// choosing (0) or the held-out flights (1). Predictions of the position hardly show a moment
-    /// that feedback holds.
+    /// The largest share of an equation's residual that `more` closes and `less` leaves, at most 1;
+    /// 0 where it closes none or nothing is known. The equations are those of the rotation about an
+    /// axis, of the collective, and of the moments that the on-board loop commands. Predictions of
+    /// the position hardly show a moment that feedback holds. `flights` is `CHOOSING` or `HELD_OUT`.
     pub fn equation_share(&self, more: &Explained, less: &Explained, flights: usize) -> f64 {
         let equations = more.equations[flights].zip(less.equations[flights]);
         let Some((more, less)) = equations else { return 0.0 };
@@ -135,7 +139,7 @@ impl Evidence {
     /// Whether an explanation is ruled out: its most certain number is at the end of its range, or
     /// its effects worsen the predictions of the flights for choosing.
     pub fn is_implausible(&self, explained: &Explained) -> bool {
-        explained.is_at_bound() || self.is_worse(explained, 0)
+        explained.is_at_bound() || self.is_worse(explained, CHOOSING)
     }
 
     /// The squared gap from noise on the held-out flights, where the best explanation leaves

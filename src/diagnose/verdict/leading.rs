@@ -8,7 +8,7 @@ use crate::diagnose::verdict::posterior::{Posterior, RIVAL_MASS_MIN, class};
 
 /// Effects that act alike where some channel is missing, by class.
 struct Alike {
-    /// Effects that others may stand for.
+    /// The named effects that it applies to.
     own: &'static [&'static str],
     /// The effects that act alike.
     effects: &'static [&'static str],
@@ -19,8 +19,8 @@ const THRUST: &[&str] = &["battery_sag", "thrust_curve", "thrust_scale"];
 const MOMENT: &[&str] = &["inertia", "pd_gain", "yaw_torque"];
 
 /// Near one throttle, only a falling pack voltage separates effects on the thrust, and only motor
-/// outputs separate effects on a moment. A weak rotor is one by its moments: forces alone hardly
-/// separate it from another level of the thrust.
+/// outputs separate effects on a moment. Only its moments separate a weak rotor from another level
+/// of the thrust.
 const ALIKE: [Alike; 3] = [
     Alike { own: THRUST, effects: THRUST, are_separated: |evidence| evidence.voltage_differs },
     Alike { own: MOMENT, effects: MOMENT, are_separated: |evidence| evidence.outputs_logged },

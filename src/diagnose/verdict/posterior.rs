@@ -8,7 +8,7 @@ use rand_pcg::Pcg64Mcg;
 use vehicle::effects::{EffectId, Need};
 
 use crate::diagnose::verdict::calibration::Calibration;
-use crate::diagnose::verdict::evidence::{EQUATION_SHARE_MIN, Evidence, Explained};
+use crate::diagnose::verdict::evidence::{CHOOSING, EQUATION_SHARE_MIN, Evidence, Explained};
 
 /// Price of an effect, nats: about forty could act, and in half of the cases one does.
 pub(in crate::diagnose) const PRICE: f64 = 3.7;
@@ -158,7 +158,7 @@ impl<'a> Posterior<'a> {
     /// Whether `more` closes an equation that `less` leaves open, on the flights for choosing.
     fn closes_an_equation(&self, more: usize, less: usize) -> bool {
         let [more, less] = [more, less].map(|index| self.explained(index));
-        self.evidence.equation_share(more, less, 0) > EQUATION_SHARE_MIN
+        self.evidence.equation_share(more, less, CHOOSING) > EQUATION_SHARE_MIN
     }
 
     /// The explanation with the most mass, without effects that change no prediction.

@@ -149,7 +149,7 @@ fn equation_of_the_on_board_loop_counts_like_that_of_rotation() {
         named(&decide(&Evidence { learned: Some(13.05), ..all })).join(" ")
     };
     assert_eq!(names([1.0, 0.5, 0.5, 0.5]), "pd_gain");
-    // The moments count together, and the collective by itself.
+    // The rule adds the moments up; it judges the collective alone.
     assert_eq!(names([1.0, 0.1, 7.0, 1.0]), "");
     assert_eq!(names([0.2, 4.0, 4.0, 1.0]), "pd_gain");
 }

@@ -9,7 +9,7 @@ use super::Bench;
 use super::drawn::Drawn;
 use super::size::TruthStrength;
 use super::truth::ids;
-use crate::diagnose::catalogue::hypothesis::reference_slots;
+use crate::diagnose::catalogue::reference::reference_slots;
 use crate::diagnose::verdict::Verdict;
 use crate::diagnose::verdict::parameter::parameters;
 use crate::exam::condition::Condition;
