@@ -9,7 +9,8 @@ use crate::lockstep::{NANO, config_file, fly, ideal, params, settings, toml_traj
 use downwash::diagnose::catalogue::hypothesis::Catalogue;
 use downwash::diagnose::catalogue::number::Target;
 use downwash::diagnose::flights::preparation::PreparedFlight;
-use downwash::diagnose::likelihood::observed::{Observed, Residuals};
+use downwash::diagnose::likelihood::column::Residuals;
+use downwash::diagnose::likelihood::observed::Observed;
 use downwash::diagnose::likelihood::residuals::Evaluator;
 use downwash::log::import;
 use downwash::log::record::Record;

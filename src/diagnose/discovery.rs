@@ -350,9 +350,8 @@ impl Shaping<'_> {
         values.resize(catalogue.numbers.len(), 0.0);
         let base = observed.residuals(&values)?;
         let first = context.catalogue.numbers.len();
-        let columns: Vec<_> = (first..catalogue.numbers.len())
-            .filter_map(|number| Some((number, observed.column(&values, &base, number)?)))
-            .collect();
+        let added: Vec<usize> = (first..catalogue.numbers.len()).collect();
+        let columns = observed.columns(&values, &base, &added);
         let keep: Vec<usize> = (0..first).collect();
         let about = about.with(&observed, &values, &base, &keep, &columns);
         let active = active(context.catalogue, &start.fit.hypotheses, terms.len());

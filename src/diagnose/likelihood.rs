@@ -2,6 +2,7 @@
 
 mod bounded_minimum;
 pub mod channels;
+pub mod column;
 pub mod equation_residual;
 pub mod fit;
 pub mod layout;

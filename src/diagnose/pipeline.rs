@@ -201,7 +201,10 @@ impl DiagnosisContext<'_> {
     /// The best explanation, fitted again to all flights except the held-out ones, with the bias of
     /// its fit removed.
     fn refitted(&self, explanation: &Explanation, noise: &ReportNoise) -> Option<Explanation> {
-        let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
+        let mut numbers = explanation.fit.active(self.catalogue);
+        numbers.extend(self.catalogue.nuisances());
+        numbers.sort_unstable();
+        numbers.dedup();
         let values = &explanation.fit.values;
         let about = Linearised::new(&self.all, values, &numbers)?;
         let hypotheses = &explanation.fit.hypotheses;

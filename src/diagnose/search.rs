@@ -67,20 +67,22 @@ impl<'a> Search<'a> {
 
     /// The fit of the vehicle file's numbers within their tolerances, and the derivatives there.
     pub fn file(&self) -> Option<(Explanation, Linearised)> {
-        let numbers = self.numbers();
-        let first = Linearised::new(self.fitted, &self.catalogue.expected(), &numbers)?;
-        let mut best = fit(self.fitted, &first, &[], &[])?;
-        let mut about = Linearised::new(self.fitted, &best.values, &numbers)?;
+        let nuisances: Vec<usize> = self.catalogue.nuisances().collect();
+        let refitted = |values: &[f64]| {
+            let about = Linearised::new(self.fitted, values, &nuisances)?;
+            fit(self.fitted, &about, &[], &[])
+        };
+        let mut best = refitted(&self.catalogue.expected())?;
         // A fit stops short where derivatives change far from its start, and any effect would then
         // seem to explain the rest.
         for _ in 0..REFITS {
-            let again = fit(self.fitted, &about, &[], &[])?;
+            let again = refitted(&best.values)?;
             if best.cost - again.cost < GAIN_MIN {
                 break;
             }
-            about = Linearised::new(self.fitted, &again.values, &numbers)?;
             best = again;
         }
+        let about = Linearised::new(self.fitted, &best.values, &self.numbers())?;
         Some((self.explanation(best)?, about))
     }
 

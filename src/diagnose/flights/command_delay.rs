@@ -30,8 +30,10 @@ const JITTERS_S: [f64; 6] = [1e-4, 3e-4, 6e-4, 1e-3, 2e-3, 4e-3];
 /// synchronous. Its standard deviation, and the values that are tried, s.
 const SHIFT_S: f64 = 1e-3;
 const SHIFTS_S: [f64; 6] = [-1.5e-3, -1e-3, -5e-4, 5e-4, 1e-3, 1.5e-3];
-/// Shifts are tried for links down to this far below the likeliest one, nats.
-const SHIFT_SEARCH_NATS: f64 = 60.0;
+/// A link whose density is this far below that of the likeliest one does not count, nats.
+const NEGLIGIBLE_NATS: f64 = 60.0;
+/// Responses that a first search over the links uses.
+const FIRST_RESPONSES: usize = 4000;
 /// Probability of an arrival that contradicts the jitter model.
 const OUTLIER_PROBABILITY: f64 = 1e-3;
 /// Accuracy to which the downlink's least delay ties the two clocks, s.
@@ -77,27 +79,34 @@ impl MeasuredDelay {
 
     /// The posterior mean over constant delays with a flat prior and exponential jitter.
     fn between(responses: &[Response<'_>]) -> Option<Self> {
-        if responses.len() < RESPONSES_MIN {
-            return None;
-        }
-        let weighed = |links: Vec<Link>| -> Vec<(Link, f64)> {
-            links.into_par_iter().map(|link| (link, link.log_posterior(responses))).collect()
+        let every = (responses.len() / FIRST_RESPONSES).max(1);
+        (responses.len() >= RESPONSES_MIN).then(|| Self::searched(responses, every))
+    }
+
+    /// The same, where a first search over the links uses one response in `every` so many.
+    fn searched(responses: &[Response<'_>], every: usize) -> Self {
+        // The densities of one response in every so many.
+        let weighed = |links: Vec<Link>, every: usize| -> Vec<(Link, f64)> {
+            let density = |link: Link| (link, link.log_posterior(responses, every));
+            links.into_par_iter().map(density).collect()
+        };
+        let likely = |options: &[(Link, f64)]| -> Vec<Link> {
+            let least = most(options) - NEGLIGIBLE_NATS;
+            options.iter().filter(|(_, density)| *density > least).map(|(link, _)| *link).collect()
         };
         let steps = (RESPONSE_TIME_MAX_S / STEP_S) as usize;
         let constants = (0..steps).map(|step| step as f64 * STEP_S);
         let link = |constant| JITTERS_S.map(|jitter| Link { constant, jitter, shift: 0.0 });
-        let mut options = weighed(constants.flat_map(link).collect());
-        let most = |options: &[(Link, f64)]| {
-            options.iter().map(|(_, density)| *density).fold(f64::NEG_INFINITY, f64::max)
-        };
+        let mut links: Vec<Link> = constants.flat_map(link).collect();
+        if every > 1 {
+            links = likely(&weighed(links, every));
+        }
+        let mut options = weighed(links, 1);
         let is_inferred = |candidate: &PossibleSetpoint<'_>| !candidate.lateness.is_empty();
         if responses.iter().any(|response| response.0.iter().any(is_inferred)) {
-            let least = most(&options) - SHIFT_SEARCH_NATS;
-            let likely = options.iter().filter(|(_, density)| *density > least);
-            let shifted = likely
-                .flat_map(|(link, _)| SHIFTS_S.map(|shift| Link { shift, ..*link }))
-                .collect();
-            options.extend(weighed(shifted));
+            let shifted = |link: Link| SHIFTS_S.map(|shift| Link { shift, ..link });
+            let shifted = likely(&options).into_iter().flat_map(shifted).collect();
+            options.extend(weighed(shifted, 1));
         }
         let most = most(&options);
         let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
@@ -109,8 +118,13 @@ impl MeasuredDelay {
         }
         let mean = first / sum;
         let by_stamps = (second / sum - mean * mean).max(STEP_S.powi(2) / 12.0).sqrt();
-        Some(Self { mean, deviation: by_stamps.hypot(CLOCK_TIE_S), by_stamps })
+        Self { mean, deviation: by_stamps.hypot(CLOCK_TIE_S), by_stamps }
     }
+}
+
+/// The largest density.
+fn most(options: &[(Link, f64)]) -> f64 {
+    options.iter().map(|(_, density)| *density).fold(f64::NEG_INFINITY, f64::max)
 }
 
 /// The link's delay of setpoints.
@@ -125,13 +139,14 @@ struct Link {
 }
 
 impl Link {
-    /// Log density of all responses, of the jitter (within a factor of two of the usual one) and of
-    /// the shift, without constants.
-    fn log_posterior(&self, responses: &[Response<'_>]) -> f64 {
+    /// Log density of one response in `every` so many, of the jitter (within a factor of two of the
+    /// usual one) and of the shift, without constants.
+    fn log_posterior(&self, responses: &[Response<'_>], every: usize) -> f64 {
         let of_some = |responses: &[Response<'_>]| {
-            responses.iter().map(|response| self.density(response)).product::<f64>().ln()
+            let some = responses.iter().step_by(every);
+            some.map(|response| self.density(response)).product::<f64>().ln()
         };
-        let log_density: f64 = responses.chunks(FACTORS_PER_LOG).map(of_some).sum();
+        let log_density: f64 = responses.chunks(every * FACTORS_PER_LOG).map(of_some).sum();
         let octaves = (self.jitter / JITTER_MEAN_S).log2();
         log_density / CORRELATED - 0.5 * (octaves.powi(2) + (self.shift / SHIFT_S).powi(2))
     }
@@ -241,6 +256,15 @@ mod tests {
             assert!((delay.mean - constant - 0.001).abs() < 5e-4, "{constant}: {delay:?}");
             assert!(delay.deviation < 2e-3, "{delay:?}");
         }
+    }
+
+    #[test]
+    fn first_search_keeps_every_link_that_counts() {
+        let responses = flown(0.0121);
+        let whole = MeasuredDelay::searched(&responses, 1);
+        let after_first = MeasuredDelay::searched(&responses, 8);
+        assert!((after_first.mean - whole.mean).abs() < 1e-12, "{after_first:?} {whole:?}");
+        assert!((after_first.by_stamps - whole.by_stamps).abs() < 1e-12);
     }
 
     #[test]

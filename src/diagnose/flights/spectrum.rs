@@ -7,6 +7,13 @@
 //! Shinbrot 1957, Pearson 1992). The coefficients of stationary noise are nearly independent, so
 //! each band's count is its effective sample size.
 
+use std::f64::consts::FRAC_PI_2;
+use std::fmt;
+use std::sync::Arc;
+
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
+
 /// Cells of the longest block, a power of two.
 pub const BLOCK_MAX: usize = 1024;
 /// Cells of the shortest block, a power of two.
@@ -40,99 +47,100 @@ pub fn frequency(index: usize, cells: usize) -> f64 {
     index as f64 / (2.0 * cells as f64 * CELL_S)
 }
 
-/// The orthonormal DCT-II for blocks of any power of two up to [`BLOCK_MAX`], by Lee's recursion
-/// (1984).
+/// The orthonormal DCT-II for blocks of any power of two from [`BLOCK_MIN`] to [`BLOCK_MAX`].
 #[derive(Clone, Debug)]
 pub struct CosineTransform {
-    /// 1 / (2 cos((i + 1/2) pi / n)) for n = 2, 4, ..., one after another.
-    secants: Vec<f64>,
+    /// For each length, the shortest first.
+    lengths: Vec<Length>,
+}
+
+/// A Fourier transform of one length.
+#[derive(Clone)]
+struct Length {
+    fourier: Arc<dyn Fft<f64>>,
+    /// Half of the scale of each coefficient, turned by `-pi k / 2 n`.
+    turns: Vec<Complex<f64>>,
+}
+
+impl fmt::Debug for Length {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Length").field("cells", &self.turns.len()).finish_non_exhaustive()
+    }
 }
 
 impl Default for CosineTransform {
     fn default() -> Self {
-        let mut secants = Vec::with_capacity(BLOCK_MAX);
-        let mut n = 2;
-        while n <= BLOCK_MAX {
-            let angle = std::f64::consts::PI / n as f64;
-            secants.extend((0..n / 2).map(|i| 0.5 / ((i as f64 + 0.5) * angle).cos()));
-            n *= 2;
-        }
-        Self { secants }
+        let mut planner = FftPlanner::new();
+        let cells = std::iter::successors(Some(BLOCK_MIN), |cells| Some(2 * cells));
+        let length = |n: usize| {
+            let scale =
+                |k: usize| if k == 0 { (1.0 / n as f64).sqrt() } else { (2.0 / n as f64).sqrt() };
+            let turn =
+                |k: usize| Complex::from_polar(0.5 * scale(k), -FRAC_PI_2 * k as f64 / n as f64);
+            Length { fourier: planner.plan_fft_forward(n), turns: (0..n).map(turn).collect() }
+        };
+        Self { lengths: cells.take_while(|n| *n <= BLOCK_MAX).map(length).collect() }
     }
 }
 
 impl CosineTransform {
-    /// Transforms `block` in place. Its length must be a power of two of at most [`BLOCK_MAX`].
-    pub fn apply(&self, block: &mut [f64], scratch: &mut Vec<f64>) {
-        let n = block.len();
-        debug_assert!(n.is_power_of_two() && n <= BLOCK_MAX);
-        scratch.clear();
-        scratch.resize(n, 0.0);
-        self.recurse(block, scratch);
-        let scale = (2.0 / n as f64).sqrt();
-        block.iter_mut().for_each(|x| *x *= scale);
-        block[0] *= std::f64::consts::FRAC_1_SQRT_2;
-    }
-
-    /// Lee's recursion, without the scale. `scratch` has the length of `v`.
-    fn recurse(&self, v: &mut [f64], scratch: &mut [f64]) {
-        let n = v.len();
-        let half = n / 2;
-        match v {
-            [] | [_] => return,
-            // Recursing to single numbers would take longer than the sums.
-            [a, b] => {
-                (*a, *b) = (*a + *b, (*a - *b) * self.secants[0]);
-                return;
+    /// Transforms series of one length in place.
+    ///
+    /// A complex Fourier transform of the samples, the even ones first, then the odd ones backwards,
+    /// gives the cosine transforms of its real and its imaginary part (Makhoul 1980).
+    ///
+    /// # Panics
+    /// On a length that is no power of two from [`BLOCK_MIN`] to [`BLOCK_MAX`].
+    pub fn apply(&self, series: &mut [&mut [f64]]) {
+        let Some(n) = series.first().map(|first| first.len()) else { return };
+        let of_length = self.lengths.iter().find(|length| length.turns.len() == n);
+        let Length { fourier, turns } = of_length.expect("a block's length");
+        let mut points = vec![Complex::default(); n];
+        let mut scratch = vec![Complex::default(); fourier.get_inplace_scratch_len()];
+        for pair in series.chunks_mut(2) {
+            let at = |i: usize| Complex::new(pair[0][i], pair.get(1).map_or(0.0, |other| other[i]));
+            for i in 0..n / 2 {
+                points[i] = at(2 * i);
+                points[n - 1 - i] = at(2 * i + 1);
             }
-            [a, b, c, d] => {
-                let ([x, y], [u, w]) = ([*a + *d, *b + *c], [*a - *d, *b - *c]);
-                let (u, w) = (u * self.secants[1], w * self.secants[2]);
-                let odd = (u - w) * self.secants[0];
-                (*a, *b, *c, *d) = (x + y, u + w + odd, (x - y) * self.secants[0], odd);
-                return;
+            fourier.process_with_scratch(&mut points, &mut scratch);
+            for (k, turn) in turns.iter().enumerate() {
+                let (point, mirrored) = (points[k], points[(n - k) % n].conj());
+                pair[0][k] = (turn * (point + mirrored)).re;
+                if let Some(other) = pair.get_mut(1) {
+                    other[k] = (turn * (point - mirrored)).im;
+                }
             }
-            _ => {}
-        }
-        // The tables before this one hold 1 + 2 + ... + half / 2 numbers.
-        let secants = &self.secants[half - 1..n - 1];
-        for i in 0..half {
-            let (x, y) = (v[i], v[n - 1 - i]);
-            scratch[i] = x + y;
-            scratch[half + i] = (x - y) * secants[i];
-        }
-        let (even, odd) = scratch.split_at_mut(half);
-        let (a, b) = v.split_at_mut(half);
-        self.recurse(even, a);
-        self.recurse(odd, b);
-        let sums = odd.iter().zip(odd[1..].iter().chain(&[0.0]));
-        for (pair, (even, (odd, next))) in v.chunks_exact_mut(2).zip(even.iter().zip(sums)) {
-            pair[0] = *even;
-            pair[1] = odd + next;
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use super::*;
+
+    fn cosine_sum(series: &[f64], k: usize) -> f64 {
+        let n = series.len() as f64;
+        let scale = if k == 0 { (1.0 / n).sqrt() } else { (2.0 / n).sqrt() };
+        let terms = series.iter().enumerate();
+        scale * terms.map(|(i, x)| x * (PI * (i as f64 + 0.5) * k as f64 / n).cos()).sum::<f64>()
+    }
 
     #[test]
     fn transform_matches_the_cosine_sum() {
-        let n = 16;
-        let series: Vec<f64> = (0..n).map(|i| ((i * i) as f64 * 0.37).sin()).collect();
-        let mut fast = series.clone();
-        CosineTransform::default().apply(&mut fast, &mut Vec::new());
-        for (k, found) in fast.iter().enumerate() {
-            let sum: f64 = series
-                .iter()
-                .enumerate()
-                .map(|(i, x)| {
-                    x * (std::f64::consts::PI * (i as f64 + 0.5) * k as f64 / n as f64).cos()
-                })
-                .sum();
-            let scale = if k == 0 { (1.0 / n as f64).sqrt() } else { (2.0 / n as f64).sqrt() };
-            assert!((found - sum * scale).abs() < 1e-12, "{k}");
+        let first: Vec<f64> = (0..BLOCK_MIN).map(|i| ((i * i) as f64 * 0.37).sin()).collect();
+        let series = [first.clone(), first.iter().map(|x| x.exp()).collect(), vec![1.0; BLOCK_MIN]];
+        for count in 0..=series.len() {
+            let mut fast = series[..count].to_vec();
+            let mut slices: Vec<&mut [f64]> = fast.iter_mut().map(Vec::as_mut_slice).collect();
+            CosineTransform::default().apply(&mut slices);
+            for (series, fast) in series.iter().zip(&fast) {
+                for (k, found) in fast.iter().enumerate() {
+                    assert!((found - cosine_sum(series, k)).abs() < 1e-12, "{count} {k}");
+                }
+            }
         }
     }
 
@@ -140,7 +148,7 @@ mod tests {
     fn transform_preserves_the_energy_of_the_longest_block() {
         let mut block: Vec<f64> = (0..BLOCK_MAX).map(|i| (i as f64 * 1.7).sin() + 0.3).collect();
         let energy: f64 = block.iter().map(|x| x * x).sum();
-        CosineTransform::default().apply(&mut block, &mut Vec::new());
+        CosineTransform::default().apply(&mut [&mut block]);
         let after: f64 = block.iter().map(|x| x * x).sum();
         assert!((after / energy - 1.0).abs() < 1e-10);
     }

@@ -7,11 +7,11 @@
 //! width to its posterior's.
 
 use nalgebra::DMatrix;
-use rayon::prelude::*;
 
 use crate::diagnose::catalogue::hypothesis::{Catalogue, Values};
+use crate::diagnose::likelihood::column::Residuals;
 use crate::diagnose::likelihood::linearised::Linearised;
-use crate::diagnose::likelihood::observed::{Observed, Residuals, noise_cost};
+use crate::diagnose::likelihood::observed::{Observed, noise_cost};
 
 /// Normal quantile for 90 % intervals.
 pub(in crate::diagnose) const Z90: f64 = 1.645;
@@ -163,10 +163,7 @@ fn descend(
     let DescentStart { mut cost, mut values, mut residuals } = start;
     let mut last = None;
     for _ in 0..STEPS_MAX {
-        let fresh: Vec<(usize, Residuals)> = active
-            .par_iter()
-            .filter_map(|n| Some((*n, observed.column(&values, &residuals, *n)?)))
-            .collect();
+        let fresh = observed.columns(&values, &residuals, active);
         let local = about.with(observed, &values, &residuals, nuisances, &fresh);
         let solution = local.solve(catalogue, &observed.counts, active)?;
         let mut share = 1.0;

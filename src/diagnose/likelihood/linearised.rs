@@ -1,17 +1,20 @@
 //! The cost of hypotheses about a point, from products of derivatives in each bin.
 
 use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
 
 use crate::diagnose::catalogue::hypothesis::{Catalogue, Values};
 use crate::diagnose::likelihood::bounded_minimum::{bounded_minimum, scaled_cholesky};
+use crate::diagnose::likelihood::column::{Column, Residuals};
 use crate::diagnose::likelihood::layout::Bin;
-use crate::diagnose::likelihood::observed::{Observed, Residuals, noise_cost, pool_power, pools};
+use crate::diagnose::likelihood::observed::{Observed, noise_cost, pool_power, pools};
 
 /// Most reweighting rounds in a solve.
 const WEIGHT_ROUNDS: usize = 40;
 /// Rounds end when one lowers the cost by less than this, nats.
 const COST_STEP_MIN: f64 = 2e-5;
+
+/// Numbers whose derivatives are in memory at once on flights that are compared.
+const NUMBERS_AT_ONCE: usize = 8;
 
 /// Residuals linearised in some numbers about a point, as products in each bin.
 #[derive(Clone, Debug)]
@@ -21,7 +24,7 @@ pub struct Linearised {
     /// Indices of the numbers that it is linear in.
     pub numbers: Vec<usize>,
     /// Derivative of the residuals by each of those numbers.
-    pub columns: Vec<Residuals>,
+    columns: Vec<Column>,
     /// Products of the columns in each bin: the upper triangle, row by row.
     gram: Vec<Vec<f64>>,
     /// Products of the columns with the residuals, in each bin.
@@ -31,55 +34,43 @@ pub struct Linearised {
 }
 
 /// Index of entry (i, j) of a symmetric matrix of `n` rows in its upper triangle, row by row.
-fn triangle(i: usize, j: usize, n: usize) -> usize {
+fn triangle_index(i: usize, j: usize, n: usize) -> usize {
     let (i, j) = if i <= j { (i, j) } else { (j, i) };
     i * n - i * (i + 1) / 2 + j
 }
 
-/// Products of columns with residuals in each bin.
-fn crosses<C>(observed: &Observed<'_>, columns: &[C], base: &Residuals) -> Vec<Vec<f64>>
-where
-    C: std::borrow::Borrow<Residuals> + Sync,
-{
-    let crosses: Vec<Vec<f64>> =
-        columns.par_iter().map(|column| observed.dot(column.borrow(), base)).collect();
-    (0..Bin::COUNT).map(|bin| crosses.iter().map(|cross| cross[bin]).collect()).collect()
+/// Splits the products of `count` columns and the residuals, as [`Observed::products`] gives them
+/// without the columns before `from`, into those of columns and those with the residuals.
+fn split_base(products: &[f64], count: usize, from: usize) -> [Vec<f64>; 2] {
+    let (mut gram, mut cross) = (Vec::with_capacity(products.len()), Vec::with_capacity(count));
+    let mut rest = products;
+    for row in 0..count {
+        let (own, below) = rest.split_at(count + 1 - row.max(from));
+        let (columns, base) = own.split_at(own.len() - 1);
+        gram.extend_from_slice(columns);
+        cross.extend_from_slice(base);
+        rest = below;
+    }
+    [gram, cross]
 }
 
 impl Linearised {
     /// Linearises in `numbers` about `values`; numbers without a derivative are left out.
     pub fn new(observed: &Observed<'_>, values: &[f64], numbers: &[usize]) -> Option<Self> {
         let base = observed.residuals(values)?;
-        let columns: Vec<(usize, Residuals)> = numbers
-            .par_iter()
-            .filter_map(|n| Some((*n, observed.column(values, &base, *n)?)))
-            .collect();
-        let (numbers, columns): (Vec<_>, Vec<_>) = columns.into_iter().unzip();
-        Some(Self::from_columns(observed, values, &base, numbers, columns))
-    }
-
-    fn from_columns(
-        observed: &Observed<'_>,
-        values: &[f64],
-        base: &Residuals,
-        numbers: Vec<usize>,
-        columns: Vec<Residuals>,
-    ) -> Self {
-        let n = numbers.len();
-        let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
-        let products: Vec<Vec<f64>> =
-            pairs.par_iter().map(|(i, j)| observed.dot(&columns[*i], &columns[*j])).collect();
-        let gram = (0..Bin::COUNT)
-            .map(|bin| products.iter().map(|product| product[bin]).collect())
-            .collect();
-        Self {
+        let columns = observed.columns(values, &base, numbers);
+        let all: Vec<&Column> = columns.iter().collect();
+        let products = observed.products(&all, &base, 0);
+        let split = products.iter().map(|bin| split_base(bin, columns.len(), 0).into());
+        let (gram, cross) = split.unzip();
+        Some(Self {
             values: values.to_vec(),
-            cross: crosses(observed, &columns, base),
-            square: observed.squares(base),
-            numbers,
+            numbers: columns.iter().map(|column| column.number).collect(),
+            square: observed.squares(&base),
             columns,
             gram,
-        }
+            cross,
+        })
     }
 
     /// The same derivatives and residuals, moved to other values.
@@ -90,14 +81,7 @@ impl Linearised {
     /// The same derivatives about other residuals. The result has no columns: it can only be
     /// solved.
     pub fn with_residuals(&self, observed: &Observed<'_>, base: &Residuals) -> Self {
-        Self {
-            values: self.values.clone(),
-            numbers: self.numbers.clone(),
-            columns: Vec::new(),
-            gram: self.gram.clone(),
-            cross: crosses(observed, &self.columns, base),
-            square: observed.squares(base),
-        }
+        self.with(observed, &self.values, base, &self.numbers, &[])
     }
 
     /// The share of noise in the square of each number's derivative, from two draws of the same
@@ -117,30 +101,21 @@ impl Linearised {
         let weighted = |column: &Residuals| -> f64 {
             one.power_of(column).iter().zip(&weights).map(|(q, weight)| q * weight).sum()
         };
-        let share = |number: &usize| {
-            let column = one.column(&self.values, &of_one, *number)?;
-            let again = other.column(&self.values, &of_other, *number)?;
-            let difference: Residuals = column
-                .iter()
-                .zip(&again)
-                .map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect())
-                .collect();
+        let share = |(column, again): (&Column, &Column)| {
+            let pairs = column.residuals.iter().zip(&again.residuals);
+            let difference: Residuals =
+                pairs.map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect()).collect();
             // The difference contains the noise of both.
-            let share = 0.5 * weighted(&difference) / weighted(&column);
-            share.is_finite().then_some((*number, share))
+            let share = 0.5 * weighted(&difference) / weighted(&column.residuals);
+            share.is_finite().then_some((column.number, share))
         };
-        self.numbers.par_iter().filter_map(share).collect()
-    }
-
-    /// The derivatives by `numbers` on other flights, whose residuals are `base`.
-    pub fn columns_of(
-        &self,
-        others: &Observed<'_>,
-        base: &Residuals,
-        numbers: &[usize],
-    ) -> Vec<(usize, Residuals)> {
-        let of_one = |n: &usize| Some((*n, others.column(&self.values, base, *n)?));
-        numbers.iter().filter_map(of_one).collect()
+        // A few at a time, for the sake of memory. Both draws leave out the same numbers.
+        let shares = self.numbers.chunks(NUMBERS_AT_ONCE).flat_map(|numbers| {
+            let columns = one.columns(&self.values, &of_one, numbers);
+            let again = other.columns(&self.values, &of_other, numbers);
+            columns.iter().zip(&again).filter_map(share).collect::<Vec<_>>()
+        });
+        shares.collect()
     }
 
     /// As [`with_residuals`](Self::with_residuals), with the derivatives `own` for some numbers.
@@ -148,11 +123,8 @@ impl Linearised {
         &self,
         observed: &Observed<'_>,
         base: &Residuals,
-        own: &[(usize, Residuals)],
+        own: &[Column],
     ) -> Self {
-        if own.is_empty() {
-            return self.with_residuals(observed, base);
-        }
         self.with(observed, &self.values, base, &self.numbers, own)
     }
 
@@ -163,38 +135,35 @@ impl Linearised {
         values: &[f64],
         base: &Residuals,
         keep: &[usize],
-        fresh: &[(usize, Residuals)],
+        fresh: &[Column],
     ) -> Self {
         let kept: Vec<usize> = (0..self.numbers.len())
             .filter(|i| {
                 keep.contains(&self.numbers[*i])
-                    && fresh.iter().all(|(n, _)| *n != self.numbers[*i])
+                    && fresh.iter().all(|column| column.number != self.numbers[*i])
             })
             .collect();
         let mut numbers: Vec<usize> = kept.iter().map(|i| self.numbers[*i]).collect();
         let old = numbers.len();
-        let mut columns: Vec<&Residuals> = kept.iter().map(|i| &self.columns[*i]).collect();
-        numbers.extend(fresh.iter().map(|(n, _)| *n));
-        columns.extend(fresh.iter().map(|(_, column)| column));
+        numbers.extend(fresh.iter().map(|column| column.number));
+        let columns: Vec<&Column> = kept.iter().map(|i| &self.columns[*i]).chain(fresh).collect();
         let n = numbers.len();
-        let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
-        let products: Vec<Option<Vec<f64>>> = pairs
-            .par_iter()
-            .map(|(i, j)| (*j >= old).then(|| observed.dot(columns[*i], columns[*j])))
-            .collect();
-        let gram = (0..Bin::COUNT)
-            .map(|bin| {
-                pairs
-                    .iter()
-                    .zip(&products)
-                    .map(|((i, j), product)| match product {
-                        Some(product) => product[bin],
-                        None => self.gram[bin][triangle(kept[*i], kept[*j], self.numbers.len())],
-                    })
-                    .collect()
-            })
-            .collect();
-        let cross = crosses(observed, &columns, base);
+        let products = observed.products(&columns, base, old);
+        let mut cross = Vec::with_capacity(Bin::COUNT);
+        let mut gram = Vec::with_capacity(Bin::COUNT);
+        for (known, products) in self.gram.iter().zip(&products) {
+            let [fresh, with_base] = split_base(products, n, old);
+            cross.push(with_base);
+            let mut fresh = fresh.into_iter();
+            let mut triangle = Vec::with_capacity(n * (n + 1) / 2);
+            for row in 0..n {
+                let known = (row..old)
+                    .map(|j| known[triangle_index(kept[row], kept[j], self.numbers.len())]);
+                triangle.extend(known);
+                triangle.extend(fresh.by_ref().take(n - row.max(old)));
+            }
+            gram.push(triangle);
+        }
         let square = observed.squares(base);
         Self { values: values.to_vec(), numbers, columns: Vec::new(), gram, cross, square }
     }
@@ -273,7 +242,7 @@ impl Linearised {
         let total = self.numbers.len();
         let pairs: Vec<usize> = (0..used.len())
             .flat_map(|a| (a..used.len()).map(move |b| (a, b)))
-            .map(|(a, b)| triangle(used[a], used[b], total))
+            .map(|(a, b)| triangle_index(used[a], used[b], total))
             .collect();
         let bins: Vec<usize> = (0..Bin::COUNT).filter(|bin| counts[*bin] > 0.0).collect();
         let of_places = |of: &[Vec<f64>], which: &[usize]| -> Vec<f64> {

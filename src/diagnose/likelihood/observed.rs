@@ -3,10 +3,12 @@
 use rayon::prelude::*;
 use vehicle::{ROTORS, VehicleParams};
 
+use crate::diagnose::catalogue::candidate::Candidate;
 use crate::diagnose::catalogue::hypothesis::Catalogue;
 use crate::diagnose::flights::preparation::{Block, PreparedFlight};
 use crate::diagnose::flights::spectrum::BANDS;
 use crate::diagnose::likelihood::channels::{CHANNELS, COMMAND, RATE, VELOCITY};
+use crate::diagnose::likelihood::column::{Column, Residuals};
 use crate::diagnose::likelihood::layout::{AT_REST, Bin, Layout};
 use crate::diagnose::likelihood::residuals::{Evaluator, Groups};
 
@@ -66,8 +68,23 @@ struct Run {
     end: usize,
 }
 
-/// Residual coefficients of each flight, in the order of its layout.
-pub type Residuals = Vec<Vec<f64>>;
+/// A step of a number, for the derivative by it.
+struct Step {
+    number: usize,
+    /// The groups that the number affects.
+    groups: Groups,
+    /// Signed inverse of the step's size.
+    scale: f64,
+    /// Whether the derivative is taken between one and two steps from the point.
+    is_beyond: bool,
+}
+
+impl Run {
+    /// The coefficients of this run.
+    fn of<'a>(&self, all: &'a Residuals) -> &'a [f64] {
+        &all[self.flight][self.start..self.end]
+    }
+}
 
 impl<'a> Observed<'a> {
     /// Uses every channel that the logs hold.
@@ -169,23 +186,39 @@ impl<'a> Observed<'a> {
     /// Residuals at `values`. `None` for a vehicle that the physics rejects, and after the caller
     /// has stopped the diagnosis.
     pub fn residuals(&self, values: &[f64]) -> Option<Residuals> {
-        self.residuals_in(values, Groups::ALL)
+        let candidate = self.catalogue.candidate(values).ok()?;
+        self.residuals_under(&[(candidate, Groups::ALL)])?.pop()
     }
 
-    fn residuals_in(&self, values: &[f64], groups: Groups) -> Option<Residuals> {
+    /// Residuals under each candidate in its groups, 0 in others. `None` after the caller has stopped
+    /// the diagnosis.
+    fn residuals_under(&self, candidates: &[(Candidate, Groups)]) -> Option<Vec<Residuals>> {
+        let blocks = self.blocks(|_, _| true);
+        let of_blocks: Vec<Vec<Vec<f64>>> = blocks
+            .into_par_iter()
+            .filter(|_| !self.is_stopped())
+            .map(|(flight, layout, block)| {
+                let mut block = self.evaluator.block(flight, layout, block);
+                let of_one = |(candidate, groups): &(Candidate, Groups)| {
+                    block.coefficients(candidate, *groups)
+                };
+                candidates.iter().map(of_one).collect()
+            })
+            .collect();
         if self.is_stopped() {
             return None;
         }
-        let candidate = self.catalogue.candidate(values).ok()?;
-        Some(
-            self.flights
-                .par_iter()
-                .zip(&self.layouts)
-                .map(|(flight, layout)| {
-                    self.evaluator.residuals(flight, layout, &candidate, groups)
-                })
-                .collect(),
-        )
+        let mut all = vec![Residuals::new(); candidates.len()];
+        let mut of_blocks = of_blocks.into_iter();
+        for flight in self.flights {
+            all.iter_mut().for_each(|residuals| residuals.push(Vec::new()));
+            for of_block in of_blocks.by_ref().take(flight.blocks.len()) {
+                for (residuals, own) in all.iter_mut().zip(of_block) {
+                    residuals.last_mut()?.extend(own);
+                }
+            }
+        }
+        Some(all)
     }
 
     /// Sum of squares in each bin, with its lower limit added; the bins of a pool share theirs.
@@ -222,7 +255,7 @@ impl<'a> Observed<'a> {
                 last = Some((run.flight, run.block));
             }
             let variance = (power[run.bin] / self.counts[run.bin]).max(f64::MIN_POSITIVE);
-            let part = &residuals[run.flight][run.start..run.end];
+            let part = run.of(residuals);
             let n = (run.end - run.start) as f64;
             let square = product(part, part);
             if let Some(density) = density.last_mut() {
@@ -232,54 +265,95 @@ impl<'a> Observed<'a> {
         density
     }
 
-    /// Derivative of the residuals with respect to one number at `values`, where the residuals are
-    /// `base`.
-    pub fn column(&self, values: &[f64], base: &Residuals, number: usize) -> Option<Residuals> {
-        let described = &self.catalogue.numbers[number];
-        let step = described.step(values[number]);
-        let groups = Groups::of(described.target);
-        let moved = |by: f64| {
-            let mut moved = values.to_vec();
-            moved[number] += by;
-            self.residuals_in(&moved, groups)
+    /// Derivatives of the residuals with respect to `numbers` at `values`, where the residuals are
+    /// `base`. Numbers whose steps the physics rejects are left out.
+    pub fn columns(&self, values: &[f64], base: &Residuals, numbers: &[usize]) -> Vec<Column> {
+        let steps = numbers.iter().filter_map(|number| self.step(values, *number));
+        let (steps, candidates): (Vec<Step>, Vec<Vec<Candidate>>) = steps.unzip();
+        let with_groups = steps.iter().zip(candidates).flat_map(|(step, candidates)| {
+            candidates.into_iter().map(|candidate| (candidate, step.groups))
+        });
+        let with_groups: Vec<(Candidate, Groups)> = with_groups.collect();
+        let Some(moved) = self.residuals_under(&with_groups) else { return Vec::new() };
+        let mut moved = moved.into_iter();
+        let column = |step: Step| {
+            let near = if step.is_beyond { moved.next()? } else { base.clone() };
+            let far = moved.next()?;
+            let mut column = near;
+            for ((column, far), layout) in column.iter_mut().zip(&far).zip(&self.layouts) {
+                for ((near, far), bin) in column.iter_mut().zip(far).zip(&layout.bins) {
+                    let is_acting = step.groups.has(bin.channel());
+                    *near = if is_acting { (far - *near) * step.scale } else { 0.0 };
+                }
+            }
+            Some(Column::new(step.number, column, &self.layouts))
         };
-        let up = values[number] + 2.0 * step <= described.bounds[1];
+        steps.into_iter().filter_map(column).collect()
+    }
+
+    /// The step of a number for its derivative, and the candidates there.
+    fn step(&self, values: &[f64], number: usize) -> Option<(Step, Vec<Candidate>)> {
+        let described = &self.catalogue.numbers[number];
+        let size = described.step(values[number]);
+        let up = values[number] + 2.0 * size <= described.bounds[1];
         let sign = if up { 1.0 } else { -1.0 };
         // Switching an effect on may replace another one; both points have it on.
-        let switches = values[number] == described.reference
+        let is_beyond = values[number] == described.reference
             && self.catalogue.vehicle.linear_drag_n_per_m_s.is_some();
-        let (near, far) = if switches {
-            (moved(sign * step)?, moved(2.0 * sign * step)?)
-        } else {
-            (base.clone(), moved(sign * step)?)
+        let moved = |steps: f64| {
+            let mut moved = values.to_vec();
+            moved[number] += steps * sign * size;
+            self.catalogue.candidate(&moved).ok()
         };
-        let scale = sign / step;
-        let column = near
-            .iter()
-            .zip(&far)
-            .zip(&self.layouts)
-            .map(|((a, b), layout)| {
-                let difference = a.iter().zip(b).zip(&layout.bins);
-                difference
-                    .map(
-                        |((a, b), bin)| {
-                            if groups.has(bin.channel()) { (b - a) * scale } else { 0.0 }
-                        },
-                    )
-                    .collect()
-            })
-            .collect();
-        Some(column)
+        let points: &[f64] = if is_beyond { &[1.0, 2.0] } else { &[1.0] };
+        let candidates: Option<Vec<Candidate>> = points.iter().map(|steps| moved(*steps)).collect();
+        let groups = Groups::of(described.target);
+        Some((Step { number, groups, scale: sign / size, is_beyond }, candidates?))
     }
 
     /// Sum of products in each bin.
     pub(in crate::diagnose) fn dot(&self, a: &Residuals, b: &Residuals) -> Vec<f64> {
         let mut sums = vec![0.0; Bin::COUNT];
         for run in &self.runs {
-            let (a, b) = (&a[run.flight][run.start..run.end], &b[run.flight][run.start..run.end]);
-            sums[run.bin] += product(a, b);
+            sums[run.bin] += product(run.of(a), run.of(b));
         }
         sums
+    }
+
+    /// Sums of products in each bin, row by row: of each column with itself, the later ones and
+    /// `base`, without the columns before `from` as second factors.
+    pub(in crate::diagnose) fn products(
+        &self,
+        columns: &[&Column],
+        base: &Residuals,
+        from: usize,
+    ) -> Vec<Vec<f64>> {
+        let count = columns.len() + 1;
+        let mut starts = Vec::with_capacity(columns.len());
+        let mut total = 0;
+        for row in 0..columns.len() {
+            starts.push(total);
+            total += count - row.max(from);
+        }
+        let mut by_bin: Vec<Vec<&Run>> = vec![Vec::new(); Bin::COUNT];
+        self.runs.iter().for_each(|run| by_bin[run.bin].push(run));
+        let in_bin = |(bin, runs): (usize, &Vec<&Run>)| {
+            let mut sums = vec![0.0; total];
+            let columns = columns.iter().enumerate().filter(|(_, column)| column.acts(bin));
+            let mut acting: Vec<(usize, &Residuals)> =
+                columns.map(|(place, column)| (place, &column.residuals)).collect();
+            acting.push((count - 1, base));
+            for run in runs {
+                for (k, (i, a)) in acting[..acting.len() - 1].iter().enumerate() {
+                    let sums = &mut sums[starts[*i]..];
+                    for (j, b) in acting[k..].iter().filter(|(j, _)| *j >= from) {
+                        sums[j - from.max(*i)] += product(run.of(a), run.of(b));
+                    }
+                }
+            }
+            sums
+        };
+        by_bin.par_iter().enumerate().map(in_bin).collect()
     }
 }
 

@@ -21,7 +21,7 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use vehicle::effects::EffectId;
+use vehicle::effects::{AttitudeTrim, EffectId};
 use vehicle::frame::{Attitude, Frd, Ned};
 use vehicle::physics::{Environment, Loads, Physics};
 use vehicle::rigid_body::State;
@@ -148,59 +148,20 @@ impl Evaluator {
         self.onboard.as_ref()
     }
 
-    /// The residual coefficients of `flight` under `candidate`, in `layout`'s order; 0 outside
-    /// `groups`.
-    pub fn residuals(
-        &self,
-        flight: &PreparedFlight,
-        layout: &Layout,
-        candidate: &Candidate,
-        groups: Groups,
-    ) -> Vec<f64> {
-        let mut out = Vec::with_capacity(layout.bins.len());
-        let mut scratch = Vec::new();
-        for block in &flight.blocks {
-            let Series { residuals: mut series, acceleration } =
-                self.series(flight, layout, block, candidate, groups);
-            self.to_coefficients(&mut series, layout, block, groups, &mut scratch);
-            if groups.dynamics && layout.has(VELOCITY) && candidate.velocity_smoothing > 0.0 {
-                let residuals = series[VELOCITY..FORCE].iter_mut().zip(acceleration);
-                for (residual, mut acceleration) in residuals {
-                    self.transform.apply(&mut acceleration, &mut scratch);
-                    for index in layout.used(VELOCITY, block) {
-                        let angular = 2.0 * PI * frequency(index, block.cells);
-                        let kept = (-0.5 * candidate.velocity_smoothing * angular * angular).exp();
-                        residual[index] += (1.0 - kept) * acceleration[index];
-                    }
-                }
-            }
-            append(&mut out, layout, block, &series);
-        }
-        out
-    }
-
-    /// Transforms the channels in use of `groups` to coefficients, in place.
-    fn to_coefficients(
-        &self,
-        series: &mut [Vec<f64>; CHANNELS],
-        layout: &Layout,
-        block: &Block,
-        groups: Groups,
-        scratch: &mut Vec<f64>,
-    ) {
-        for (channel, values) in series.iter_mut().enumerate() {
-            if groups.has(channel) && layout.has(channel) && !layout.used(channel, block).is_empty()
-            {
-                self.transform.apply(values, scratch);
-            }
-        }
+    /// A block of `flight`, to be evaluated under one candidate after another.
+    pub fn block<'a>(
+        &'a self,
+        flight: &'a PreparedFlight,
+        layout: &'a Layout,
+        block: &'a Block,
+    ) -> BlockEvaluator<'a> {
+        BlockEvaluator { evaluator: self, flight, layout, block, motion: None, rotors: None }
     }
 
     /// The coefficients of the angular acceleration from the gyro, in `layout`'s order; 0 in other
     /// channels.
     pub fn angular_acceleration(&self, flight: &PreparedFlight, layout: &Layout) -> Vec<f64> {
         let mut out = Vec::with_capacity(layout.bins.len());
-        let mut scratch = Vec::new();
         for block in &flight.blocks {
             let mut series: [Vec<f64>; CHANNELS] = std::array::from_fn(|_| vec![0.0; block.cells]);
             let mut rate = flight.body_rate.cursor();
@@ -210,51 +171,93 @@ impl Evaluator {
                 put(&mut series, RATE, k, ((after - before) * (1.0 / CELL_S)).to_array());
                 before = after;
             }
-            self.to_coefficients(&mut series, layout, block, Groups::ALL, &mut scratch);
+            self.transform.apply(&mut in_use(&mut series, layout, block, Groups::ALL));
             append(&mut out, layout, block, &series);
         }
         out
     }
+}
 
-    /// A block over time. Its residuals are those of an unsmoothed velocity.
-    pub fn series(
-        &self,
-        flight: &PreparedFlight,
-        layout: &Layout,
-        block: &Block,
-        candidate: &Candidate,
-        groups: Groups,
-    ) -> Series {
+/// A block of a flight, evaluated under one candidate after another. It keeps what successive
+/// candidates share.
+pub struct BlockEvaluator<'a> {
+    evaluator: &'a Evaluator,
+    flight: &'a PreparedFlight,
+    layout: &'a Layout,
+    block: &'a Block,
+    /// The motion by latency and trim.
+    motion: Option<((f64, Option<AttitudeTrim>), Motion)>,
+    /// The rotors' states by the outputs' delay and lag.
+    rotors: Option<([f64; 2], Vec<[f64; ROTORS]>)>,
+}
+
+impl BlockEvaluator<'_> {
+    /// The coefficients in use under `candidate`, in the layout's order; 0 outside `groups`.
+    pub fn coefficients(&mut self, candidate: &Candidate, groups: Groups) -> Vec<f64> {
+        let Series { residuals: mut series, mut acceleration } = self.series(candidate, groups);
+        let Self { evaluator, layout, block, .. } = self;
+        let is_smoothed =
+            groups.dynamics && layout.has(VELOCITY) && candidate.velocity_smoothing > 0.0;
+        let mut in_use = in_use(&mut series, layout, block, groups);
+        if is_smoothed {
+            in_use.extend(acceleration.iter_mut().map(Vec::as_mut_slice));
+        }
+        evaluator.transform.apply(&mut in_use);
+        if is_smoothed {
+            for (residual, acceleration) in series[VELOCITY..FORCE].iter_mut().zip(&acceleration) {
+                for index in layout.used(VELOCITY, block) {
+                    let angular = 2.0 * PI * frequency(index, block.cells);
+                    let kept = (-0.5 * candidate.velocity_smoothing * angular * angular).exp();
+                    residual[index] += (1.0 - kept) * acceleration[index];
+                }
+            }
+        }
+        let mut out = Vec::new();
+        append(&mut out, layout, block, &series);
+        out
+    }
+
+    /// The block over time. Its residuals are those of an unsmoothed velocity.
+    pub fn series(&mut self, candidate: &Candidate, groups: Groups) -> Series {
+        let cells = self.block.cells;
         let mut series = Series {
-            residuals: std::array::from_fn(|_| vec![0.0; block.cells]),
-            acceleration: std::array::from_fn(|_| vec![0.0; block.cells]),
+            residuals: std::array::from_fn(|_| vec![0.0; cells]),
+            acceleration: std::array::from_fn(|_| vec![0.0; cells]),
         };
         if groups.dynamics || groups.kinematics {
-            self.motion(flight, block, candidate, &mut series);
+            self.motion(candidate, &mut series);
         }
-        if groups.command && layout.has(COMMAND) {
-            self.command(flight, block, candidate, &mut series.residuals);
+        if groups.command && self.layout.has(COMMAND) {
+            self.command(candidate, &mut series.residuals);
         }
         series
     }
 
     /// Fills in the velocity, specific force, rate and attitude channels.
     fn motion(
-        &self,
-        flight: &PreparedFlight,
-        block: &Block,
+        &mut self,
         candidate: &Candidate,
         Series { residuals: series, acceleration }: &mut Series,
     ) {
-        let motion = motion(flight, block, candidate);
-        let rotors = rotors(flight, block, candidate);
+        let (flight, block) = (self.flight, self.block);
+        let seen = (candidate.latency, candidate.trim);
+        let motion = match self.motion.take().filter(|(of, _)| *of == seen) {
+            Some((_, motion)) => motion,
+            None => motion(flight, block, candidate),
+        };
+        let driven = [candidate.output_delay, candidate.lag];
+        let rotors = match self.rotors.take().filter(|(of, _)| *of == driven) {
+            Some((_, rotors)) => rotors,
+            None => rotors(flight, block, candidate),
+        };
         let physics = &candidate.physics;
-        let loads = self.loads(flight, block, physics, &rotors);
+        let loads = self.loads(physics, &rotors);
         let mut voltage = flight.voltage.cursor();
+        let full_v = self.evaluator.vehicle.battery.full_v;
         let gravity = Ned::new(0.0, 0.0, physics.body().gravity());
         for (k, (state, loads)) in motion.states.iter().zip(&loads).enumerate() {
             let [volts] = voltage.at(block.middle(k));
-            let volts = if flight.channels.voltage { volts } else { self.vehicle.battery.full_v };
+            let volts = if flight.channels.voltage { volts } else { full_v };
             let time = block.middle(k);
             let environment = Environment { time, ..physics.environment(volts, Ned::zero()) };
             let (linear, angular) = physics.accelerations_under(state, loads, &environment);
@@ -272,22 +275,19 @@ impl Evaluator {
             let turn = Frd::new(turn.x, turn.y, turn.z) * (2.0 / CELL_S);
             put(series, ATTITUDE, k, (turn - state.body_rate).to_array());
         }
+        self.motion = Some((seen, motion));
+        self.rotors = Some((driven, rotors));
     }
 
     /// Loads over each cell, with the reaction to the rotors' change of speed.
-    fn loads(
-        &self,
-        flight: &PreparedFlight,
-        block: &Block,
-        physics: &Physics,
-        rotors: &[[f64; ROTORS]],
-    ) -> Vec<Loads<f64>> {
+    fn loads(&self, physics: &Physics, rotors: &[[f64; ROTORS]]) -> Vec<Loads<f64>> {
+        let Self { evaluator, flight, block, .. } = self;
         let mut voltage = flight.voltage.cursor();
         let loads: Vec<Loads<f64>> = (0..block.cells)
             .map(|k| {
                 let [volts] = voltage.at(block.middle(k));
                 let volts =
-                    if flight.channels.voltage { volts } else { self.vehicle.battery.full_v };
+                    if flight.channels.voltage { volts } else { evaluator.vehicle.battery.full_v };
                 physics.loads(&rotors[k], &physics.environment(volts, Ned::zero()))
             })
             .collect();
@@ -305,14 +305,9 @@ impl Evaluator {
     }
 
     /// Logged outputs minus the on-board law's, as collective thrust and moments.
-    fn command(
-        &self,
-        flight: &PreparedFlight,
-        block: &Block,
-        candidate: &Candidate,
-        series: &mut [Vec<f64>; CHANNELS],
-    ) {
-        let Some(onboard) = &self.onboard else { return };
+    fn command(&self, candidate: &Candidate, series: &mut [Vec<f64>; CHANNELS]) {
+        let Self { evaluator, flight, block, .. } = self;
+        let Some(onboard) = &evaluator.onboard else { return };
         let law = onboard.with_gains(candidate.gains);
         let timing = Timing { command_delay: candidate.command_delay, latency: candidate.latency };
         let (first, last) = (block.start - 2.0 * CELL_S, block.end() + 2.0 * CELL_S);
@@ -352,6 +347,20 @@ impl Evaluator {
             );
         }
     }
+}
+
+/// The channels of `groups` in use in a block.
+fn in_use<'a>(
+    series: &'a mut [Vec<f64>; CHANNELS],
+    layout: &Layout,
+    block: &Block,
+    groups: Groups,
+) -> Vec<&'a mut [f64]> {
+    let is_used = |channel: usize| {
+        groups.has(channel) && layout.has(channel) && !layout.used(channel, block).is_empty()
+    };
+    let channels = series.iter_mut().enumerate().filter(|(channel, _)| is_used(*channel));
+    channels.map(|(_, values)| values.as_mut_slice()).collect()
 }
 
 /// Appends the coefficients in use of a block's transformed series.

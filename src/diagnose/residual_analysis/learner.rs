@@ -64,7 +64,8 @@ impl Learner {
         let rows: Vec<Vec<Row>> = tasks
             .par_iter()
             .map(|(flight, layout, block)| {
-                let series = evaluator.series(flight, layout, block, candidate, groups).residuals;
+                let series =
+                    evaluator.block(flight, layout, block).series(candidate, groups).residuals;
                 let firsts = (0..=block.cells - ROW_CELLS).step_by(STRIDE_CELLS);
                 firsts.map(|first| row(flight, block, first, &series, allocation)).collect()
             })

@@ -181,7 +181,7 @@ pub fn samples(
     let tasks = observed.blocks(|flight, layout| layout.has(VELOCITY) && flight.channels.attitude);
     let groups = Groups { dynamics: true, kinematics: false, command: false };
     let of_block = |(flight, layout, block): &(&PreparedFlight, &Layout, &Block)| {
-        let series = evaluator.series(flight, layout, block, candidate, groups).residuals;
+        let series = evaluator.block(flight, layout, block).series(candidate, groups).residuals;
         let of_cells = |first: usize| {
             let time = block.edge(first) + 0.5 * SAMPLE_CELLS as f64 * CELL_S;
             let mean = |channel: usize| {

@@ -71,7 +71,8 @@ pub fn unmodelled_force(
     let of_blocks: Vec<CrossPowers> = blocks
         .par_iter()
         .map(|(flight, layout, block)| {
-            let series = evaluator.series(flight, layout, block, candidate, Groups::ALL).residuals;
+            let series =
+                evaluator.block(flight, layout, block).series(candidate, Groups::ALL).residuals;
             let [velocity, force] =
                 [VELOCITY, FORCE].map(|first| [0, 1, 2].map(|axis| &series[first + axis]));
             let force = in_world(flight, block, candidate, force);
@@ -133,10 +134,8 @@ impl CrossPowers {
         mut force: [Vec<f64>; 3],
     ) -> Self {
         let mut sums = Self::default();
-        let mut scratch = Vec::new();
         for (axis, (v, f)) in velocity.iter_mut().zip(&mut force).enumerate() {
-            transform.apply(v, &mut scratch);
-            transform.apply(f, &mut scratch);
+            transform.apply(&mut [v, f]);
             for (k, (a, b)) in v.iter().zip(&*f).enumerate() {
                 let frequency = frequency(k, v.len());
                 let is_used = (FORCE_MIN_HZ..NOISE_MAX_HZ).contains(&frequency);

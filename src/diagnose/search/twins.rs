@@ -20,11 +20,12 @@ use crate::diagnose::catalogue::hypothesis::Values;
 use crate::diagnose::catalogue::number::Number;
 use crate::diagnose::flights::onboard::OnboardLaw;
 use crate::diagnose::flights::preparation::PreparedFlight;
+use crate::diagnose::likelihood::column::{Column, Residuals};
 use crate::diagnose::likelihood::fit::Z90;
 use crate::diagnose::likelihood::layout::Bin;
 use crate::diagnose::likelihood::linearised::Linearised;
 use crate::diagnose::likelihood::noise::{ReportNoise, report_noise};
-use crate::diagnose::likelihood::observed::{Observed, Residuals};
+use crate::diagnose::likelihood::observed::Observed;
 use crate::diagnose::search::Search;
 use crate::diagnose::search::explanation::Explanation;
 use crate::diagnose::simulate::replica::Replica;
@@ -108,7 +109,7 @@ struct Screened {
     /// Its residuals there.
     residuals: Residuals,
     /// Its derivatives by the numbers whose derivatives are noisy.
-    own: Vec<(usize, Residuals)>,
+    own: Vec<Column>,
 }
 
 /// A twin, analysed like the flights.
@@ -199,7 +200,7 @@ impl<'a> Analysis<'a> {
         let Self { observed, about, .. } = self;
         let flown = observed.with_flights(flights);
         let residuals = flown.residuals(&about.values)?;
-        let own = about.columns_of(&flown, &residuals, &self.noisy);
+        let own = flown.columns(&about.values, &residuals, &self.noisy);
         let about = about.with_residuals_and_columns(observed, &residuals, &own);
         let fit = about.solve(observed.catalogue, observed.counts(), self.active)?;
         let noise = report_noise(flights, &fit.power, observed.counts());

@@ -20,6 +20,9 @@ pub const QUANTITIES: [(&str, &str); 4] =
     [("position", "m"), ("velocity", "m/s"), ("attitude", "rad"), ("body rate", "rad/s")];
 /// Time between the starts of prediction windows, s.
 const SPACING_S: f64 = 0.25;
+/// Most prediction windows, about 100 s of flight. Windows overlap: more of them cost time and say
+/// little more.
+const WINDOWS_MAX: usize = 400;
 
 /// Errors of one window, by [`HORIZONS_S`] and [`QUANTITIES`].
 pub type Window = [[f64; 4]; 3];
@@ -214,7 +217,8 @@ fn starts(flight: &PreparedFlight) -> Vec<f64> {
     starts
 }
 
-/// Evaluates `window` for the index of each flight and each start in it, in parallel.
+/// Evaluates `window` for the index of each flight and each start in it, in parallel. Of more than
+/// [`WINDOWS_MAX`], one in every few.
 fn windows(
     flights: &[PreparedFlight],
     window: impl Fn(usize, f64) -> Option<Window> + Sync,
@@ -224,6 +228,8 @@ fn windows(
         .enumerate()
         .flat_map(|(index, flight)| starts(flight).into_iter().map(move |start| (index, start)))
         .collect();
+    let every = windows.len().div_ceil(WINDOWS_MAX).max(1);
+    let windows: Vec<&(usize, f64)> = windows.iter().step_by(every).collect();
     windows
         .par_iter()
         .map(|(index, start)| window(*index, *start).unwrap_or([[f64::NAN; 4]; 3]))

@@ -185,10 +185,10 @@ impl DiagnosisContext<'_> {
             let errors = simulator.errors([choosing, reported][which])?;
             Some(errors.over(&floors[which]?.errors, self.metric))
         };
-        let numbers: Vec<usize> = (0..self.catalogue.numbers.len()).collect();
+        let nuisances: Vec<usize> = self.catalogue.nuisances().collect();
         let data = [&self.choosing, &self.reported];
         let about =
-            data.map(|observed| Linearised::new(observed, &found.file.fit.values, &numbers));
+            data.map(|observed| Linearised::new(observed, &found.file.fit.values, &nuisances));
         let gaps = |one: &Explanation, which: usize| match &floors[which] {
             Some(floor) => {
                 let adapted = self.adapted(one, data[which], about[which].as_ref());
