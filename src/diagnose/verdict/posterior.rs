@@ -34,10 +34,12 @@ pub(super) fn class(effect: &str) -> &str {
     effect.parse::<EffectId>().map_or(effect, |id| id.class().name())
 }
 
-/// Whether moments alone show the effect. In a calm hover, feedback on the sensors' noise looks like
-/// another inertia, with much evidence, and closes nothing.
-fn acts_by_moments(effect: &str) -> bool {
-    effect.parse::<EffectId>().is_ok_and(|id| id.spec().needs.contains(&Need::Moment))
+/// Whether only moments or stamps show the effect, on any flight. In a calm hover, feedback on the
+/// sensors' noise looks like another inertia, and stamps that are a few milliseconds off like a
+/// latency: with much evidence, and closing nothing.
+fn must_close(effect: &str) -> bool {
+    let is_of_kind = |need: &Need| matches!(need, Need::Moment | Need::Imu);
+    effect.parse::<EffectId>().is_ok_and(|id| id.spec().needs.iter().any(is_of_kind))
 }
 
 /// The evidence with the score and the posterior mass of each explanation.
@@ -231,7 +233,7 @@ impl<'a> Posterior<'a> {
                 let less = self.of(&rest)?;
                 let share = self.share(best, less);
                 let is_predicting = share > -PREDICTION_SHARE_MIN
-                    && (!acts_by_moments(effect) || self.closes_a_part(best, less));
+                    && (!must_close(effect) || self.closes_a_part(best, less));
                 let is_carried = self.evidence_share(best, less) > EVIDENCE_SHARE_MIN
                     && (is_predicting || self.closes_an_equation(best, less));
                 Some((if is_carried { share.max(PREDICTION_SHARE_MIN) } else { share }, less))
