@@ -129,6 +129,41 @@ fn practice_flights_are_diagnosed_and_graded_by_their_script() {
 }
 
 #[test]
+fn errors_of_a_vehicle_file_are_found_in_its_own_flights() {
+    let made = folder("edits-made");
+    let healthy = ["--cases", "0", "--nulls", "1", "--exact", "--seed", "4", "--keep"];
+    summary(&exam(&made, &healthy));
+    let case = made.join("cases/case_000");
+    let path = |name: &str| case.join(name).to_str().expect("a name").to_owned();
+    let logs: Vec<String> = names(&case)
+        .into_iter()
+        .filter(|name| name.ends_with(".tlog"))
+        .map(|name| path(&name))
+        .collect();
+    let vehicle = path("vehicle.json");
+    let mut arguments = vec!["--vehicle", &vehicle, "--flights"];
+    arguments.extend(logs.iter().map(String::as_str));
+    let out = folder("edits");
+    let summary = summary(&exam(&out, &arguments));
+    assert_eq!(summary["schema"], "downwash.exam.edits");
+    let rows = summary["cases"].as_array().expect("rows");
+    let grade = |case: &str| {
+        let row = rows.iter().find(|row| row["case"] == case).expect("the error");
+        row["grade"].as_str().expect("a grade")
+    };
+    for case in ["unchanged", "mass", "thrust", "rotor", "delay", "gains"] {
+        assert_eq!(grade(case), "found", "{case}: {rows:?}");
+    }
+    assert!(rows.iter().all(|row| row["grade"] != "failed"), "{rows:?}");
+
+    let lost = ["--vehicle", &vehicle, "--flights", "lost.tlog"];
+    let lost = exam(&folder("edits-lost"), &lost);
+    assert_eq!(lost.status.code(), Some(2));
+    let error = String::from_utf8_lossy(&lost.stderr);
+    assert!(error.contains("--flights lost.tlog"), "{error}");
+}
+
+#[test]
 fn same_seed_gives_the_same_case() {
     for world in [World::Exact, World::Builders] {
         let settings = Settings { flights: 2, seconds: 6.0, world, ..Settings::default() };

@@ -45,6 +45,26 @@ pub struct ExamArgs {
     /// some families of cases, tested on the others.
     #[arg(long, value_name = "FILE", requires = "decide")]
     pub calibrate: Option<PathBuf>,
+    /// Diagnoses these flights of a real or simulated vehicle instead, each time with one number of
+    /// its --vehicle file made wrong, and prints which errors the diagnosis finds: what such flights
+    /// can show. The file should describe the vehicle well.
+    #[arg(
+        long,
+        value_name = "LOG",
+        num_args = 1..,
+        requires = "vehicle",
+        conflicts_with_all = [
+            "cases", "kinds", "round_trip", "practice", "decide", "evidence", "exact", "seed",
+            "fail_on_miss"
+        ]
+    )]
+    pub flights: Vec<PathBuf>,
+    /// The vehicle file of --flights.
+    #[arg(long, value_name = "VEHICLE", requires = "flights")]
+    pub vehicle: Option<PathBuf>,
+    /// A log of --flights to hold out [default: the last].
+    #[arg(long, value_name = "LOG", requires = "flights")]
+    pub holdout: Vec<PathBuf>,
     /// Searches for laws instead, in flights of this many vehicles with a law that the catalogue
     /// lacks, and of --nulls vehicles without. Prints how much of the gap on another mission each
     /// law closes, whether it depends on what the true one does, and how often a law is invented.

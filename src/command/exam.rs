@@ -6,6 +6,7 @@
 
 mod candidate;
 mod decided;
+mod edits;
 mod fleets;
 mod laws;
 mod onsets;
@@ -29,6 +30,7 @@ use serde::Serialize;
 
 use self::candidate::EVIDENCE;
 pub(super) use self::candidate::{Candidate, Flown, Sheet};
+pub(super) use self::edits::EditsSummary;
 pub(super) use self::fleets::FleetsSummary;
 pub(super) use self::laws::LawsSummary;
 pub(super) use self::onsets::OnsetsSummary;
@@ -69,7 +71,7 @@ const OUTPUTS: [&str; 3] = ["cases", "answers", "summary.json"];
 
 pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Result<Exit> {
     let seed = args.seed.unwrap_or_else(entropy);
-    if args.practice.is_none() && args.decide.is_empty() {
+    if args.practice.is_none() && args.decide.is_empty() && args.flights.is_empty() {
         print_status(format_args!("seed {seed}"));
     }
     if !args.decide.is_empty() {
@@ -88,6 +90,9 @@ pub(super) fn run(args: &ExamArgs, interruption: &Interruption) -> anyhow::Resul
     let hall = Hall { args, out: &out, seed, jobs, interrupted: &interrupted };
     if let Some(set) = &args.practice {
         return practice::run(set, &hall);
+    }
+    if let Some(vehicle) = &args.vehicle {
+        return edits::run(vehicle, &args.flights, &hall);
     }
     if let Some(count) = args.fleet {
         return fleets::run(args, count, &hall);
@@ -223,9 +228,6 @@ impl Hall<'_> {
     }
 
     fn diagnose(&self, flown: &[Flown]) -> anyhow::Result<Vec<Row>> {
-        let answers = self.out.join("answers");
-        fs::create_dir_all(&answers)
-            .with_context(|| format!("cannot create the folder {}", answers.display()))?;
         let rows = self.each(flown.len(), "diagnosing", |number| {
             let case = &flown[number];
             let began = Instant::now();
@@ -237,12 +239,8 @@ impl Hall<'_> {
                 without: &case.key.without,
                 evidence: self.args.evidence.is_some(),
             };
-            let Some(answer) = self.answer(&sheet).transpose() else { return Ok(None) };
+            let Some(given) = self.answer(&sheet, &case.name) else { return Ok(None) };
             let seconds = began.elapsed().as_secs_f64();
-            let given = answer.and_then(|bytes| {
-                write_file(&answers.join(format!("{}.json", case.name)), &bytes)?;
-                serde_json::from_slice::<GivenAnswer>(&bytes).context("its answer")
-            });
             let folder = self.folder(&case.name);
             let closed = given.as_ref().ok().and_then(|given| case.closed(&folder, given));
             if let Some(folder) = &self.args.evidence {
@@ -272,11 +270,31 @@ impl Hall<'_> {
         self.interrupted.load(Ordering::Relaxed)
     }
 
-    fn answer(&self, sheet: &Sheet<'_>) -> anyhow::Result<Option<Vec<u8>>> {
+    /// The answer to a case, also written to the folder of answers; `None` if interrupted.
+    fn answer(&self, sheet: &Sheet<'_>, name: &str) -> Option<anyhow::Result<GivenAnswer>> {
         let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let threads = (cores / self.jobs).max(1);
-        Candidate { twins: self.args.twins, threads, interrupted: self.interrupted }.answer(sheet)
+        let candidate =
+            Candidate { twins: self.args.twins, threads, interrupted: self.interrupted };
+        let answer = candidate.answer(sheet).transpose()?;
+        Some(answer.and_then(|bytes| {
+            let answers = self.out.join("answers");
+            fs::create_dir_all(&answers)
+                .with_context(|| format!("cannot create the folder {}", answers.display()))?;
+            write_file(&answers.join(format!("{name}.json")), &bytes)?;
+            serde_json::from_slice(&bytes).context("its answer")
+        }))
     }
+}
+
+/// An answer's effects with their probabilities and what they are not distinguished from, in words.
+fn claim(probabilities: &[(String, f64)], ambiguous_with: &[String]) -> String {
+    let named = probabilities.iter().filter(|(_, p)| *p >= 0.05);
+    let mut parts: Vec<String> = named.map(|(id, p)| format!("{id} {p:.2}")).collect();
+    if !ambiguous_with.is_empty() {
+        parts.push(format!("or {}", ambiguous_with.join(", ")));
+    }
+    parts.join(", ")
 }
 
 fn progress_bar(length: u64, what: &'static str) -> ProgressBar {

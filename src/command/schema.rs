@@ -31,7 +31,7 @@ pub(super) struct Output {
 }
 
 /// All outputs, in the order of the reference.
-pub(super) const OUTPUTS: [Output; 42] = [
+pub(super) const OUTPUTS: [Output; 43] = [
     Output::new::<campaign::CampaignSummary>("downwash.campaign", "campaign --json"),
     Output::new::<campaign::CampaignFlight>(
         "downwash.campaign.flight",
@@ -51,6 +51,7 @@ pub(super) const OUTPUTS: [Output; 42] = [
     Output::new::<doctor::Answer<'_>>("downwash.doctor", "doctor --json"),
     Output::new::<exam::ExamSummary<'_>>("downwash.exam", "exam --json"),
     Output::new::<sweep::ExamRow>("downwash.exam.case", "sweep of exam, the row of each case"),
+    Output::new::<exam::EditsSummary<'_>>("downwash.exam.edits", "exam --flights LOG --json"),
     Output::new::<exam::FleetsSummary<'_>>("downwash.exam.fleets", "exam --fleet COUNT --json"),
     Output::new::<exam::LawsSummary<'_>>("downwash.exam.laws", "exam --laws COUNT --json"),
     Output::new::<exam::OnsetsSummary<'_>>("downwash.exam.onsets", "exam --onsets COUNT --json"),

@@ -12,6 +12,7 @@ pub mod condition;
 pub mod deviations;
 pub mod direction;
 pub mod draw;
+pub mod edit;
 mod estimate;
 pub mod fleet;
 pub mod flight;

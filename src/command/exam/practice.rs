@@ -12,8 +12,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Hall, Sheet};
-use crate::command::{Exit, ExitContext, error_text, print_status, write_file};
+use super::{Hall, Sheet, claim};
+use crate::command::{Exit, ExitContext, error_text, print_status};
 use crate::exam::answer::GivenAnswer;
 
 /// Paths of a set's scripts, relative to its folder. One set may use another's.
@@ -103,9 +103,6 @@ pub(super) fn run(set: &Path, hall: &Hall<'_>) -> anyhow::Result<Exit> {
         Err(_) => PracticeKey::default(),
     };
     let cases = cases(&set, &key).or_exit(Exit::Usage)?;
-    let answers = hall.out.join("answers");
-    fs::create_dir_all(&answers)
-        .with_context(|| format!("cannot create the folder {}", answers.display()))?;
     let rows = hall.each(cases.len(), "diagnosing", |number| {
         let case = &cases[number];
         let sheet = Sheet {
@@ -116,15 +113,11 @@ pub(super) fn run(set: &Path, hall: &Hall<'_>) -> anyhow::Result<Exit> {
             evidence: false,
         };
         let began = Instant::now();
-        let Some(answer) = hall.answer(&sheet).transpose() else { return Ok(None) };
-        let given = answer.and_then(|bytes| {
-            write_file(&answers.join(format!("{}.json", case.name)), &bytes)?;
-            serde_json::from_slice::<GivenAnswer>(&bytes).context("its answer")
-        });
+        let Some(given) = hall.answer(&sheet, &case.name) else { return Ok(None) };
         Ok(Some(row(case, &key, given, began.elapsed().as_secs_f64())))
     })?;
     let rows: Vec<PracticeRow> = rows.into_iter().flatten().collect();
-    let graded = graded(&set, &key, &key_path, &answers, hall.out)?;
+    let graded = graded(&set, &key, &key_path, hall.out)?;
     let summary = PracticeSummary {
         schema: "downwash.exam.practice",
         schema_version: 1,
@@ -214,14 +207,12 @@ fn row(
 }
 
 fn line(row: &PracticeRow) -> String {
-    let named = row.probabilities.iter().filter(|(_, p)| *p >= 0.05);
-    let mut parts: Vec<String> = named.map(|(id, p)| format!("{id} {p:.2}")).collect();
-    if !row.ambiguous_with.is_empty() {
-        parts.push(format!("or {}", row.ambiguous_with.join(", ")));
-    }
-    parts.extend(row.error.clone());
+    let claim = match &row.error {
+        Some(error) => error.clone(),
+        None => claim(&row.probabilities, &row.ambiguous_with),
+    };
     let PracticeRow { case, truth, verdict, seconds, .. } = row;
-    format!("{case:26} {verdict:7} {:50} {seconds:5.0} s  truth: {truth}\n", parts.join(", "))
+    format!("{case:26} {verdict:7} {claim:50} {seconds:5.0} s  truth: {truth}\n")
 }
 
 /// The set's own script's grades of the answers: its text and its JSON.
@@ -229,7 +220,6 @@ fn graded(
     set: &Path,
     key: &PracticeKey,
     key_path: &Path,
-    answers: &Path,
     out: &Path,
 ) -> anyhow::Result<Option<(String, Value)>> {
     let by_alternatives = key.cases.values().any(|entry| entry.right.is_some());
@@ -245,7 +235,7 @@ fn graded(
     }
     let json = out.join("scores.json");
     let mut command = Command::new("python3");
-    command.arg(&script).arg(answers).arg(key_path).arg("--json").arg(&json);
+    command.arg(&script).arg(out.join("answers")).arg(key_path).arg("--json").arg(&json);
     if !by_alternatives {
         command.arg("--rows");
     }
