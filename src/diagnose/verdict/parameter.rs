@@ -45,3 +45,30 @@ impl From<&Parameter> for ParameterValue {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parameters_of_an_effect_keep_their_kinds() {
+        let mut set = EffectSet::new();
+        for argument in ["rotor_loss:rotor=2,scale=0.8", "inertia:scale=[1.2,1.1,1.0]"] {
+            set.insert_argument(argument).expect("an effect");
+        }
+        let json = |id| serde_json::to_value(parameters(&set, id)).expect("an object");
+        let loss = json(EffectId::RotorLoss);
+        assert_eq!(loss, serde_json::json!({"rotor": 2, "scale": 0.8}));
+        assert_eq!(json(EffectId::Inertia), serde_json::json!({"scale": [1.2, 1.1, 1.0]}));
+        assert!(parameters(&set, EffectId::Wind).is_empty());
+        // What the answer states can be put back into a set.
+        for id in [EffectId::RotorLoss, EffectId::Inertia] {
+            let stated = parameters(&set, id);
+            let values: Vec<_> = stated.iter().map(|(name, value)| (*name, value.into())).collect();
+            let mut again = EffectSet::new();
+            let named = values.iter().map(|(name, value)| (*name, value));
+            again.insert_named(id, named).expect("an effect");
+            assert_eq!(again.slots(id), set.slots(id));
+        }
+    }
+}

@@ -208,8 +208,7 @@ impl<'a> Posterior<'a> {
         let is_part = |index: &usize| {
             let explained = self.explained(*index);
             let is_predicted = explained.reported.is_some() || self.evidence.shipped[1].is_none();
-            count > 0
-                && explained.effects.len() == count
+            explained.effects.len() == count
                 && explained.effects.iter().all(|effect| own.contains(class(effect)))
                 && is_predicted
                 && !self.evidence.is_implausible(explained)

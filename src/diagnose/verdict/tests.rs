@@ -5,6 +5,11 @@ use crate::diagnose::likelihood::equation_residual::EquationResidual;
 use crate::diagnose::search::rotation_prediction::RotationPrediction;
 use crate::diagnose::verdict::evidence::{Explained, Found, Gaps, MeasuredRotation};
 
+mod evidence;
+mod open_gap;
+mod parts;
+mod rivals;
+
 /// A set of effects with its evidence over the file's in each of four blocks, and its gaps:
 /// with the effects alone, and with the file's numbers as well.
 fn explained(effects: &[&str], nats: f64, [of_effects, both]: [f64; 2]) -> Explained {

@@ -103,3 +103,102 @@ fn slow_outputs(flight: &Flight) -> String {
         ),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ALL: Channels = Channels {
+        attitude: true,
+        motion: true,
+        body_rate: true,
+        imu: true,
+        outputs: true,
+        fast_outputs: true,
+        voltage: true,
+        rotor_speed: true,
+        setpoint: true,
+        whole_setpoint: true,
+    };
+    /// Without position and velocity.
+    const OF_PLACES: [&str; 9] = [
+        "blade_flapping",
+        "estimator_latency",
+        "ground_effect",
+        "gusts",
+        "parasitic_drag",
+        "rotor_drag",
+        "translational_lift",
+        "vortex_ring",
+        "wind",
+    ];
+
+    fn untestable(channels: Channels, voltages: [f64; 2]) -> Vec<Untestable> {
+        let mut flight = Flight::in_memory("a", "csv");
+        for (time, voltage) in [0.0, 1.0].into_iter().zip(voltages) {
+            flight.voltage.push(time, voltage);
+        }
+        of(&flight, &channels)
+    }
+
+    fn names(channels: Channels) -> Vec<&'static str> {
+        let untestable = untestable(channels, [12.0, 11.0]);
+        let mut names: Vec<_> = untestable.iter().map(|one| one.effect.name()).collect();
+        names.sort_unstable();
+        names
+    }
+
+    #[test]
+    fn each_missing_channel_leaves_its_effects_untestable() {
+        assert_eq!(names(ALL), [""; 0]);
+        assert_eq!(names(Channels { voltage: false, ..ALL }), ["battery_sag"]);
+        assert_eq!(names(Channels { imu: false, ..ALL }), ["estimator_latency"]);
+        assert_eq!(names(Channels { whole_setpoint: false, ..ALL }), ["pd_gain"]);
+        let still = Channels { motion: false, ..ALL };
+        assert_eq!(names(still), OF_PLACES);
+        // Without a body rate too, nothing compares the attitude.
+        let found = names(Channels { body_rate: false, ..still });
+        assert_eq!((found.len(), found[0]), (OF_PLACES.len() + 1, "attitude_trim"));
+        let found = names(Channels { attitude: false, ..ALL });
+        assert_eq!((found.len(), found[0]), (OF_PLACES.len() + 1, "attitude_trim"));
+        // Neither a pose nor an accelerometer shows a force, and nothing a moment.
+        let found = names(Channels { imu: false, ..still });
+        assert!(["mass", "thrust_curve"].iter().all(|id| found.contains(id)), "{found:?}");
+        let blind = Channels { attitude: false, body_rate: false, ..ALL };
+        assert!(names(blind).contains(&"com_offset"));
+    }
+
+    #[test]
+    fn commands_replace_each_other_as_far_as_they_can() {
+        let is_shown = |channels: Channels| {
+            let found = names(channels);
+            ["wind", "command_delay", "inertia", "yaw_torque"].map(|id| !found.contains(&id))
+        };
+        let none = Channels { outputs: false, fast_outputs: false, ..ALL };
+        let none = Channels { rotor_speed: false, setpoint: false, ..none };
+        assert_eq!(is_shown(none), [false, false, false, false]);
+        assert_eq!(is_shown(Channels { setpoint: true, ..none }), [true, true, false, false]);
+        assert_eq!(is_shown(Channels { rotor_speed: true, ..none }), [true; 4]);
+        let slow = Channels { outputs: true, ..none };
+        assert_eq!(is_shown(slow), [true, false, false, true]);
+        assert_eq!(is_shown(Channels { fast_outputs: true, ..slow }), [true; 4]);
+        assert_eq!(is_shown(Channels { rotor_speed: true, ..slow }), [true; 4]);
+        assert_eq!(is_shown(Channels { setpoint: true, ..slow }), [true, true, false, true]);
+        // Setpoints drive the rotors with the gains of the loop.
+        let advises = |setpoint| {
+            let untestable = untestable(Channels { setpoint, ..none }, [12.0, 11.0]);
+            untestable.iter().any(|one| one.reason.contains("attitude_pd"))
+        };
+        assert_eq!([false, true].map(advises), [false, true]);
+        let slow = untestable(slow, [12.0, 11.0]);
+        assert!(slow.iter().all(|one| one.reason.contains("40 Hz")), "{slow:?}");
+    }
+
+    #[test]
+    fn constant_voltage_shows_no_sag() {
+        let untestable = untestable(ALL, [11.9, 12.0]);
+        assert_eq!(untestable.len(), 1);
+        assert_eq!(untestable[0].effect, EffectId::BatterySag);
+        assert!(untestable[0].reason.contains("between 11.90 and 12.00 V"), "{untestable:?}");
+    }
+}
