@@ -21,6 +21,7 @@ use downwash::mocap::bridge::Bridge;
 use downwash::mocap::natnet::{self, Packet, Version};
 use downwash::mocap::settings::MocapSettings;
 use downwash::mocap::stream;
+use downwash::parameters::ParameterFile;
 use downwash::report::FlightReport;
 use downwash::setpoint::Setpoint;
 use downwash::vehicle_init::{Draft, Measured};
@@ -30,6 +31,19 @@ use vehicle::plant::{Plant, Setup};
 use wire::Endpoint;
 use wire::tlog::Reader;
 use wire::transport::Peer;
+
+/// What a target does with its bytes.
+pub type Target = fn(&[u8]);
+
+macro_rules! targets {
+    ($($name:ident),*) => {
+        /// Every target by its name, which is that of its file in `fuzz_targets` and of its folder
+        /// in `corpus`.
+        pub const TARGETS: &[(&str, Target)] = &[$((stringify!($name), $name)),*];
+    };
+}
+
+targets![endpoint, flight_log, import, law, link, mocap, onboard, parameters, table, tlog];
 
 /// A setpoint that may leave.
 fn cleared(now: HostTime) -> Cleared {
@@ -208,16 +222,18 @@ pub fn law(data: &[u8]) {
     assert!(plant.state().is_finite(), "{text}");
 }
 
-/// A parameter file, and the text of the vehicle file that is made of it.
-pub fn parameters(data: &[u8]) -> Option<String> {
-    let file = downwash::parameters::ParameterFile::parse(data).ok()?;
-    let found = file.vehicle(None).ok()?.parameters;
+/// A parameter file, and the vehicle file that is made of it, which must be TOML.
+pub fn parameters(data: &[u8]) {
+    let Ok(file) = ParameterFile::parse(data) else { return };
+    let Ok(found) = file.vehicle(None) else { return };
     let measured = Measured { mass_kg: Some(1.0), arm_m: Some(0.2), ..Measured::default() };
-    Some(Draft::new("a file", &found, &measured).ok()?.to_toml())
+    let Ok(draft) = Draft::new("a file", &found.parameters, &measured) else { return };
+    let text = draft.to_toml();
+    assert!(toml::from_str::<toml::Table>(&text).is_ok(), "{text}");
 }
 
-/// Datagrams of a motion-capture room, 1 ms after each other: as lines, and as NatNet of every layout. What is
-/// forwarded is finite.
+/// Datagrams of a motion-capture room, as lines and as NatNet of every layout. The last byte of each
+/// is the time that passes before it, ms. What is forwarded is finite.
 pub fn mocap(data: &[u8]) {
     let start = HostTime::from_ns(1_700_000_000_000_000_000);
     let mut bridge = Bridge::new("1".to_owned(), MocapSettings::default(), start);
@@ -225,7 +241,7 @@ pub fn mocap(data: &[u8]) {
         .map(|(major, minor)| natnet::Decoder::new(Version { major, minor }));
     let mut now = start;
     for datagram in data.chunks(512).chain([data]) {
-        now = now + Duration::from_millis(1);
+        now = now + Duration::from_millis(datagram.last().map_or(1, |byte| u64::from(*byte)));
         let mut samples = Vec::new();
         stream::decode(datagram, |line| samples.extend(line.ok()));
         for decoder in &mut decoders {
