@@ -174,6 +174,10 @@ impl fmt::Display for Endpoint {
             Self::UdpOut(address) => write!(f, "udpout:{address}"),
             Self::TcpOut(address) => write!(f, "tcp:{address}"),
             Self::TcpIn(address) => write!(f, "tcpin:{address}"),
+            // The parser takes two slashes after the scheme for a URL's.
+            Self::Serial { path, baud } if path.starts_with("//") => {
+                write!(f, "serial://{path}:{baud}")
+            }
             Self::Serial { path, baud } => write!(f, "serial:{path}:{baud}"),
         }
     }
@@ -216,6 +220,19 @@ mod tests {
         let serial = Endpoint::Serial { path: "/dev/ttyACM0".to_owned(), baud: 921_600 };
         assert_eq!("serial:/dev/ttyACM0:921600".parse(), Ok(serial.clone()));
         assert_eq!("serial:///dev/ttyACM0:921600".parse(), Ok(serial));
+    }
+
+    #[test]
+    fn serial_path_keeps_its_slashes() {
+        for (text, path) in [
+            ("serial:/dev/ttyACM0:57600", "/dev/ttyACM0"),
+            ("serial:///dev/ttyACM0:57600", "/dev/ttyACM0"),
+            ("serial:////dev/ttyACM0:57600", "//dev/ttyACM0"),
+        ] {
+            let endpoint = Endpoint::Serial { path: path.to_owned(), baud: 57600 };
+            assert_eq!(text.parse().as_ref(), Ok(&endpoint), "{text}");
+            assert_eq!(endpoint.to_string().parse().as_ref(), Ok(&endpoint), "{endpoint}");
+        }
     }
 
     #[test]
