@@ -13,11 +13,8 @@ use vehicle::effects::EffectId;
 use super::{Hall, Sheet, claim};
 use crate::command::vehicle_file::VehicleFile;
 use crate::command::{Exit, ExitContext, error_text, write_file};
-use crate::exam::answer::GivenAnswer;
+use crate::exam::answer::{GivenAnswer, NAMED};
 use crate::exam::edit::{EditedVehicle, edited};
-
-/// Least probability of an effect that counts as named.
-const NAMED: f64 = 0.5;
 
 /// How an answer fares.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema, Serialize)]
