@@ -186,7 +186,8 @@ impl Plant {
     }
 
     /// Advances by [`Plant::STEP`] with the motor outputs held. Clips outputs to 0..=1 and treats
-    /// NaN as 0.
+    /// NaN as 0. The state stays finite: loads that a step cannot integrate, such as those of a law
+    /// that spins the body ever faster, leave it as it is.
     pub fn step(&mut self, outputs: [f64; ROTORS]) {
         // `max` gives 0 for NaN.
         #[allow(clippy::manual_clamp)]
@@ -206,7 +207,7 @@ impl Plant {
         let (rotors, step) = (&self.rotors, Self::STEP);
         let followed =
             self.foreign.iter_mut().find_map(|foreign| foreign.follow(rotors, &outputs, step));
-        self.state = if self.lag.is_none() && followed.is_none() {
+        let next = if self.lag.is_none() && followed.is_none() {
             let end = self.loads_of(&outputs);
             let loads = self.physics.sudden_loads(self.loads, end, Self::STEP);
             self.rotors = outputs;
@@ -221,6 +222,9 @@ impl Plant {
             self.loads = loads[2];
             self.integrate(&loads)
         };
+        if next.is_finite() {
+            self.state = next;
+        }
         self.steps += 1;
     }
 

@@ -1,12 +1,12 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::VehicleParams;
 use crate::effects::EffectSet;
 use crate::frame::Euler;
 use crate::physics::Physics;
 use crate::plant::{Plant, Setup};
 use crate::scalar::Dual;
+use crate::{ROTORS, VehicleParams};
 
 fn line(text: &str) -> Result<Law, LawError> {
     Law::from_line("law", text)
@@ -123,6 +123,23 @@ fn law_saturates_beyond_its_range_and_bound() {
         physics.wrench(&state, &physics.loads(&[0.0; 4], &env), &env).force.front()
     };
     assert_eq!([-9.0, 1.0, 9.0].map(force), [2.0, -1.0, -2.5]);
+}
+
+#[test]
+fn law_that_spins_the_body_ever_faster_leaves_a_finite_state() {
+    let mut text = line("moment_x = 1000[N m]; moment_y = 500[N m]").unwrap().text().clone();
+    text.max_moment_nm = Some(1000.0);
+    let mut effects = EffectSet::new();
+    effects.insert_law(Law::new("law", text).unwrap()).unwrap();
+    let mut plant = Plant::new(&vehicle(), &effects, &Setup::default(), 1).unwrap().airborne();
+    let states = (0..200).map(|_| {
+        plant.step([0.6; ROTORS]);
+        *plant.state()
+    });
+    let states: Vec<State> = states.collect();
+    assert!(states.iter().all(State::is_finite));
+    // It spins until the steps cannot follow.
+    assert!(states.iter().any(|state| state.body_rate.norm() > 1e6));
 }
 
 proptest! {
