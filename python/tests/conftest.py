@@ -1,6 +1,7 @@
 """Shared fixtures of the wheel's tests."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +23,8 @@ def worker(manifest: Path, out: Path, shard: int, shards: int) -> "subprocess.Po
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "long: only tests/run --all runs it")
+    # A job in the background, as under nohup, inherits SIGINT ignored. The tests raise it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
