@@ -15,6 +15,7 @@ use crate::guard::STALL;
 use crate::link::connection::{Connection, Input};
 use crate::link::tee::TeeThread;
 use crate::log::LogSink;
+use crate::memory;
 use crate::station::{End, PAUSE, Station, Status};
 use crate::view::Changes;
 
@@ -109,7 +110,7 @@ pub struct Outlets {
     pub changes: Option<Changes>,
 }
 
-/// Starts the control thread. It ends when the station's flight has ended and nothing more is to be
+/// Locks the memory and starts the control thread. It ends when the station's flight has ended and nothing more is to be
 /// recorded, or after [`Running::stop`].
 ///
 /// # Errors
@@ -120,6 +121,7 @@ pub fn start(
     connection: Connection,
     outlets: Outlets,
 ) -> io::Result<Running> {
+    memory::lock();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let shared = Arc::new(Shared::default());
     let seen = Arc::clone(&shared);

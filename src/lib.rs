@@ -32,6 +32,7 @@ pub mod health;
 mod http;
 pub mod lap_learning;
 pub mod lockstep;
+mod memory;
 pub mod service;
 pub mod view;
 

@@ -24,6 +24,7 @@ use crate::config::Config;
 use crate::link::external_pose::{ExternalPose, PoseForm};
 use crate::link::profile::ARDUPILOT;
 use crate::link::session::{Delivery, Session};
+use crate::memory;
 use crate::mocap::bridge::{Bridge, Pose};
 use crate::mocap::natnet::{self, Packet, Version};
 use crate::mocap::settings::MocapSettings;
@@ -54,6 +55,7 @@ pub(super) fn run(args: &MocapArgs, preparation: Interruption) -> anyhow::Result
     let MocapSettings { system, component, .. } = config.settings.mocap;
     let listener = Listener::beside(&listen, system, component)?;
     let mut signals = StopSignals::after(Some(preparation))?;
+    memory::lock();
     let mut line = Line::open(room, args, config.settings.mocap, listener)?;
     let end = args.seconds.map(Duration::from_secs_f64);
     let mut failed = None;

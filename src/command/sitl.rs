@@ -15,6 +15,7 @@ use crate::clock::HostTime;
 use crate::daemon::HostClock;
 use crate::lockstep;
 use crate::log::sink::Listener;
+use crate::memory;
 use crate::view::{CoursePath, LiveFeed, LiveView, ViewSettings};
 
 /// Period at which the view receives the vehicle's state.
@@ -23,6 +24,7 @@ const VIEW_PERIOD: Duration = Duration::from_millis(20);
 pub(super) fn run(args: &SimulatorArgs) -> anyhow::Result<Exit> {
     // Reads the file for the warnings about numbers that do not fit each other.
     let vehicle = VehicleFile::load(&args.vehicle.vehicle)?;
+    memory::lock();
     let ended = match &args.view.view {
         None => sitl::cli::run(&args.vehicle),
         Some(requested) => {

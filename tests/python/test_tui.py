@@ -92,7 +92,7 @@ def test_the_quit_key_lands_with_exit_code_130(flight, key):
     screen.until("state track")
     screen.child.send(key)
     screen.until("state land")
-    assert screen.finish() == 130
+    assert screen.finish() == 130, screen.text
     assert screen.is_restored()
 
 
