@@ -28,7 +28,8 @@ use crate::rotor::Lag;
 
 /// Vehicles with one file and one set of effects, in single (`f32`) or double precision (`f64`).
 ///
-/// In double precision a vehicle matches a [`Plant`] with the same seed to rounding error.
+/// In double precision a vehicle matches a [`Plant`] with the same seed to rounding error, as long
+/// as its state is finite: a batch takes the steps that [`Plant::step`] leaves out.
 #[derive(Clone, Debug)]
 pub struct Batch<F> {
     model: Model,

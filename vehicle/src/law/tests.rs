@@ -20,10 +20,14 @@ fn vehicle() -> VehicleParams {
     VehicleParams::load("crazyflie").unwrap()
 }
 
-fn with(text: &str) -> EffectSet {
+fn effects_of(law: Law) -> EffectSet {
     let mut effects = EffectSet::new();
-    effects.insert_law(line(text).unwrap()).unwrap();
+    effects.insert_law(law).unwrap();
     effects
+}
+
+fn with(text: &str) -> EffectSet {
+    effects_of(line(text).unwrap())
 }
 
 #[test]
@@ -114,8 +118,7 @@ fn law_saturates_beyond_its_range_and_bound() {
     let mut text = line("force_x = -1[kg/s] * air_x").unwrap().text().clone();
     text.range.insert("air_x".to_owned(), [-2.0, 3.0]);
     text.max_force_n = Some(2.5);
-    let mut effects = EffectSet::new();
-    effects.insert_law(Law::new("law", text).unwrap()).unwrap();
+    let effects = effects_of(Law::new("law", text).unwrap());
     let physics = Physics::new(&vehicle(), &effects).unwrap();
     let force = |speed: f64| {
         let state = State { velocity: Ned::new(speed, 0.0, 0.0), ..State::default() };
@@ -129,8 +132,7 @@ fn law_saturates_beyond_its_range_and_bound() {
 fn law_that_spins_the_body_ever_faster_leaves_a_finite_state() {
     let mut text = line("moment_x = 1000[N m]; moment_y = 500[N m]").unwrap().text().clone();
     text.max_moment_nm = Some(1000.0);
-    let mut effects = EffectSet::new();
-    effects.insert_law(Law::new("law", text).unwrap()).unwrap();
+    let effects = effects_of(Law::new("law", text).unwrap());
     let mut plant = Plant::new(&vehicle(), &effects, &Setup::default(), 1).unwrap().airborne();
     let states = (0..200).map(|_| {
         plant.step([0.6; ROTORS]);
