@@ -31,7 +31,7 @@ use crate::diagnose::search::explanations::Explanations;
 use crate::diagnose::simulate::gap::Errors;
 use crate::diagnose::verdict::Decision;
 use crate::diagnose::verdict::calibration::Calibration;
-use crate::diagnose::verdict::evidence::Evidence;
+use crate::diagnose::verdict::evidence::{Evidence, Gaps};
 use crate::diagnose::verdict::posterior::{EVIDENCE_SHARE_MIN, OPEN_GAP, PREDICTION_SHARE_MIN};
 
 /// Most terms of a law.
@@ -64,6 +64,13 @@ struct Draft {
     deviations: Vec<f64>,
     /// Evidence that each term adds to the others, nats.
     gains: Vec<f64>,
+}
+
+/// The gaps with a law, in units of the floor.
+struct LawGaps {
+    gaps: Gaps,
+    /// The gap with the vehicle file's numbers, but without the law and the effects beside it.
+    file: f64,
 }
 
 impl Draft {
@@ -205,12 +212,9 @@ impl DiagnosisContext<'_> {
     ) -> Result<Draft, DiagnoseError> {
         let square = |draft: &Draft| -> Result<Option<f64>, VehicleError> {
             let gaps = self.law_gaps(floor, &self.all, draft)?;
-            Ok(gaps.map(|gaps| [gaps.both.min(gaps.effects).powi(2).max(1.0), gaps.file.powi(2)]))
-                .map(|gaps| {
-                    gaps.map(|[own, file]| {
-                        own / (file - 1.0).max(2.0 * (OPEN_GAP * OPEN_GAP - 1.0))
-                    })
-                })
+            Ok(gaps.map(|LawGaps { gaps, file }| {
+                gaps.square() / (file * file - 1.0).max(2.0 * (OPEN_GAP * OPEN_GAP - 1.0))
+            }))
         };
         while draft.terms.len() > 1 {
             let all = square(&draft)?;

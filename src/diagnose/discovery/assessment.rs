@@ -4,7 +4,7 @@ use vehicle::VehicleError;
 use vehicle::effects::EffectSet;
 use vehicle::law::Quantity;
 
-use super::{Discovered, Draft};
+use super::{Discovered, Draft, LawGaps};
 use crate::diagnose::catalogue::hypothesis::Catalogue;
 use crate::diagnose::catalogue::term::name_of;
 use crate::diagnose::context::DiagnosisContext;
@@ -32,10 +32,13 @@ impl DiagnosisContext<'_> {
         explanation: &Explanation,
     ) -> Result<Discovered, DiagnoseError> {
         let name = name_of(&self.input.vehicle.modelled_effects);
-        let reported = |draft: &Draft| self.law_gaps(floors[1].as_ref(), &self.reported, draft);
+        let gaps = |which: usize, draft: &Draft| -> Result<Option<Gaps>, VehicleError> {
+            let data = [&self.choosing, &self.reported][which];
+            Ok(self.law_gaps(floors[which].as_ref(), data, draft)?.map(|law| law.gaps))
+        };
         let mut explained = self.explained_by(&draft, explanation, &name);
-        explained.choosing = self.law_gaps(floors[0].as_ref(), &self.choosing, &draft)?;
-        explained.reported = reported(&draft)?;
+        explained.choosing = gaps(0, &draft)?;
+        explained.reported = gaps(1, &draft)?;
         // Where a flight shows no gap and the law adds none, its predictions cannot rank the two:
         // noise alone would decide. Its equations can.
         let is_small = |gap: Option<f64>| gap.is_none_or(|gap| gap < OPEN_GAP);
@@ -52,7 +55,7 @@ impl DiagnosisContext<'_> {
         // Fitted to all flights except the held-out ones.
         let refit = self.fitted_terms(&self.all, &draft.fit, &draft.beside, &draft.terms);
         let refit = Draft { fit: refit.unwrap_or_else(|| draft.fit.clone()), ..draft };
-        let after = reported(&refit)?;
+        let after = gaps(1, &refit)?;
         let (law, effects) = self.law_with_effects(&refit, &name)?;
         let shipped = evidence.shipped[1];
         let gap = shipped.zip(after).map(|(before, after)| [before, after.effects, after.both]);
@@ -121,7 +124,7 @@ impl DiagnosisContext<'_> {
         floor: Option<&Errors>,
         data: &Observed<'_>,
         draft: &Draft,
-    ) -> Result<Option<Gaps>, VehicleError> {
+    ) -> Result<Option<LawGaps>, VehicleError> {
         let catalogue = draft.catalogue(self);
         let flights = data.flights;
         let Some(floor) = floor else { return Ok(None) };
@@ -140,7 +143,10 @@ impl DiagnosisContext<'_> {
             Ok(self.simulator(effects)?.with_vehicle(&vehicle, effects)?.errors(flights))
         };
         let both = errors(&all)?.zip(errors(&file)?);
-        Ok(both.map(|(both, file)| Gaps::over([effects, file, both], floor, self.metric)))
+        Ok(both.map(|(both, file)| LawGaps {
+            gaps: Gaps::over([effects, both], floor, self.metric),
+            file: file.over(floor, self.metric),
+        }))
     }
 
     /// The values of a draft, with the file's numbers adapted to the flights of `data`.

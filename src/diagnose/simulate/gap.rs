@@ -23,6 +23,8 @@ const SPACING_S: f64 = 0.25;
 /// Most prediction windows, about 100 s of flight. Windows overlap: more of them cost time and say
 /// little more.
 const WINDOWS_MAX: usize = 400;
+/// Most of them for the gap of a single flight among others.
+const FLIGHT_WINDOWS_MAX: usize = 100;
 
 /// Errors of one window, by [`HORIZONS_S`] and [`QUANTITIES`].
 pub type Window = [[f64; 4]; 3];
@@ -87,7 +89,12 @@ impl Simulator {
 
     /// The errors of each window of flights, in order; NaN for a window that cannot be predicted.
     pub fn windows(&self, flights: &[PreparedFlight]) -> Vec<Window> {
-        windows(flights, |index, start| {
+        self.at_most(WINDOWS_MAX, flights)
+    }
+
+    /// The errors of at most `most` windows of flights.
+    fn at_most(&self, most: usize, flights: &[PreparedFlight]) -> Vec<Window> {
+        windows(most, flights, |index, start| {
             let flight = &flights[index];
             let from = reported(flight, start, self.latency());
             let predicted = self.predict(flight, start, &from, None)?;
@@ -107,6 +114,16 @@ impl Simulator {
         noise: &ReportNoise,
         seed: u64,
     ) -> Option<Floor> {
+        self.floor_at_most(WINDOWS_MAX, flights, noise, seed)
+    }
+
+    fn floor_at_most(
+        &self,
+        most: usize,
+        flights: &[PreparedFlight],
+        noise: &ReportNoise,
+        seed: u64,
+    ) -> Option<Floor> {
         let draws: Vec<_> = (0..FLOOR_DRAWS)
             .map(|draw| {
                 let seed = seed.wrapping_add(draw << 32);
@@ -117,7 +134,7 @@ impl Simulator {
                         NoiseDraw::new(noise, flight, self.trim().inverse(), seed)
                     })
                     .collect();
-                windows(flights, |index, start| {
+                windows(most, flights, |index, start| {
                     self.noise_errors(&flights[index], start, &draws[index])
                 })
             })
@@ -180,8 +197,10 @@ impl Simulator {
         seed: u64,
     ) -> Option<OverNoise> {
         let flight = std::slice::from_ref(flight);
-        let Floor { errors, scatter } = self.floor(flight, noise, seed)?;
-        Some(OverNoise { gap: self.errors(flight)?.over(&errors, self.metric()), scatter })
+        let Floor { errors: floor, scatter } =
+            self.floor_at_most(FLIGHT_WINDOWS_MAX, flight, noise, seed)?;
+        let errors = root_mean_square(&self.at_most(FLIGHT_WINDOWS_MAX, flight))?;
+        Some(OverNoise { gap: errors.over(&floor, self.metric()), scatter })
     }
 }
 
@@ -218,8 +237,9 @@ fn starts(flight: &PreparedFlight) -> Vec<f64> {
 }
 
 /// Evaluates `window` for the index of each flight and each start in it, in parallel. Of more than
-/// [`WINDOWS_MAX`], one in every few.
+/// `most`, one in every few.
 fn windows(
+    most: usize,
     flights: &[PreparedFlight],
     window: impl Fn(usize, f64) -> Option<Window> + Sync,
 ) -> Vec<Window> {
@@ -228,7 +248,7 @@ fn windows(
         .enumerate()
         .flat_map(|(index, flight)| starts(flight).into_iter().map(move |start| (index, start)))
         .collect();
-    let every = windows.len().div_ceil(WINDOWS_MAX).max(1);
+    let every = windows.len().div_ceil(most).max(1);
     let windows: Vec<&(usize, f64)> = windows.iter().step_by(every).collect();
     windows
         .par_iter()

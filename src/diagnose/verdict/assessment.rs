@@ -81,7 +81,7 @@ impl DiagnosisContext<'_> {
         adapted
     }
 
-    /// The gaps on `flights` with the effects alone, the file's numbers alone, and both.
+    /// The gaps on `flights` with the effects alone, and with the file's numbers too.
     fn gaps(
         &self,
         explanation: &Explanation,
@@ -89,12 +89,11 @@ impl DiagnosisContext<'_> {
         floor: &Errors,
     ) -> Result<Option<Gaps>, VehicleError> {
         let which = self.effects_of(explanation);
-        let errors = |which: &[EffectId], file: bool| -> Result<Option<Errors>, VehicleError> {
-            Ok(self.simulator_of(explanation, which, file)?.errors(flights))
+        let errors = |file: bool| -> Result<Option<Errors>, VehicleError> {
+            Ok(self.simulator_of(explanation, &which, file)?.errors(flights))
         };
-        let all = [errors(&which, false)?, errors(&[], true)?, errors(&which, true)?];
-        let [Some(effects), Some(file), Some(both)] = all else { return Ok(None) };
-        Ok(Some(Gaps::over([effects, file, both], floor, self.metric)))
+        let all = errors(false)?.zip(errors(true)?);
+        Ok(all.map(|(effects, both)| Gaps::over([effects, both], floor, self.metric)))
     }
 
     /// An explanation in plain numbers, before its predictions.

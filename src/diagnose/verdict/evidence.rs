@@ -264,9 +264,7 @@ impl Explained {
 pub struct Gaps {
     /// With the effects alone.
     pub effects: f64,
-    /// With the vehicle file's numbers alone.
-    pub file: f64,
-    /// With both.
+    /// With the vehicle file's numbers too.
     pub both: f64,
     /// The gap with both in each part of the metric; `both` is their mean.
     #[serde(default)]
@@ -274,26 +272,26 @@ pub struct Gaps {
 }
 
 impl Gaps {
-    /// From the errors with the effects alone, the file's numbers alone, and both.
+    /// From the errors with the effects alone, and with the file's numbers too.
     pub(in crate::diagnose) fn over(
-        [effects, file, both]: [Errors; 3],
+        [effects, both]: [Errors; 2],
         floor: &Errors,
         metric: Metric,
     ) -> Self {
-        let [effects, file, gap] = [effects, file, both].map(|errors| errors.over(floor, metric));
-        Self { effects, file, both: gap, parts: both.parts_over(floor, metric) }
+        let [effects, gap] = [effects, both].map(|errors| errors.over(floor, metric));
+        Self { effects, both: gap, parts: both.parts_over(floor, metric) }
     }
 
     /// Whether the effects alone worsen a gap of `shipped` by more than the vehicle file's own
     /// errors could make up for. `file` holds the gaps of the file's fit.
     pub fn is_worse(self, shipped: f64, file: Gaps) -> bool {
         let shipped = shipped * shipped;
-        let off = (shipped - file.file.powi(2)).max(0.0);
+        let off = (shipped - file.both.powi(2)).max(0.0);
         self.effects.powi(2) - shipped > COMPENSATED_SHARE_MAX * off
     }
 
     /// The smaller squared gap with the effects, at least 1.
-    fn square(self) -> f64 {
+    pub(in crate::diagnose) fn square(self) -> f64 {
         self.both.min(self.effects).powi(2).max(1.0)
     }
 }

@@ -13,7 +13,7 @@ mod rivals;
 /// A set of effects with its evidence over the file's in each of four blocks, and its gaps:
 /// with the effects alone, and with the file's numbers as well.
 fn explained(effects: &[&str], nats: f64, [of_effects, both]: [f64; 2]) -> Explained {
-    let gaps = Gaps { effects: of_effects, file: both, both, ..Gaps::default() };
+    let gaps = Gaps { effects: of_effects, both, ..Gaps::default() };
     let number = |effect: &&str| Found {
         effect: (*effect).to_owned(),
         name: "number".to_owned(),
@@ -195,7 +195,7 @@ fn effect_within_file_tolerance_is_not_named() {
     assert_eq!(named(&decide(&evidence(8.0, sets))), ["wind"]);
     // Where the file's numbers can close the gap, a fit of the file that missed it leaves no
     // open gap.
-    delay.reported = Some(Gaps { effects: 1.1, file: 8.0, both: 1.05, ..Gaps::default() });
+    delay.reported = Some(Gaps { effects: 1.1, both: 1.05, ..Gaps::default() });
     let decision = decide(&evidence(8.0, vec![file, delay]));
     assert_eq!((decision.verdict, decision.explanation), (Verdict::None, 0));
 }
