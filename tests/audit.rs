@@ -354,7 +354,6 @@ fn wrong_output_order_is_found() {
     };
     let rotors: [RotorFact; 4] = std::array::from_fn(fact);
     let effects = Audit::of(&FLIGHT).rotors.expect("the outputs turn the vehicle");
-    assert_eq!(effects.contradictions(&rotors), []);
     let sure = effects.turning.iter().flatten().filter(|e| e.differs_from_zero(2.0)).count();
     assert!(sure >= 8, "{effects:?}");
 
@@ -366,17 +365,30 @@ fn wrong_output_order_is_found() {
 
     // The log does not state the rotor positions, but the vehicle file does.
     flight.facts.rotors.clear();
-    let mut audit = Audit::of(&flight);
-    assert!(!audit.is_faulty());
-    rotor_order::check(&mut audit, &params);
+    let checked = |flight: &Flight| {
+        let mut audit = [Audit::of(flight)];
+        assert!(!audit[0].is_faulty());
+        rotor_order::check(&mut audit, &params);
+        let [audit] = audit;
+        audit
+    };
+    let audit = checked(&flight);
+    let finding = audit.findings[0].to_string();
     assert!(
-        audit.findings[0].to_string().contains("vehicle file's rotors"),
-        "{:?}",
-        audit.findings
+        finding.contains("vehicle file's rotors would, but in the order 4, 1, 2, 3 they do"),
+        "{finding}"
     );
-    let mut audit = Audit::of(&FLIGHT);
-    rotor_order::check(&mut audit, &params);
+    let audit = checked(&FLIGHT);
     assert!(!audit.is_faulty(), "{:?}", audit.findings);
+
+    // The opposite directions of rotation, and outputs logged after their effect.
+    let mut reversed = FLIGHT.clone();
+    reversed.facts.rotors = rotors.map(|rotor| RotorFact { spin: -rotor.spin, ..rotor }).to_vec();
+    assert_fault(&reversed, "motor_order", "with the opposite directions of rotation");
+    let mut late = FLIGHT.clone();
+    late.outputs = late.outputs.clone().shifted(0.12);
+    let audit = checked(&late);
+    assert_eq!((audit.findings[0].check, audit.findings[0].stream), ("delay", Some("outputs")));
 }
 
 #[test]

@@ -196,6 +196,11 @@ fn corruptions() -> Vec<Corruption> {
             let enu = |[n, e, d]: [f64; 3]| [e, n, -d];
             (f.position, f.velocity) = (ned(&f.position, enu), ned(&f.velocity, enu));
         }),
+        new("position and velocity ENU, no IMU", Expectation::Fault, AXES, |f| {
+            let enu = |[n, e, d]: [f64; 3]| [e, n, -d];
+            (f.position, f.velocity) = (ned(&f.position, enu), ned(&f.velocity, enu));
+            (f.body_rate, f.specific_force) = (Stream::default(), Stream::default());
+        }),
         new("velocity north and east swapped", Expectation::Fault, AXES, |f| {
             f.velocity = ned(&f.velocity, |[n, e, d]| [e, n, d]);
         }),

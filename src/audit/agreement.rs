@@ -68,7 +68,7 @@ impl Estimate {
     }
 
     fn times(self, factor: f64) -> Self {
-        Self { value: factor * self.value, half_width: factor * self.half_width }
+        Self { value: factor * self.value, half_width: factor.abs() * self.half_width }
     }
 
     /// Whether zero is further off than `times` the half width.

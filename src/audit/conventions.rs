@@ -7,6 +7,7 @@ use vehicle::frame::Attitude;
 
 use self::pairs::pairs;
 use super::agreement::Agreement;
+use super::axes;
 use super::frames::{self, READING_SHARE_MIN};
 use super::kinematics::{
     Reading, rotation_rates, share_explained_as_read, share_explained_by_gyro,
@@ -48,6 +49,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     if audit.kinematics.position.is_none() {
         check_moving(flight, audit);
     }
+    axes::check(flight, audit);
     frames::check(flight, audit);
     check_force(flight, audit);
     check_voltage(flight, audit);

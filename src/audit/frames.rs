@@ -3,24 +3,19 @@
 use vehicle::frame::{Attitude, Frd, Ned};
 
 use super::agreement::Agreement;
+use super::contrast::{Misfits, by_block, contrast, is_better};
+use super::initial_fit::InitialFit;
 use super::kinematics::{
-    Kinematics, by_attitude, share_explained_by_accelerometer, share_explained_by_gyro,
-    share_explained_by_velocity,
+    AttitudeAndGyro, Kinematics, PositionAndVelocity, VelocityAndForce, by_attitude,
 };
+use super::pair::Pair;
 use super::{Audit, Finding, Severity};
 use crate::log::import::Flight;
 
 /// A reading that explains this share is the right one, where the stated one fails.
 pub(super) const READING_SHARE_MIN: f64 = 0.8;
-/// Above this explained share, the frames need no check.
-const STATED_SHARE_MIN: f64 = 0.98;
 /// Attitudes further apart than this distinguish body axes from world axes, rad.
 const ATTITUDE_CHANGE_MIN: f64 = 0.1;
-/// Other frames must leave less than this share of the unexplained part.
-const UNEXPLAINED_RATIO_MAX: f64 = 0.5;
-
-/// A stream's values in other axes, and what it means that they fit better there.
-type OtherAxes<V> = (fn(Attitude, &V) -> V, &'static str);
 
 /// Reports body vectors in world axes, or the reverse. At a single attitude, that looks like any
 /// rotation; over several it does not.
@@ -32,18 +27,8 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
         return;
     }
     let Kinematics { attitude, position, velocity, .. } = audit.kinematics;
-    let is_open =
-        |pair: Option<Agreement>| pair.is_none_or(|pair| pair.explained < STATED_SHARE_MIN);
-    let follows_better = |stated: Option<f64>, otherwise: Option<f64>| {
-        let (stated, otherwise) = (stated?, otherwise?);
-        // Where the stated frames fit, the rest is rounding.
-        let is_better = stated < STATED_SHARE_MIN
-            && otherwise > READING_SHARE_MIN
-            && 1.0 - otherwise < UNEXPLAINED_RATIO_MAX * (1.0 - stated);
-        is_better.then_some(otherwise)
-    };
-    let mut report = |stream, found: f64, what: &str| {
-        audit.findings.push(Finding {
+    let mut report = |stream, found: Option<f64>, what: &str| {
+        audit.findings.extend(found.map(|found| Finding {
             severity: Severity::Fault,
             check: "frame",
             stream: Some(stream),
@@ -52,7 +37,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             unit: "",
             what: what.to_owned(),
             advice: "check the frames stated for the log",
-        });
+        }));
     };
     let with = |change: &dyn Fn(&mut Flight)| {
         let mut other = flight.clone();
@@ -62,52 +47,62 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     // As stated, then as the reader of the log turned it from other axes than stated.
     let body: fn(Attitude, &Frd) -> Frd = |q, v| q.to_body(Ned::from(v.to_array()));
     let back: fn(Attitude, &Frd) -> Frd = |q, v| Frd::from(q.to_world(*v).to_array());
-    if is_open(attitude) {
-        let readings: [OtherAxes<Frd>; 2] = [
-            (body, "matches the attitude in world axes, not in body axes"),
-            (back, "matches the attitude in body axes, not in world axes as stated"),
-        ];
-        for (turned, what) in readings {
-            let other =
-                with(&|other| other.body_rate = by_attitude(flight, &flight.body_rate, turned));
-            if let Some(found) =
-                follows_better(share_explained_by_gyro(flight), share_explained_by_gyro(&other))
-            {
-                report("body_rate", found, what);
-            }
-        }
+    let stated = AttitudeAndGyro::of(flight, |q| q);
+    for (turned, what) in [
+        (body, "matches the attitude in world axes, not in body axes"),
+        (back, "matches the attitude in body axes, not in world axes as stated"),
+    ] {
+        let other = with(&|other| other.body_rate = by_attitude(flight, &flight.body_rate, turned));
+        let other = AttitudeAndGyro::of(&other, |q| q);
+        report("body_rate", explained_better(&stated, &other, attitude), what);
     }
-    if is_open(position) {
-        let world = |q: Attitude, v: &Ned| q.to_world(Frd::from(v.to_array()));
-        let back = |q: Attitude, v: &Ned| Ned::from(q.to_body(*v).to_array());
-        let readings: [OtherAxes<Ned>; 2] = [
-            (world, "matches the position in body axes, not in world axes"),
-            (back, "matches the position in world axes, not in body axes as stated"),
-        ];
-        let follows = |flight: &Flight| Some(share_explained_by_velocity(flight)?.0);
-        for (turned, what) in readings {
-            let other =
-                with(&|other| other.velocity = by_attitude(flight, &flight.velocity, turned));
-            if let Some(found) = follows_better(follows(flight), follows(&other)) {
-                report("velocity", found, what);
-            }
-        }
+    let stated = PositionAndVelocity::of(flight);
+    let world: fn(Attitude, &Ned) -> Ned = |q, v| q.to_world(Frd::from(v.to_array()));
+    let unturned: fn(Attitude, &Ned) -> Ned = |q, v| Ned::from(q.to_body(*v).to_array());
+    for (turned, what) in [
+        (world, "matches the position in body axes, not in world axes"),
+        (unturned, "matches the position in world axes, not in body axes as stated"),
+    ] {
+        let other = with(&|other| other.velocity = by_attitude(flight, &flight.velocity, turned));
+        let other = PositionAndVelocity::of(&other);
+        report("velocity", explained_better(&stated, &other, position), what);
     }
-    if is_open(velocity) {
-        let readings: [OtherAxes<Frd>; 2] = [
-            (body, "matches the velocity in world axes, not in body axes"),
-            (back, "matches the velocity in body axes, not in world axes as stated"),
-        ];
-        for (turned, what) in readings {
-            let other = with(&|other| {
-                other.specific_force = by_attitude(flight, &flight.specific_force, turned);
-            });
-            if let Some(found) = follows_better(
-                share_explained_by_accelerometer(flight),
-                share_explained_by_accelerometer(&other),
-            ) {
-                report("specific_force", found, what);
-            }
-        }
+    let stated = VelocityAndForce::by_accelerometer(flight, 0.0, [0.0; 3]);
+    for (turned, what) in [
+        (body, "matches the velocity in world axes, not in body axes"),
+        (back, "matches the velocity in body axes, not in world axes as stated"),
+    ] {
+        let other = with(&|other| {
+            other.specific_force = by_attitude(flight, &flight.specific_force, turned);
+        });
+        let other = VelocityAndForce::by_accelerometer(&other, 0.0, [0.0; 3]);
+        report("specific_force", explained_better(&stated, &other, velocity), what);
     }
+}
+
+/// The share of the motion that another reading of a pair explains, if it is certainly the right
+/// one. `agreement` is the pair's as stated.
+fn explained_better<P: Pair>(stated: &P, other: &P, agreement: Option<Agreement>) -> Option<f64> {
+    let bumps = InitialFit::bumps(stated);
+    // Streams of wrong axes may show no delay, or a wrong one.
+    let best = |pair: &P| match agreement {
+        Some(agreement) => [0.0, agreement.delay_s.value]
+            .map(|delay| InitialFit::with_misfits(pair, &bumps, delay))
+            .into_iter()
+            .max_by(|(a, _), (b, _)| a.explained.total_cmp(&b.explained)),
+        None => InitialFit::best(pair)
+            .map(|initial| InitialFit::with_misfits(pair, &bumps, initial.delay)),
+    };
+    let ((_, left), (fit, other_left)) = best(stated).zip(best(other))?;
+    if fit.explained < READING_SHARE_MIN {
+        return None;
+    }
+    let both = bumps.iter().zip(left).zip(other_left);
+    let (times, misfits): (Vec<f64>, Vec<Misfits>) = both
+        .filter_map(|((bump, stated), other)| {
+            Some((bump.centre, Misfits { stated: stated?, other: other? }))
+        })
+        .unzip();
+    let contrast = contrast(&by_block(&times, &misfits))?;
+    is_better(&contrast).then_some(fit.explained)
 }

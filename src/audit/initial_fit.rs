@@ -52,15 +52,11 @@ pub(super) struct InitialFit {
 impl InitialFit {
     /// The best over all delays and drifts; `None` with too few bumps.
     pub fn best(pair: &impl Pair) -> Option<Self> {
-        let bumps: Vec<&Bump> = pair.bumps().iter().filter(|bump| bump.group == 0).collect();
-        let stride = bumps.len().div_ceil(BUMPS).max(1);
+        let bumps = Self::bumps(pair);
         let step = STEP * bumps.first()?.half;
         let steps = (DELAY_MAX / step).ceil() as i32;
-        let moments: Vec<Moment> = bumps
-            .into_iter()
-            .step_by(stride)
-            .filter_map(|bump| Moment::of(pair, *bump, step, steps))
-            .collect();
+        let moments: Vec<Moment> =
+            bumps.into_iter().filter_map(|bump| Moment::of(pair, bump, step, steps)).collect();
         let (first, last) = (moments.first()?.centre, moments.last()?.centre);
         let power = |moment: &Moment| moment.measured.norm_squared();
         let total_power: f64 = moments.iter().map(power).sum();
@@ -136,9 +132,10 @@ impl InitialFit {
         let Some(RotationFit { proper, power, mirrored, mirrored_power, moving }) = found else {
             return initial;
         };
+        // A rotation with negative power opposes the motion, and explains nothing.
         let share = |power: f64| match x_power * y_power {
             0.0 => 0.0,
-            powers => (power * power / powers).min(1.0),
+            powers => (power.max(0.0).powi(2) / powers).min(1.0),
         };
         let (rotation, signs, power) =
             if 1.0 - share(mirrored_power) < BETTER_MIRRORED * (1.0 - share(power)) - NEGLIGIBLE {
@@ -151,8 +148,37 @@ impl InitialFit {
         initial.signs = signs;
         initial.moving = moving;
         initial.explained = share(power);
-        initial.scale = if x_power > 0.0 { power / x_power } else { 0.0 };
+        initial.scale = if x_power > 0.0 { power.max(0.0) / x_power } else { 0.0 };
         initial
+    }
+
+    /// The fit at one delay, and what it leaves of each bump. `None` under a bump without samples
+    /// at that delay.
+    pub fn with_misfits(pair: &impl Pair, bumps: &[Bump], delay: f64) -> (Self, Vec<Option<f64>>) {
+        let of_bump = |bump: &Bump| {
+            let expected = pair.expected(bump.shifted(-delay), delay, &Correction::NONE)?;
+            Some((pair.measured(*bump)?, expected.value))
+        };
+        let all: Vec<Option<(Vector3<f64>, Vector3<f64>)>> = bumps.iter().map(of_bump).collect();
+        let pairs: Vec<_> = all.iter().flatten().copied().collect();
+        let fit = Self { delay, ..Self::at(&pairs, pair.rotatable_axes()) };
+        let count = pairs.len() as f64;
+        let (y, x) = pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (y, x)| {
+            (a + y / count, b + x / count)
+        });
+        let map = fit.rotation * Matrix3::from_diagonal(&(fit.signs * fit.scale));
+        let misfit = |(measured, expected): (Vector3<f64>, Vector3<f64>)| {
+            (measured - y - map * (expected - x)).norm_squared()
+        };
+        (fit, all.into_iter().map(|pair| pair.map(misfit)).collect())
+    }
+
+    /// The bumps that an initial fit compares.
+    pub fn bumps(pair: &impl Pair) -> Vec<Bump> {
+        let bumps: Vec<Bump> =
+            pair.bumps().iter().copied().filter(|bump| bump.group == 0).collect();
+        let stride = bumps.len().div_ceil(BUMPS).max(1);
+        bumps.into_iter().step_by(stride).collect()
     }
 
     /// Angle of the rotation, rad.

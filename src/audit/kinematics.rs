@@ -96,11 +96,6 @@ pub(super) fn share_explained_by_velocity(flight: &Flight) -> Option<(f64, [f64;
     Some((InitialFit::best(&pair)?.explained, changes(&pair)?))
 }
 
-/// Share of the velocity's motion that the accelerometer explains at best.
-pub(super) fn share_explained_by_accelerometer(flight: &Flight) -> Option<f64> {
-    Some(InitialFit::best(&VelocityAndForce::by_accelerometer(flight, 0.0, [0.0; 3]))?.explained)
-}
-
 /// Each sample of a stream, transformed with the attitude at its time; samples without one are left
 /// out.
 pub(super) fn by_attitude<V, W>(
@@ -195,14 +190,14 @@ fn fastest(attitude: &Stream<Attitude>) -> f64 {
 
 /// Attitude against the gyro. Within a bump the attitude is the rotation vector relative to its
 /// middle, whose derivative is the body rate times the inverse of its right Jacobian.
-struct AttitudeAndGyro<'a> {
+pub(super) struct AttitudeAndGyro<'a> {
     attitude: Stream<Attitude>,
     rate: &'a Stream<Frd>,
     bumps: Vec<Bump>,
 }
 
 impl<'a> AttitudeAndGyro<'a> {
-    fn of(flight: &'a Flight, read: Reading) -> Self {
+    pub fn of(flight: &'a Flight, read: Reading) -> Self {
         let attitude = flight.attitude.map(|q| read(*q));
         let rate = &flight.body_rate;
         let half = half_width([attitude.period(), rate.period()]);
@@ -253,14 +248,14 @@ impl Pair for AttitudeAndGyro<'_> {
 }
 
 /// Position against velocity.
-struct PositionAndVelocity<'a> {
+pub(super) struct PositionAndVelocity<'a> {
     position: &'a Stream<Ned>,
     velocity: &'a Stream<Ned>,
     bumps: Vec<Bump>,
 }
 
 impl<'a> PositionAndVelocity<'a> {
-    fn of(flight: &'a Flight) -> Self {
+    pub fn of(flight: &'a Flight) -> Self {
         let (position, velocity) = (&flight.position, &flight.velocity);
         let half = half_width([position.period(), velocity.period()]);
         let bumps = bumps(position.times(), &[half, LONGER * half]);
@@ -287,7 +282,7 @@ impl Pair for PositionAndVelocity<'_> {
 }
 
 /// Velocity against a specific force, with an attitude of known delay.
-struct VelocityAndForce<'a> {
+pub(super) struct VelocityAndForce<'a> {
     velocity: &'a Stream<Ned>,
     /// Attitude and specific force.
     force: Stream<(Attitude, Vector3<f64>)>,
@@ -300,7 +295,7 @@ struct VelocityAndForce<'a> {
 type ForceColumns = SVector<f64, 12>;
 
 impl<'a> VelocityAndForce<'a> {
-    fn by_accelerometer(flight: &'a Flight, attitude_late: f64, turned: [f64; 3]) -> Self {
+    pub fn by_accelerometer(flight: &'a Flight, attitude_late: f64, turned: [f64; 3]) -> Self {
         let mut force = Stream::default();
         let turn = of_vector(vector(turned));
         for (time, f) in flight.specific_force.iter() {
@@ -312,7 +307,7 @@ impl<'a> VelocityAndForce<'a> {
     }
 
     /// With the thrust that holds the height.
-    fn by_lean(flight: &'a Flight) -> Self {
+    pub fn by_lean(flight: &'a Flight) -> Self {
         let force = flight.attitude.filter_map(|q| {
             let upright = q.to_world(Frd::new(0.0, 0.0, 1.0)).to_array()[2];
             let thrust = Vector3::new(0.0, 0.0, -GRAVITY / upright);

@@ -5,6 +5,8 @@
 //! as effects of the vehicle.
 
 mod agreement;
+mod axes;
+mod contrast;
 mod conventions;
 mod duplicates;
 mod finding;
@@ -12,6 +14,7 @@ mod frames;
 mod initial_fit;
 mod kinematics;
 mod motors;
+mod output_order;
 mod pair;
 mod rates;
 mod rotors;
@@ -24,13 +27,15 @@ mod weak;
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use self::output_order::OutputMoments;
+use self::rotors::Responses;
 use crate::learn::segments::Cut;
 use crate::log::import::{Flight, RotorFact};
 pub use agreement::{Agreement, Estimate};
 pub use finding::{Finding, Severity};
 pub use kinematics::Kinematics;
 pub use rates::Rates;
-pub use rotors::{Contradiction, RotorEffects};
+pub use rotors::RotorEffects;
 pub use tier::{Channels, FAST_HZ, Tier};
 pub use timing::{LEFT_OUT, NO_SAMPLES, StreamTiming};
 pub(crate) use weak::median;
@@ -73,6 +78,9 @@ pub struct Audit {
     pub kinematics: Kinematics,
     /// Effect of each motor output on the body, where the motion shows it.
     pub rotors: Option<RotorEffects>,
+    /// The rotation and the outputs before it.
+    #[serde(skip)]
+    responses: Option<OutputMoments>,
     /// Findings, worst first.
     pub findings: Vec<Finding>,
     /// Times in which streams must not be used, in order.
@@ -82,6 +90,14 @@ pub struct Audit {
 impl Audit {
     /// Audits one flight.
     pub fn of(flight: &Flight) -> Self {
+        let mut audit = Self::of_one(flight);
+        check_stated_order(std::slice::from_ref(flight), std::slice::from_mut(&mut audit));
+        audit
+    }
+
+    /// Every check of one flight by itself.
+    fn of_one(flight: &Flight) -> Self {
+        let responses = Responses::of(flight);
         let kinematics = Kinematics::of(flight);
         let channels = Channels::of(flight);
         let mut audit = Self {
@@ -95,7 +111,8 @@ impl Audit {
             rates: Rates::of(flight),
             ground_skew: flight.ground_skew,
             kinematics,
-            rotors: RotorEffects::of(flight),
+            rotors: responses.as_ref().and_then(RotorEffects::of),
+            responses: responses.as_ref().map(OutputMoments::of),
             findings: Vec::new(),
             unusable: Vec::new(),
         };
@@ -111,7 +128,8 @@ impl Audit {
     /// Audits several flights. Of files of the same flight, the later one is at fault.
     pub fn of_all(flights: &[Flight]) -> Vec<Self> {
         use rayon::prelude::*;
-        let mut audits: Vec<Self> = flights.par_iter().map(Self::of).collect();
+        let mut audits: Vec<Self> = flights.par_iter().map(Self::of_one).collect();
+        check_stated_order(flights, &mut audits);
         duplicates::check(flights, &mut audits);
         audits.iter_mut().for_each(Self::sort);
         audits
@@ -144,17 +162,42 @@ impl Audit {
         faults.filter(|finding| finding.check != values::STOOD_STILL)
     }
 
-    /// Adds a fault if the outputs' order contradicts rotors that are known from elsewhere than the
-    /// log. `whose` says where from.
-    pub(crate) fn check_order(&mut self, rotors: &[RotorFact; 4], whose: &str) {
-        let is_known = self.findings.iter().any(|finding| finding.check == rotors::MOTOR_ORDER);
-        let fault = self.rotors.and_then(|effects| effects.order_fault(rotors, whose));
-        self.findings.extend(fault.filter(|_| !is_known));
-        self.sort();
-    }
-
     fn sort(&mut self) {
         self.findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
         self.unusable.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
+    }
+}
+
+/// Adds a fault to flights of one vehicle if their outputs contradict its rotors. `whose` says where
+/// the rotors are known from. Logs with another fault decide nothing, but share the answer.
+pub(crate) fn check_order(audits: &mut [&mut Audit], rotors: &[RotorFact; 4], whose: &str) {
+    let is_known =
+        |audit: &Audit| audit.findings.iter().any(|f| f.check == output_order::MOTOR_ORDER);
+    let sound = audits.iter().filter(|audit| !audit.is_faulty());
+    let responses: Vec<&OutputMoments> =
+        sound.filter_map(|audit| audit.responses.as_ref()).collect();
+    let Some(fault) = output_order::fault(&responses, rotors, whose) else { return };
+    for audit in audits.iter_mut().filter(|audit| audit.responses.is_some() && !is_known(audit)) {
+        audit.findings.push(fault.clone());
+        audit.sort();
+    }
+}
+
+/// Compares outputs with the rotors that the autopilots' parameters state.
+fn check_stated_order(flights: &[Flight], audits: &mut [Audit]) {
+    let mut vehicles: Vec<&[RotorFact]> = Vec::new();
+    for flight in flights {
+        let rotors = flight.facts.rotors.as_slice();
+        let Ok(stated) = <&[RotorFact; 4]>::try_from(rotors) else { continue };
+        if vehicles.contains(&rotors) {
+            continue;
+        }
+        vehicles.push(rotors);
+        let of_vehicle = flights.iter().zip(audits.iter_mut());
+        let mut of_vehicle: Vec<&mut Audit> = of_vehicle
+            .filter(|(flight, _)| flight.facts.rotors == rotors)
+            .map(|(_, audit)| audit)
+            .collect();
+        check_order(&mut of_vehicle, stated, "the autopilot's motors");
     }
 }

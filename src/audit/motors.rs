@@ -1,4 +1,4 @@
-//! Checks motor outputs: valid values, stuck channels, and the order of the rotors.
+//! Checks motor outputs: valid values and stuck channels.
 
 use super::tier::FAST_HZ;
 use super::weak::median;
@@ -33,7 +33,6 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     if has_still_outputs(flight, audit) {
         return;
     }
-    check_order(flight, audit);
     check_range(flight, audit);
     check_channels(flight, audit);
     if let Some(rate) = audit.rates.outputs_hz.filter(|rate| *rate < FAST_HZ) {
@@ -91,14 +90,6 @@ fn has_still_outputs(flight: &Flight, audit: &mut Audit) -> bool {
                  and its functions",
     });
     true
-}
-
-/// Checks that outputs have the effect of rotors at the autopilot's configured places.
-fn check_order(flight: &Flight, audit: &mut Audit) {
-    if let (Some(effects), [a, b, c, d]) = (&audit.rotors, flight.facts.rotors.as_slice()) {
-        let fault = effects.order_fault(&[*a, *b, *c, *d], "the autopilot's motors");
-        audit.findings.extend(fault);
-    }
 }
 
 /// The valid range of outputs in their unit; `None` where it takes a vehicle file to know.

@@ -176,10 +176,15 @@ const GROUPS: usize = 2;
 
 /// Half width of an interval in standard deviations over this many blocks: the interval contains the
 /// value in at least 95 of 100 cases, and one three times as wide in 9998 of 10 000, by Student's t.
-fn interval(blocks: usize) -> f64 {
+pub(super) fn interval(blocks: usize) -> f64 {
     /// For 4 blocks and more.
     const DEVIATIONS: [f64; 9] = [7.40, 4.34, 3.23, 2.67, 2.36, 2.31, 2.26, 2.23, 2.20];
     DEVIATIONS.get(blocks.saturating_sub(4)).copied().unwrap_or(2.20)
+}
+
+/// Number of blocks of a time of `span` seconds.
+pub(super) fn block_count(span: f64) -> usize {
+    ((span / BLOCK_S) as usize).clamp(*BLOCKS.start(), *BLOCKS.end())
 }
 
 /// Finds the unknowns by Gauss-Newton from `start`, along the directions that the rows show.
@@ -309,7 +314,7 @@ impl<const P: usize> IdentifiableDirections<P> {
     fn jackknife(&self, rows: &[Row<P>], normal: &NormalEquations<P>) -> SMatrix<f64, P, P> {
         let size = self.steps.len();
         let span = rows.first().zip(rows.last()).map_or(0.0, |(a, b)| b.time - a.time);
-        let blocks = ((span / BLOCK_S) as usize).clamp(*BLOCKS.start(), *BLOCKS.end());
+        let blocks = block_count(span);
         let mut covariance = SMatrix::zeros();
         for block in 0..blocks {
             let within = |part: usize| part * rows.len() / blocks;

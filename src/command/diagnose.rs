@@ -354,7 +354,7 @@ pub(super) fn audited(
     let origins = flights.iter_mut().map(|flight| &mut flight.origin);
     tell_apart(origins.map(|origin| (&mut origin.run, origin.path.as_path())));
     let mut audits = Audit::of_all(&flights);
-    audits.iter_mut().for_each(|audit| rotor_order::check(audit, vehicle));
+    rotor_order::check(&mut audits, vehicle);
     let mut logs: Vec<AuditedLog> = flights
         .into_par_iter()
         .zip(audits)
