@@ -72,15 +72,20 @@ pub(super) fn integrate<V, const N: usize>(
             return None;
         }
         let right = signal(b, &stream.values()[at + 1])?;
-        // Simpson's rule on the linear piece, within the bump.
+        // Simpson's rule on the linear piece, within the bump: weights of both of its ends.
         let (start, end) = (a.max(from), b.min(to));
         let middle = 0.5 * (start + end);
-        let line = |t: f64| left + (right - left) * ((t - a) / (b - a));
+        let (mut value, mut slope) = ([0.0; 2], [0.0; 2]);
         for (time, weight) in [(start, 1.0), (middle, 4.0), (end, 1.0)] {
             let share = weight * (end - start) / 6.0;
-            integrals.value += line(time) * (share * bump.value(time));
-            integrals.slope += line(time) * (share * bump.slope(time));
+            let along = (time - a) / (b - a);
+            for (end, part) in [1.0 - along, along].into_iter().enumerate() {
+                value[end] += part * share * bump.value(time);
+                slope[end] += part * share * bump.slope(time);
+            }
         }
+        integrals.value += left * value[0] + right * value[1];
+        integrals.slope += left * slope[0] + right * slope[1];
         left = right;
         at += 1;
     }
