@@ -4,7 +4,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::contrast::{Misfits, by_block, contrast, is_better};
-use super::initial_fit::InitialFit;
+use super::initial_fit::{BUMPS_MIN, InitialFit};
 use super::kinematics::VelocityAndForce;
 use super::pair::{Correction, Pair};
 use super::timing::is_logged;
@@ -81,7 +81,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
 }
 
 /// The other axes that certainly leave less of the velocity's changes than the stated ones, if there
-/// are any, and their contrast.
+/// are any, and their contrast. Too few bumps show nothing.
 fn better_axes(pair: &impl Pair, is_level: bool) -> Option<(Axes, f64)> {
     let bumps = InitialFit::bumps(pair);
     let mut times = Vec::new();
@@ -97,6 +97,9 @@ fn better_axes(pair: &impl Pair, is_level: bool) -> Option<(Axes, f64)> {
                 pairs.push((measured, expected));
             }
         }
+    }
+    if times.len() < BUMPS_MIN {
+        return None;
     }
     for pairs in &mut delayed {
         let count = pairs.len() as f64;

@@ -22,7 +22,7 @@ const BETTER_MIRRORED: f64 = 0.5;
 const NEGLIGIBLE: f64 = 1e-4;
 /// Most and fewest bumps of an initial fit.
 const BUMPS: usize = 300;
-const BUMPS_MIN: usize = 24;
+pub(super) const BUMPS_MIN: usize = 24;
 /// Axes with a singular value below this share of the largest do not move.
 const MOVES_MIN: f64 = 1e-6;
 /// Most sweeps of a decomposition; ten are usual.
