@@ -20,6 +20,7 @@ mod audit;
 mod audit_corrupted;
 mod audit_degenerate;
 mod audit_duplicates;
+mod audit_practice;
 mod closed_loop_golden;
 mod closed_loop_linear;
 mod collect;

@@ -3,16 +3,17 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::contrast::{Misfits, by_block, contrast, is_better};
-use super::initial_fit::{BUMPS_MIN, InitialFit};
+use super::contrast::{Misfits, by_block, certain_contrast};
+use super::initial_fit::{BUMPS_MIN, InitialFit, Moment, means};
 use super::kinematics::VelocityAndForce;
-use super::pair::{Correction, Pair};
+use super::pair::Pair;
 use super::timing::is_logged;
 use super::{Audit, Finding, Severity};
 use crate::log::import::Flight;
 
-/// Delays of the velocity that are tried, s.
-const DELAYS_S: [f64; 5] = [-0.1, -0.05, 0.0, 0.05, 0.1];
+/// Step of the delays of the velocity that are tried, s, and their number in either direction.
+const DELAY_STEP_S: f64 = 0.05;
+const DELAYS: i32 = 2;
 
 /// Where each axis of the velocity comes from: an axis of the world, with a sign.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,7 +59,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
         return;
     }
     let pair = if has_force {
-        VelocityAndForce::by_accelerometer(flight, 0.0, [0.0; 3])
+        VelocityAndForce::by_accelerometer(flight, &flight.specific_force, 0.0, [0.0; 3])
     } else {
         VelocityAndForce::by_lean(flight)
     };
@@ -83,51 +84,40 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
 /// The other axes that certainly leave less of the velocity's changes than the stated ones, if there
 /// are any, and their contrast. Too few bumps show nothing.
 fn better_axes(pair: &impl Pair, is_level: bool) -> Option<(Axes, f64)> {
-    let bumps = InitialFit::bumps(pair);
-    let mut times = Vec::new();
-    let mut delayed: [Vec<(Vector3<f64>, Vector3<f64>)>; DELAYS_S.len()] = Default::default();
-    for bump in bumps {
-        let expected = DELAYS_S.map(|delay| {
-            Some(pair.expected(bump.shifted(-delay), delay, &Correction::NONE)?.value)
-        });
-        if let (Some(measured), true) = (pair.measured(bump), expected.iter().all(Option::is_some))
-        {
-            times.push(bump.centre);
-            for (pairs, expected) in delayed.iter_mut().zip(expected.into_iter().flatten()) {
-                pairs.push((measured, expected));
-            }
-        }
-    }
-    if times.len() < BUMPS_MIN {
+    let moments = InitialFit::bumps(pair).into_iter();
+    let moments: Vec<Moment> = moments
+        .filter_map(|bump| Moment::of(pair, bump, DELAY_STEP_S, DELAYS))
+        .filter(|moment| (-DELAYS..=DELAYS).all(|delay| moment.at(delay).is_some()))
+        .collect();
+    if moments.len() < BUMPS_MIN {
         return None;
     }
-    for pairs in &mut delayed {
-        let count = pairs.len() as f64;
-        let (y, x) = pairs
-            .iter()
-            .fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (y, x)| (a + y, b + x));
-        pairs.iter_mut().for_each(|pair| *pair = (pair.0 - y / count, pair.1 - x / count));
-    }
+    let times: Vec<f64> = moments.iter().map(|moment| moment.centre).collect();
+    let at_delay = |delay: i32| {
+        let pairs = moments.iter().filter_map(|m| Some((m.measured, m.at(delay)?)));
+        let mut pairs: Vec<(Vector3<f64>, Vector3<f64>)> = pairs.collect();
+        let (y, x) = means(&pairs);
+        pairs.iter_mut().for_each(|pair| *pair = (pair.0 - y, pair.1 - x));
+        pairs
+    };
+    let delayed: Vec<_> = (-DELAYS..=DELAYS).map(at_delay).collect();
     // What is left under each bump at the best delay and scale.
     let misfits = |axes: &Axes| -> Vec<f64> {
         let map = axes.map();
-        let at_delay = |pairs: &Vec<(Vector3<f64>, Vector3<f64>)>| -> Vec<f64> {
+        let of_one = |pairs: &Vec<(Vector3<f64>, Vector3<f64>)>| -> Vec<f64> {
             let power: f64 = pairs.iter().map(|(_, x)| x.norm_squared()).sum();
             let shared: f64 = pairs.iter().map(|(y, x)| y.dot(&(map * x))).sum();
             let scale = if power > 0.0 { (shared / power).max(0.0) } else { 0.0 };
             pairs.iter().map(|(y, x)| (y - map * x * scale).norm_squared()).collect()
         };
         let left = |misfits: &Vec<f64>| misfits.iter().sum::<f64>();
-        let best = delayed.iter().map(at_delay).min_by(|a, b| left(a).total_cmp(&left(b)));
+        let best = delayed.iter().map(of_one).min_by(|a, b| left(a).total_cmp(&left(b)));
         best.unwrap_or_default()
     };
     let stated = misfits(&Axes::STATED);
     let better = |axes: Axes| {
-        let both = stated.iter().zip(misfits(&axes));
-        let both: Vec<Misfits> =
-            both.map(|(stated, other)| Misfits { stated: *stated, other }).collect();
-        let contrast = contrast(&by_block(&times, &both)).filter(is_better)?;
-        Some((axes, contrast.value))
+        let misfits = Misfits::of_each(&stated, &misfits(&axes));
+        Some((axes, certain_contrast(&by_block(&times, &misfits))?))
     };
     let others = Axes::all(is_level).filter(|axes| *axes != Axes::STATED);
     others.filter_map(better).max_by(|a, b| a.1.total_cmp(&b.1))

@@ -2,7 +2,7 @@
 //! unexplained.
 
 use super::agreement::Estimate;
-use super::weak::{block_count, interval};
+use super::weak::{BLOCKS, blocks, interval, span_s};
 
 /// What two readings leave unexplained of one moment, or of a block of moments.
 #[derive(Clone, Copy, Debug, Default)]
@@ -14,6 +14,15 @@ pub(super) struct Misfits {
 }
 
 impl Misfits {
+    /// Of each moment or block.
+    pub fn of_each(stated: &[f64], other: &[f64]) -> Vec<Self> {
+        stated
+            .iter()
+            .zip(other)
+            .map(|(stated, other)| Self { stated: *stated, other: *other })
+            .collect()
+    }
+
     fn sum(all: &[Self]) -> Self {
         all.iter().fold(Self::default(), |sum, one| Self {
             stated: sum.stated + one.stated,
@@ -28,11 +37,11 @@ impl Misfits {
     }
 }
 
-/// The contrast over blocks of time, with an interval from the jackknife. `None` with too few
-/// blocks, or if nothing is left to explain.
-pub(super) fn contrast(blocks: &[Misfits]) -> Option<Estimate> {
+/// The contrast over blocks of time, if the other reading certainly leaves less than the data as
+/// stated. Its interval comes from the jackknife; too few blocks have none.
+pub(super) fn certain_contrast(blocks: &[Misfits]) -> Option<f64> {
     let count = blocks.len();
-    if count < block_count(0.0) {
+    if count < *BLOCKS.start() {
         return None;
     }
     let total = Misfits::sum(blocks);
@@ -44,29 +53,15 @@ pub(super) fn contrast(blocks: &[Misfits]) -> Option<Estimate> {
     let mean = each.iter().sum::<f64>() / count as f64;
     let squares = each.iter().map(|one| (one - mean).powi(2)).sum::<f64>();
     let variance = squares * (count - 1) as f64 / count as f64;
-    let estimate = Estimate::new(total.contrast(), interval(count) * variance.sqrt());
-    (estimate.value.is_finite() && estimate.half_width.is_finite()).then_some(estimate)
-}
-
-/// Whether the other reading certainly leaves less than the data as stated.
-pub(super) fn is_better(contrast: &Estimate) -> bool {
-    contrast.value > 0.0 && contrast.is_beyond(0.0, 0.0)
+    let contrast = Estimate::new(total.contrast(), interval(count) * variance.sqrt());
+    // Nothing left to explain is not a number, and not certain.
+    (contrast.value > 0.0 && contrast.is_beyond(0.0, 0.0)).then_some(contrast.value)
 }
 
 /// Sums moments into blocks of time. `times` ascend, s.
 pub(super) fn by_block(times: &[f64], misfits: &[Misfits]) -> Vec<Misfits> {
-    let count = blocks_of(times);
-    (0..count)
-        .map(|block| {
-            let part = |part: usize| part * misfits.len() / count;
-            Misfits::sum(&misfits[part(block)..part(block + 1)])
-        })
-        .collect()
-}
-
-/// Number of blocks of moments at these times, s.
-pub(super) fn blocks_of(times: &[f64]) -> usize {
-    block_count(times.first().zip(times.last()).map_or(0.0, |(first, last)| last - first))
+    let blocks = blocks(span_s(times), misfits.len());
+    blocks.into_iter().map(|block| Misfits::sum(&misfits[block])).collect()
 }
 
 #[cfg(test)]
@@ -82,7 +77,7 @@ mod tests {
         let mut drawn = |mean: f64| mean * rng.random_range(0.0..2.0_f64).powi(2);
         let misfits: Vec<Misfits> =
             times.iter().map(|_| Misfits { stated: drawn(stated), other: drawn(other) }).collect();
-        contrast(&by_block(&times, &misfits)).is_some_and(|contrast| is_better(&contrast))
+        certain_contrast(&by_block(&times, &misfits)).is_some()
     }
 
     #[test]
@@ -95,8 +90,8 @@ mod tests {
     }
 
     #[test]
-    fn nothing_left_or_too_short_has_no_contrast() {
-        assert!(contrast(&[Misfits::default(); 8]).is_none());
-        assert!(contrast(&[Misfits { stated: 1.0, other: 0.5 }; 3]).is_none());
+    fn nothing_left_or_too_short_is_never_better() {
+        assert!(certain_contrast(&[Misfits::default(); 8]).is_none());
+        assert!(certain_contrast(&[Misfits { stated: 1.0, other: 0.5 }; 3]).is_none());
     }
 }

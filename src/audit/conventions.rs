@@ -14,7 +14,7 @@ use super::kinematics::{
     share_explained_by_velocity,
 };
 use super::timing::is_logged;
-use super::weak::median;
+use super::weak::{median, span_s};
 use super::{Audit, Finding, Severity};
 use crate::log::import::Flight;
 
@@ -53,10 +53,6 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     frames::check(flight, audit);
     check_force(flight, audit);
     check_voltage(flight, audit);
-}
-
-fn span_s(times: &[f64]) -> f64 {
-    times.first().zip(times.last()).map_or(0.0, |(first, last)| last - first)
 }
 
 /// Reports quaternions in another direction or order, where they do not follow the gyro as stated.

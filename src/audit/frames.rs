@@ -3,14 +3,15 @@
 use vehicle::frame::{Attitude, Frd, Ned};
 
 use super::agreement::Agreement;
-use super::contrast::{Misfits, by_block, contrast, is_better};
+use super::contrast::{Misfits, by_block, certain_contrast};
 use super::initial_fit::InitialFit;
 use super::kinematics::{
     AttitudeAndGyro, Kinematics, PositionAndVelocity, VelocityAndForce, by_attitude,
 };
 use super::pair::Pair;
+use super::weak::Bump;
 use super::{Audit, Finding, Severity};
-use crate::log::import::Flight;
+use crate::log::import::{Flight, Stream};
 
 /// A reading that explains this share is the right one, where the stated one fails.
 pub(super) const READING_SHARE_MIN: f64 = 0.8;
@@ -39,70 +40,87 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
             advice: "check the frames stated for the log",
         }));
     };
-    let with = |change: &dyn Fn(&mut Flight)| {
-        let mut other = flight.clone();
-        change(&mut other);
-        other
-    };
     // As stated, then as the reader of the log turned it from other axes than stated.
     let body: fn(Attitude, &Frd) -> Frd = |q, v| q.to_body(Ned::from(v.to_array()));
     let back: fn(Attitude, &Frd) -> Frd = |q, v| Frd::from(q.to_world(*v).to_array());
-    let stated = AttitudeAndGyro::of(flight, |q| q);
-    for (turned, what) in [
-        (body, "matches the attitude in world axes, not in body axes"),
-        (back, "matches the attitude in body axes, not in world axes as stated"),
-    ] {
-        let other = with(&|other| other.body_rate = by_attitude(flight, &flight.body_rate, turned));
-        let other = AttitudeAndGyro::of(&other, |q| q);
-        report("body_rate", explained_better(&stated, &other, attitude), what);
+    if let Some(stated) = Stated::of(&AttitudeAndGyro::of(flight, |q| q), attitude) {
+        for (turned, what) in [
+            (body, "matches the attitude in world axes, not in body axes"),
+            (back, "matches the attitude in body axes, not in world axes as stated"),
+        ] {
+            let rate = by_attitude(flight, &flight.body_rate, turned);
+            let other = AttitudeAndGyro::new(flight.attitude.clone(), &rate);
+            report("body_rate", stated.explained_better(&other), what);
+        }
     }
-    let stated = PositionAndVelocity::of(flight);
-    let world: fn(Attitude, &Ned) -> Ned = |q, v| q.to_world(Frd::from(v.to_array()));
-    let unturned: fn(Attitude, &Ned) -> Ned = |q, v| Ned::from(q.to_body(*v).to_array());
-    for (turned, what) in [
-        (world, "matches the position in body axes, not in world axes"),
-        (unturned, "matches the position in world axes, not in body axes as stated"),
-    ] {
-        let other = with(&|other| other.velocity = by_attitude(flight, &flight.velocity, turned));
-        let other = PositionAndVelocity::of(&other);
-        report("velocity", explained_better(&stated, &other, position), what);
+    if let Some(stated) = Stated::of(&PositionAndVelocity::of(flight), position) {
+        let world: fn(Attitude, &Ned) -> Ned = |q, v| q.to_world(Frd::from(v.to_array()));
+        let unturned: fn(Attitude, &Ned) -> Ned = |q, v| Ned::from(q.to_body(*v).to_array());
+        for (turned, what) in [
+            (world, "matches the position in body axes, not in world axes"),
+            (unturned, "matches the position in world axes, not in body axes as stated"),
+        ] {
+            let velocity = by_attitude(flight, &flight.velocity, turned);
+            let other = PositionAndVelocity::new(&flight.position, &velocity);
+            report("velocity", stated.explained_better(&other), what);
+        }
     }
-    let stated = VelocityAndForce::by_accelerometer(flight, 0.0, [0.0; 3]);
-    for (turned, what) in [
-        (body, "matches the velocity in world axes, not in body axes"),
-        (back, "matches the velocity in body axes, not in world axes as stated"),
-    ] {
-        let other = with(&|other| {
-            other.specific_force = by_attitude(flight, &flight.specific_force, turned);
-        });
-        let other = VelocityAndForce::by_accelerometer(&other, 0.0, [0.0; 3]);
-        report("specific_force", explained_better(&stated, &other, velocity), what);
+    let by_force =
+        |force: &Stream<Frd>| VelocityAndForce::by_accelerometer(flight, force, 0.0, [0.0; 3]);
+    if let Some(stated) = Stated::of(&by_force(&flight.specific_force), velocity) {
+        for (turned, what) in [
+            (body, "matches the velocity in world axes, not in body axes"),
+            (back, "matches the velocity in body axes, not in world axes as stated"),
+        ] {
+            let other = by_force(&by_attitude(flight, &flight.specific_force, turned));
+            report("specific_force", stated.explained_better(&other), what);
+        }
     }
 }
 
-/// The share of the motion that another reading of a pair explains, if it is certainly the right
-/// one. `agreement` is the pair's as stated.
-fn explained_better<P: Pair>(stated: &P, other: &P, agreement: Option<Agreement>) -> Option<f64> {
-    let bumps = InitialFit::bumps(stated);
-    // Streams of wrong axes may show no delay, or a wrong one.
-    let best = |pair: &P| match agreement {
-        Some(agreement) => [0.0, agreement.delay_s.value]
-            .map(|delay| InitialFit::with_misfits(pair, &bumps, delay))
-            .into_iter()
-            .max_by(|(a, _), (b, _)| a.explained.total_cmp(&b.explained)),
-        None => InitialFit::best(pair)
-            .map(|initial| InitialFit::with_misfits(pair, &bumps, initial.delay)),
-    };
-    let ((_, left), (fit, other_left)) = best(stated).zip(best(other))?;
-    if fit.explained < READING_SHARE_MIN {
-        return None;
+/// A pair as stated, and what its best fit leaves unexplained.
+struct Stated {
+    agreement: Option<Agreement>,
+    bumps: Vec<Bump>,
+    /// Squared misfit under each bump.
+    left: Vec<Option<f64>>,
+}
+
+impl Stated {
+    /// `None` where the pair's streams do not overlap in time.
+    fn of(pair: &impl Pair, agreement: Option<Agreement>) -> Option<Self> {
+        let mut stated = Self { agreement, bumps: InitialFit::bumps(pair), left: Vec::new() };
+        stated.left = stated.fit(pair)?.1;
+        Some(stated)
     }
-    let both = bumps.iter().zip(left).zip(other_left);
-    let (times, misfits): (Vec<f64>, Vec<Misfits>) = both
-        .filter_map(|((bump, stated), other)| {
-            Some((bump.centre, Misfits { stated: stated?, other: other? }))
-        })
-        .unzip();
-    let contrast = contrast(&by_block(&times, &misfits))?;
-    is_better(&contrast).then_some(fit.explained)
+
+    /// The best fit of a pair, and what it leaves under each bump.
+    fn fit(&self, pair: &impl Pair) -> Option<(InitialFit, Vec<Option<f64>>)> {
+        let at = |delay: f64| InitialFit::with_misfits(pair, &self.bumps, delay);
+        match self.agreement {
+            // Streams of wrong axes may show no delay, or a wrong one.
+            Some(agreement) => [0.0, agreement.delay_s.value]
+                .map(at)
+                .into_iter()
+                .max_by(|(a, _), (b, _)| a.explained.total_cmp(&b.explained)),
+            None => InitialFit::best(pair).map(|initial| at(initial.delay)),
+        }
+    }
+
+    /// The share of the motion that another reading of the pair explains, if it is certainly the
+    /// right one.
+    fn explained_better(&self, other: &impl Pair) -> Option<f64> {
+        let (fit, left) = self.fit(other)?;
+        if fit.explained < READING_SHARE_MIN {
+            return None;
+        }
+        let both = self.bumps.iter().zip(&self.left).zip(left);
+        let (times, misfits): (Vec<f64>, Vec<Misfits>) = both
+            .filter_map(|((bump, stated), other)| {
+                Some((bump.centre, Misfits { stated: (*stated)?, other: other? }))
+            })
+            .unzip();
+        certain_contrast(&by_block(&times, &misfits))?;
+        Some(fit.explained)
+    }
 }

@@ -98,11 +98,7 @@ impl InitialFit {
     /// The best rotation and scale (Kabsch, Umeyama) of pairs of a measured and an expected
     /// derivative, without their means.
     fn at(pairs: &[(Vector3<f64>, Vector3<f64>)], rotatable: [bool; 3]) -> Self {
-        let count = pairs.len() as f64;
-        let (y_mean, x_mean) =
-            pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (y, x)| {
-                (a + y / count, b + x / count)
-            });
+        let (y_mean, x_mean) = means(pairs);
         let (mut cross, mut x_power, mut y_power) = (Matrix3::zeros(), 0.0, 0.0);
         for (y, x) in pairs {
             let (y, x) = (y - y_mean, x - x_mean);
@@ -162,10 +158,7 @@ impl InitialFit {
         let all: Vec<Option<(Vector3<f64>, Vector3<f64>)>> = bumps.iter().map(of_bump).collect();
         let pairs: Vec<_> = all.iter().flatten().copied().collect();
         let fit = Self { delay, ..Self::at(&pairs, pair.rotatable_axes()) };
-        let count = pairs.len() as f64;
-        let (y, x) = pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (y, x)| {
-            (a + y / count, b + x / count)
-        });
+        let (y, x) = means(&pairs);
         let map = fit.rotation * Matrix3::from_diagonal(&(fit.signs * fit.scale));
         let misfit = |(measured, expected): (Vector3<f64>, Vector3<f64>)| {
             (measured - y - map * (expected - x)).norm_squared()
@@ -192,22 +185,31 @@ impl InitialFit {
     }
 }
 
+/// The means of pairs of a measured and an expected derivative.
+pub(super) fn means(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> (Vector3<f64>, Vector3<f64>) {
+    let count = pairs.len() as f64;
+    pairs
+        .iter()
+        .fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (y, x)| (a + y / count, b + x / count))
+}
+
 /// Integers from 0 outwards.
 fn outwards(most: i32) -> impl Iterator<Item = i32> {
     std::iter::once(0).chain((1..=most).flat_map(|k| [k, -k]))
 }
 
 /// The measured derivative under a bump, and the expected one at each delay.
-struct Moment {
+pub(super) struct Moment {
     /// Time of the bump's middle, s.
-    centre: f64,
-    measured: Vector3<f64>,
+    pub centre: f64,
+    pub measured: Vector3<f64>,
     /// From the largest delay ahead to the largest one behind, a step apart.
     expected: Vec<Option<Vector3<f64>>>,
 }
 
 impl Moment {
-    fn of(pair: &impl Pair, bump: Bump, step: f64, steps: i32) -> Option<Self> {
+    /// With the delays up to `steps` times `step` (s) in either direction.
+    pub fn of(pair: &impl Pair, bump: Bump, step: f64, steps: i32) -> Option<Self> {
         let measured = pair.measured(bump)?;
         let at = |k: i32| {
             let delay = f64::from(k) * step;
@@ -217,7 +219,7 @@ impl Moment {
     }
 
     /// The expected derivative at a delay of this many steps.
-    fn at(&self, steps: i32) -> Option<Vector3<f64>> {
+    pub fn at(&self, steps: i32) -> Option<Vector3<f64>> {
         let middle = self.expected.len() / 2;
         *self.expected.get(middle.checked_add_signed(steps as isize)?)?
     }

@@ -66,8 +66,12 @@ impl Kinematics {
             let is_sure = shown.iter().flatten().any(|r| r.differs_from_zero(CERTAIN_INTERVALS));
             is_sure.then(|| shown.map(|r| r.map_or(0.0, |r| -r.value)))
         });
-        let velocity_and_force =
-            VelocityAndForce::by_accelerometer(flight, late, turned.unwrap_or_default());
+        let velocity_and_force = VelocityAndForce::by_accelerometer(
+            flight,
+            &flight.specific_force,
+            late,
+            turned.unwrap_or_default(),
+        );
         let velocity = agreement(&velocity_and_force);
         let has_force = !flight.specific_force.is_empty();
         let lean = (!has_force).then(|| agreement(&VelocityAndForce::by_lean(flight))).flatten();
@@ -198,8 +202,10 @@ pub(super) struct AttitudeAndGyro<'a> {
 
 impl<'a> AttitudeAndGyro<'a> {
     pub fn of(flight: &'a Flight, read: Reading) -> Self {
-        let attitude = flight.attitude.map(|q| read(*q));
-        let rate = &flight.body_rate;
+        Self::new(flight.attitude.map(|q| read(*q)), &flight.body_rate)
+    }
+
+    pub fn new(attitude: Stream<Attitude>, rate: &'a Stream<Frd>) -> Self {
         let half = half_width([attitude.period(), rate.period()]);
         // A longer one might contain half a turn.
         let half = half.min((TURN_MAX / fastest(&attitude)).max(HALF_MIN));
@@ -256,7 +262,10 @@ pub(super) struct PositionAndVelocity<'a> {
 
 impl<'a> PositionAndVelocity<'a> {
     pub fn of(flight: &'a Flight) -> Self {
-        let (position, velocity) = (&flight.position, &flight.velocity);
+        Self::new(&flight.position, &flight.velocity)
+    }
+
+    pub fn new(position: &'a Stream<Ned>, velocity: &'a Stream<Ned>) -> Self {
         let half = half_width([position.period(), velocity.period()]);
         let bumps = bumps(position.times(), &[half, LONGER * half]);
         Self { position, velocity, bumps }
@@ -295,10 +304,16 @@ pub(super) struct VelocityAndForce<'a> {
 type ForceColumns = SVector<f64, 12>;
 
 impl<'a> VelocityAndForce<'a> {
-    pub fn by_accelerometer(flight: &'a Flight, attitude_late: f64, turned: [f64; 3]) -> Self {
+    /// With `specific_force`, and an attitude that is `attitude_late` (s) late and `turned` (rad).
+    pub fn by_accelerometer(
+        flight: &'a Flight,
+        specific_force: &Stream<Frd>,
+        attitude_late: f64,
+        turned: [f64; 3],
+    ) -> Self {
         let mut force = Stream::default();
         let turn = of_vector(vector(turned));
-        for (time, f) in flight.specific_force.iter() {
+        for (time, f) in specific_force.iter() {
             if let Some(attitude) = interpolated(&flight.attitude, time + attitude_late) {
                 force.push(time, (attitude.compose(turn), vector(f.to_array())));
             }

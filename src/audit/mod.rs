@@ -95,7 +95,7 @@ impl Audit {
         audit
     }
 
-    /// Every check of one flight by itself.
+    /// Audits one flight, except for the order of its outputs.
     fn of_one(flight: &Flight) -> Self {
         let responses = Responses::of(flight);
         let kinematics = Kinematics::of(flight);

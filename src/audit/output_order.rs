@@ -9,10 +9,11 @@
 
 use std::ops::Range;
 
-use nalgebra::{Matrix4, SMatrix, Vector4};
+use nalgebra::{Matrix4, SMatrix, Vector3, Vector4};
 
-use super::contrast::{Misfits, blocks_of, contrast, is_better};
+use super::contrast::{Misfits, certain_contrast};
 use super::rotors::{DelayedResponse, Responses};
+use super::weak::{blocks, span_s};
 use super::{Finding, Severity};
 use crate::log::import::RotorFact;
 
@@ -68,13 +69,14 @@ impl Reading {
 struct Moments {
     /// Power of the rotation about each axis.
     turning: [f64; 3],
-    /// Product of the rotation about each axis with each output.
+    /// Product of each output with the rotation about each axis.
     cross: SMatrix<f64, 4, 3>,
+    /// Product of each two outputs.
     outputs: Matrix4<f64>,
 }
 
 impl Moments {
-    fn of(pairs: &[(nalgebra::Vector3<f64>, Vector4<f64>)]) -> Self {
+    fn of(pairs: &[(Vector3<f64>, Vector4<f64>)]) -> Self {
         pairs.iter().fold(Self::default(), |mut sum, (turning, outputs)| {
             for axis in 0..3 {
                 sum.turning[axis] += turning[axis] * turning[axis];
@@ -116,12 +118,9 @@ pub(super) struct OutputMoments {
 
 impl OutputMoments {
     pub fn of(responses: &Responses) -> Self {
-        let blocks = blocks_of(&responses.times);
+        let blocks = blocks(span_s(&responses.times), responses.times.len());
         let of_one = |DelayedResponse { delay_s, pairs }: &DelayedResponse| {
-            let part = |part: usize| part * pairs.len() / blocks;
-            let moments =
-                (0..blocks).map(|block| Moments::of(&pairs[part(block)..part(block + 1)]));
-            (*delay_s, moments.collect())
+            (*delay_s, blocks.iter().map(|block| Moments::of(&pairs[block.clone()])).collect())
         };
         Self { delayed: responses.delayed.iter().map(of_one).collect() }
     }
@@ -166,12 +165,7 @@ pub(super) fn fault(
         flights.iter().flat_map(of_one).collect()
     };
     let stated = misfits(&Reading::STATED, AFTER);
-    let against = |other: Vec<f64>| {
-        let both = stated.iter().zip(other);
-        let blocks: Vec<Misfits> =
-            both.map(|(stated, other)| Misfits { stated: *stated, other }).collect();
-        contrast(&blocks).filter(is_better).map(|contrast| contrast.value)
-    };
+    let against = |other: Vec<f64>| certain_contrast(&Misfits::of_each(&stated, &other));
     let others = Reading::all().filter(|reading| *reading != Reading::STATED);
     let best = others
         .filter_map(|reading| Some((against(misfits(&reading, AFTER))?, reading)))

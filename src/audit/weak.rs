@@ -4,6 +4,8 @@
 //! left side is a weighted mean of the derivative, which another sensor measures. The right side
 //! needs only the stream itself. Shifting the bump of one side in time tries a delay.
 
+use std::ops::{Range, RangeInclusive};
+
 use nalgebra::{DMatrix, DVector, SMatrix, SVector, SymmetricEigen};
 
 use crate::log::import::Stream;
@@ -158,7 +160,7 @@ pub(super) fn half_width<const P: usize>(
 
 /// Range of the number of blocks of time that are left out in turn. Few blocks are long, so that
 /// the misfits of one hardly correlate with the next.
-const BLOCKS: std::ops::RangeInclusive<usize> = 4..=12;
+pub(super) const BLOCKS: RangeInclusive<usize> = 4..=12;
 /// Least length of a block, s: shorter ones correlate through the width of the bumps.
 const BLOCK_S: f64 = 1.5;
 /// Fewest rows of a fit.
@@ -187,9 +189,16 @@ pub(super) fn interval(blocks: usize) -> f64 {
     DEVIATIONS.get(blocks.saturating_sub(4)).copied().unwrap_or(2.20)
 }
 
-/// Number of blocks of a time of `span` seconds.
-pub(super) fn block_count(span: f64) -> usize {
-    ((span / BLOCK_S) as usize).clamp(*BLOCKS.start(), *BLOCKS.end())
+/// Time from the first to the last of ascending times, s.
+pub(super) fn span_s(times: &[f64]) -> f64 {
+    times.first().zip(times.last()).map_or(0.0, |(first, last)| last - first)
+}
+
+/// Blocks of `count` moments over `span` seconds, as ranges of their indices.
+pub(super) fn blocks(span: f64, count: usize) -> Vec<Range<usize>> {
+    let blocks = ((span / BLOCK_S) as usize).clamp(*BLOCKS.start(), *BLOCKS.end());
+    let within = |part: usize| part * count / blocks;
+    (0..blocks).map(|block| within(block)..within(block + 1)).collect()
 }
 
 /// Finds the unknowns by Gauss-Newton from `start`, along the directions that the rows show.
@@ -319,14 +328,12 @@ impl<const P: usize> IdentifiableDirections<P> {
     fn jackknife(&self, rows: &[Row<P>], normal: &NormalEquations<P>) -> SMatrix<f64, P, P> {
         let size = self.steps.len();
         let span = rows.first().zip(rows.last()).map_or(0.0, |(a, b)| b.time - a.time);
-        let blocks = block_count(span);
+        let blocks = blocks(span, rows.len());
         let mut covariance = SMatrix::zeros();
-        for block in 0..blocks {
-            let within = |part: usize| part * rows.len() / blocks;
-            let range = within(block)..within(block + 1);
+        for range in &blocks {
             let mut gram = DMatrix::<f64>::identity(size, size);
             let mut score = DVector::<f64>::zeros(size);
-            for (row, weight) in rows[range.clone()].iter().zip(&normal.weights[range]) {
+            for (row, weight) in rows[range.clone()].iter().zip(&normal.weights[range.clone()]) {
                 let slopes: Vec<SVector<f64, 3>> =
                     self.steps.iter().map(|step| row.slopes * step).collect();
                 for (i, a) in slopes.iter().enumerate() {
@@ -347,7 +354,8 @@ impl<const P: usize> IdentifiableDirections<P> {
                 self.steps.iter().zip(change.iter()).map(|(step, change)| step * *change).sum();
             covariance += change * change.transpose();
         }
-        covariance * (interval(blocks).powi(2) * (blocks - 1) as f64 / blocks as f64)
+        let count = blocks.len();
+        covariance * (interval(count).powi(2) * (count - 1) as f64 / count as f64)
     }
 }
 

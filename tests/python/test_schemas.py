@@ -79,7 +79,7 @@ def test_diagnosis_and_exam_sweep_output(schemas, flights, tmp_path):
     diagnoses, exam = tmp_path / "diagnoses.toml", tmp_path / "exam.toml"
     names = json.dumps([str(log) for log in logs[:2]])
     diagnoses.write_text(f'schema_version = 1\nof = "diagnose"\ntwins = 0\nvehicle = "{CRAZYFLIE}"\nlogs = {names}\n')
-    exam.write_text('schema_version = 1\nof = "exam"\ntwins = 0\ncases = 1\nnulls = 0\n')
+    exam.write_text('schema_version = 1\nof = "exam"\ntwins = 0\ncases = 1\nnulls = 1\n')
     for manifest, row_schema in [(diagnoses, "downwash.diagnose.row"), (exam, "downwash.exam.case")]:
         out = tmp_path / manifest.stem
         check(schemas, "downwash.sweep.summary", run("sweep", manifest, "--out", out, "--json"))
