@@ -48,12 +48,18 @@ pub struct Finding {
     pub advice: &'static str,
 }
 
+impl Finding {
+    /// What was found, and in which stream.
+    pub fn description(&self) -> String {
+        match self.stream {
+            Some(stream) => format!("{stream}: {}", self.what),
+            None => self.what.clone(),
+        }
+    }
+}
+
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: ", self.severity)?;
-        if let Some(stream) = self.stream {
-            write!(f, "{stream}: ")?;
-        }
-        write!(f, "{}; {}", self.what, self.advice)
+        write!(f, "{}: {}; {}", self.severity, self.description(), self.advice)
     }
 }

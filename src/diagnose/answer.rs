@@ -91,7 +91,7 @@ impl LogAnswer {
         Self {
             name: audit.run.clone(),
             tier: audit.tier,
-            faults: audit.faults().map(|finding| finding.what.clone()).collect(),
+            faults: audit.faults().map(|finding| finding.description()).collect(),
             findings: worth_a_word.map(ToString::to_string).collect(),
             untestable: untestable::of(flight, &audit.channels),
         }
