@@ -14,10 +14,11 @@ use rayon::prelude::*;
 use vehicle::VehicleParams;
 
 /// A vehicle's file and its flights.
-struct Case {
-    name: String,
-    vehicle: VehicleParams,
-    flights: Vec<Flight>,
+pub struct Case {
+    pub name: String,
+    pub vehicle_file: PathBuf,
+    pub vehicle: VehicleParams,
+    pub flights: Vec<Flight>,
 }
 
 fn sorted(folder: &Path) -> Vec<PathBuf> {
@@ -28,16 +29,18 @@ fn sorted(folder: &Path) -> Vec<PathBuf> {
 }
 
 /// The practice flights of real vehicles and of PX4 and ArduCopter, if they are beside the repository.
-fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<Case> {
     let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared");
     let sets = ["practice-autopilot", "practice-real", "practice-real-2"];
     let folders = sets.iter().flat_map(|set| sorted(&shared.join(set)));
     let case = |folder: PathBuf| {
         let logs = sorted(&folder).into_iter();
         let logs = logs.filter(|path| path.extension().is_some_and(|name| name == "tlog"));
+        let vehicle_file = folder.join("vehicle.json");
         Some(Case {
             name: folder.file_name()?.to_string_lossy().into_owned(),
-            vehicle: VehicleParams::load(folder.join("vehicle.json")).ok()?,
+            vehicle: VehicleParams::load(&vehicle_file).ok()?,
+            vehicle_file,
             flights: logs.map(|log| open(&log, None).expect("a flight")).collect(),
         })
     };

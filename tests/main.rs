@@ -28,6 +28,7 @@ mod compare;
 mod control_laws;
 mod control_riccati;
 mod demo_diagnose;
+mod diagnose_clocks;
 mod diagnose_fleet;
 mod diagnose_linearised;
 mod diagnose_next_flight;

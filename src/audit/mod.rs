@@ -5,6 +5,7 @@
 //! as effects of the vehicle.
 
 mod agreement;
+mod alignment;
 mod axes;
 mod contrast;
 mod conventions;
@@ -32,6 +33,7 @@ use self::rotors::Responses;
 use crate::learn::segments::Cut;
 use crate::log::import::{Flight, RotorFact};
 pub use agreement::{Agreement, Estimate};
+pub use alignment::{Shift, align};
 pub use finding::{Finding, Severity};
 pub use kinematics::Kinematics;
 pub use rates::Rates;
@@ -98,7 +100,8 @@ impl Audit {
     /// Audits one flight, except for the order of its outputs.
     fn of_one(flight: &Flight) -> Self {
         let responses = Responses::of(flight);
-        let kinematics = Kinematics::of(flight);
+        let fresh = flight.without_repeats();
+        let kinematics = Kinematics::of(&fresh);
         let channels = Channels::of(flight);
         let mut audit = Self {
             file: flight.origin.path.display().to_string(),
@@ -117,10 +120,10 @@ impl Audit {
             unusable: Vec::new(),
         };
         timing::check(flight, &mut audit);
-        values::check(flight, &mut audit);
+        values::check(flight, &fresh, &mut audit);
         vehicle::check(flight, &mut audit);
         motors::check(flight, &mut audit);
-        conventions::check(flight, &mut audit);
+        conventions::check(&fresh, &mut audit);
         audit.sort();
         audit
     }

@@ -31,7 +31,9 @@ const FORCE_MAX: f64 = 400.0;
 const SPEED_MAX: f64 = 150.0;
 const POSITION_MAX: f64 = 1e5;
 
-pub(super) fn check(flight: &Flight, audit: &mut Audit) {
+/// `fresh` is the flight without repeated values: where a slow source holds a value, the next is a
+/// step.
+pub(super) fn check(flight: &Flight, fresh: &Flight, audit: &mut Audit) {
     let bits = |v: [f64; 3]| v.map(f64::to_bits).to_vec();
     let ned = |v: &Ned| bits(v.to_array());
     let frd = |v: &Frd| bits(v.to_array());
@@ -42,7 +44,7 @@ pub(super) fn check(flight: &Flight, audit: &mut Audit) {
     repeated(flight, audit, "velocity", &flight.velocity, ned);
     repeated(flight, audit, "body_rate", &flight.body_rate, frd);
     repeated(flight, audit, "specific_force", &flight.specific_force, frd);
-    steps(flight, audit);
+    steps(fresh, audit);
     let size = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
     impossible(audit, "body_rate", &flight.body_rate, RATE_MAX, "rad/s", |v| size(v.to_array()));
     impossible(audit, "specific_force", &flight.specific_force, FORCE_MAX, "m/s^2", |v| {

@@ -1,6 +1,7 @@
 //! `downwash diagnose`: locates the gap, names the effect that causes it, and says how far it
 //! shrinks.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,7 +12,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::VehicleParams;
-use vehicle::effects::EffectSet;
+use vehicle::effects::{EffectSet, EstimatorLatency};
 
 use super::improved::{Additions, Form};
 use super::logs::{check_named, listed, open_for};
@@ -22,7 +23,7 @@ use super::vehicle_file::warn;
 use super::{
     Exit, ExitContext, config, error_text, print_json, print_status, print_text, write_file,
 };
-use crate::audit::{Audit, UnusableSpan};
+use crate::audit::{Audit, UnusableSpan, align};
 use crate::cli::{DiagnoseArgs, FailOnVerdict};
 use crate::diagnose::answer::text::report;
 use crate::diagnose::answer::{Answer, LogAnswer};
@@ -355,11 +356,27 @@ pub(super) fn audited(
     tell_apart(origins.map(|origin| (&mut origin.run, origin.path.as_path())));
     let mut audits = Audit::of_all(&flights);
     rotor_order::check(&mut audits, vehicle);
+    for flight in &mut flights {
+        if let Cow::Owned(fresh) = flight.without_repeats() {
+            *flight = fresh;
+        }
+    }
+    let latency = vehicle.modelled_effects.get::<EstimatorLatency>();
+    let shifts = align(&mut flights, &mut audits, latency.map_or(0.0, |latency| latency.latency_s));
+    for (flight, shifts) in flights.iter().zip(&shifts).filter(|(_, shifts)| !shifts.is_empty()) {
+        let each: Vec<String> = shifts.iter().map(ToString::to_string).collect();
+        print_status(format_args!(
+            "{}: streams are on different clocks; shifting {}",
+            flight.origin.path.display(),
+            each.join(", ")
+        ));
+    }
     let mut logs: Vec<AuditedLog> = flights
         .into_par_iter()
         .zip(audits)
-        .map(|(flight, audit)| AuditedLog {
-            audit: Some(LogAnswer::of(&audit, &flight)),
+        .zip(shifts)
+        .map(|((flight, audit), shifts)| AuditedLog {
+            audit: Some(LogAnswer::of(&audit, &flight, shifts)),
             flight: prepare(flight, &audit, vehicle),
         })
         .collect();

@@ -13,7 +13,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use vehicle::effects::{EffectId, ParameterValue};
 
-use crate::audit::{Audit, Severity, Tier};
+use crate::audit::{Audit, Severity, Shift, Tier};
 use crate::diagnose::discovery::law::LawAnswer;
 use crate::diagnose::flights::input::DiagnosisInput;
 use crate::diagnose::flights::preparation::{Channels, PreparedFlight};
@@ -79,20 +79,23 @@ pub struct LogAnswer {
     pub faults: Vec<String>,
     /// Problems of the data and the measurement above the level of a note, with remedies.
     pub findings: Vec<String>,
+    /// Streams on another clock than the others: their times were shifted before any fit.
+    pub shifts: Vec<Shift>,
     /// Effects that its channels cannot show.
     #[serde(skip)]
     pub untestable: Vec<Untestable>,
 }
 
 impl LogAnswer {
-    /// The audit's findings, with the effects that `flight` cannot show.
-    pub fn of(audit: &Audit, flight: &Flight) -> Self {
+    /// The audit's findings, with the shifts of its streams and the effects that `flight` cannot show.
+    pub fn of(audit: &Audit, flight: &Flight, shifts: Vec<Shift>) -> Self {
         let worth_a_word = audit.findings.iter().filter(|f| f.severity > Severity::Note);
         Self {
             name: audit.run.clone(),
             tier: audit.tier,
             faults: audit.faults().map(|finding| finding.description()).collect(),
             findings: worth_a_word.map(ToString::to_string).collect(),
+            shifts,
             untestable: untestable::of(flight, &audit.channels),
         }
     }

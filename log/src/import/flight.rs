@@ -1,5 +1,6 @@
 //! One recorded flight: streams at their native rates on the vehicle's clock.
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 
 use message::setpoint::Reference;
@@ -221,6 +222,21 @@ impl Flight {
             left_out: Vec::new(),
             losses: Vec::new(),
         }
+    }
+
+    /// The flight without repeated values of pose and inertial unit. Outputs and setpoints are held
+    /// in truth.
+    pub fn without_repeats(&self) -> Cow<'_, Self> {
+        let mut flight = Cow::Borrowed(self);
+        macro_rules! drop_repeats {
+            ($($stream:ident)*) => {$(
+                if let Some(fresh) = self.$stream.without_repeats() {
+                    flight.to_mut().$stream = fresh;
+                }
+            )*};
+        }
+        drop_repeats!(attitude position velocity body_rate specific_force);
+        flight
     }
 
     /// Whether any stream of motion, commands, reference or truth has samples.

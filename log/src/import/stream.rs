@@ -8,6 +8,11 @@ const PAUSE_PERIODS: f64 = 20.0;
 /// Factor between two rates that lost samples and rounded stamps do not explain.
 const CLEARLY_MORE: f64 = 1.05;
 
+/// Least share of samples with the value before of a stream that repeats values.
+const REPEATED_SHARE_MIN: f64 = 0.05;
+/// Longest time over which a logger repeats a value, s.
+const HELD_MAX_S: f64 = 0.15;
+
 /// Samples of one quantity in order of time.
 ///
 /// Times are in seconds on the vehicle's clock, finite and strictly increasing. The importer drops
@@ -147,6 +152,27 @@ impl<T> Stream<T> {
         self
     }
 
+    /// The stream without samples that repeat the value before, as loggers write that are faster than
+    /// their source; `None` if few do. A repeat at most every [`HELD_MAX_S`] stays: a value may also
+    /// be constant.
+    pub fn without_repeats(&self) -> Option<Self>
+    where
+        T: PartialEq + Clone,
+    {
+        let repeats = self.values.windows(2).filter(|pair| pair[0] == pair[1]).count();
+        if (repeats as f64) < REPEATED_SHARE_MIN * self.len() as f64 {
+            return None;
+        }
+        let mut fresh = Self::default();
+        for (time, value) in self.iter() {
+            let is_held = fresh.times.last().is_some_and(|last| time - last < HELD_MAX_S);
+            if !is_held || fresh.values.last() != Some(value) {
+                fresh.push(time, value.clone());
+            }
+        }
+        Some(fresh)
+    }
+
     /// Median time between samples in s; `None` with fewer than two samples.
     pub fn period(&self) -> Option<f64> {
         let mut gaps: Vec<f64> = self.times.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -161,6 +187,22 @@ impl<T> Stream<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn repeats_of_a_slow_source_are_dropped() {
+        let held = |period: u32| {
+            let mut stream = Stream::default();
+            (0..400_u32).for_each(|k| assert!(stream.push(0.01 * f64::from(k), k / period)));
+            stream
+        };
+        let fresh = held(10).without_repeats().expect("repeats");
+        assert_eq!(fresh.len(), 40);
+        assert!(fresh.iter().all(|(time, value)| (time - 0.1 * f64::from(*value)).abs() < 1e-9));
+        assert_eq!(held(1).without_repeats(), None);
+        // A constant value leaves no gap.
+        let constant = held(400).without_repeats().expect("repeats");
+        assert!(constant.times().windows(2).all(|pair| pair[1] - pair[0] < 0.161));
+    }
 
     #[test]
     fn stream_keeps_only_later_finite_samples() {

@@ -120,6 +120,11 @@ impl Layout {
         layout
     }
 
+    /// Frequency up to which a channel is used, Hz; 0 where the log lacks it.
+    pub fn limit_hz(&self, channel: usize) -> f64 {
+        self.limits[channel]
+    }
+
     /// Whether any coefficient of this channel is used.
     pub fn has(&self, channel: usize) -> bool {
         self.limits[channel] > 0.0

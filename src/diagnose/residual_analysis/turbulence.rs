@@ -56,7 +56,9 @@ pub fn gusts(
         return None;
     }
     let mass = all.value(EffectId::Mass, "mass_kg", 0).unwrap_or(vehicle.mass);
-    let share = Gusts::neutral().share_of_power(FORCE_MIN_HZ, FORCE_MAX_HZ);
+    // Slow samples resolve fewer bands.
+    let [_, upper, _] = force.bands.last()?;
+    let share = Gusts::neutral().share_of_power(FORCE_MIN_HZ, upper.min(FORCE_MAX_HZ));
     drag.gusts((0.5 * (north + east) / share).sqrt() * mass)
 }
 

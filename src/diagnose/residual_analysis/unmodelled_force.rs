@@ -76,7 +76,8 @@ pub fn unmodelled_force(
             let [velocity, force] =
                 [VELOCITY, FORCE].map(|first| [0, 1, 2].map(|axis| &series[first + axis]));
             let force = in_world(flight, block, candidate, force);
-            CrossPowers::of(&transform, velocity.map(Vec::clone), force)
+            let limit = layout.limit_hz(VELOCITY).min(layout.limit_hz(FORCE));
+            CrossPowers::of(&transform, velocity.map(Vec::clone), force, limit)
         })
         .collect();
     Some(CrossPowers::sum(&of_blocks).force())
@@ -122,16 +123,22 @@ impl CrossPower {
     }
 }
 
-/// Cross powers by band and axis.
+/// Powers by axis.
 #[derive(Clone, Debug, Default)]
-struct CrossPowers([[CrossPower; 3]; BANDS.len()]);
+struct CrossPowers {
+    /// By band, up to the frequency that the samples resolve.
+    bands: [[CrossPower; 3]; BANDS.len()],
+    /// Sum of squares of the accelerometer's coefficients above the forces' bands, and their number.
+    accelerometer: [[f64; 2]; 3],
+}
 
 impl CrossPowers {
-    /// Sums over one block, by axis.
+    /// Sums over one block, where the samples resolve forces up to `limit`, Hz.
     fn of(
         transform: &CosineTransform,
         mut velocity: [Vec<f64>; 3],
         mut force: [Vec<f64>; 3],
+        limit: f64,
     ) -> Self {
         let mut sums = Self::default();
         for (axis, (v, f)) in velocity.iter_mut().zip(&mut force).enumerate() {
@@ -140,8 +147,14 @@ impl CrossPowers {
                 let frequency = frequency(k, v.len());
                 let is_used = (FORCE_MIN_HZ..NOISE_MAX_HZ).contains(&frequency);
                 let Some(band) = band(frequency).filter(|_| is_used) else { continue };
-                let one = CrossPower { product: a * b, squares: [a * a, b * b], count: 1.0 };
-                sums.0[band][axis].add(&one);
+                if frequency >= FORCE_MAX_HZ {
+                    let [squares, count] = &mut sums.accelerometer[axis];
+                    (*squares, *count) = (*squares + b * b, *count + 1.0);
+                }
+                if frequency < limit {
+                    let one = CrossPower { product: a * b, squares: [a * a, b * b], count: 1.0 };
+                    sums.bands[band][axis].add(&one);
+                }
             }
         }
         sums
@@ -150,8 +163,11 @@ impl CrossPowers {
     fn sum(all: &[Self]) -> Self {
         let mut total = Self::default();
         for sums in all {
-            let pairs = total.0.iter_mut().flatten().zip(sums.0.iter().flatten());
+            let pairs = total.bands.iter_mut().flatten().zip(sums.bands.iter().flatten());
             pairs.for_each(|(total, sum)| total.add(sum));
+            let pairs =
+                total.accelerometer.iter_mut().flatten().zip(sums.accelerometer.iter().flatten());
+            pairs.for_each(|(total, sum)| *total += sum);
         }
         total
     }
@@ -165,7 +181,7 @@ impl CrossPowers {
             bands: Vec::new(),
         };
         let mut variance: f64 = 0.0;
-        for (band, axes) in self.0.iter().enumerate() {
+        for (band, axes) in self.bands.iter().enumerate() {
             let [lower, upper] = edges(band);
             if lower >= FORCE_MAX_HZ {
                 break;
@@ -195,14 +211,54 @@ impl CrossPowers {
     }
 
     /// Product of both per coefficient above the forces' bands: an estimator that integrates the
-    /// accelerometer puts its white noise into the velocity too.
+    /// accelerometer puts its white noise into the velocity too. Where the velocity's samples do not
+    /// resolve these bands, it may contain all of that noise.
     fn shared_noise(&self, axis: usize) -> f64 {
         let mut above = CrossPower::default();
-        for (band, axes) in self.0.iter().enumerate() {
+        for (band, axes) in self.bands.iter().enumerate() {
             if edges(band)[0] >= FORCE_MAX_HZ {
                 above.add(&axes[axis]);
             }
         }
-        if above.count > 0.0 { (above.product / above.count).max(0.0) } else { 0.0 }
+        let [squares, count] = self.accelerometer[axis];
+        match (above.count > 0.0, count > 0.0) {
+            (true, _) => (above.product / above.count).max(0.0),
+            (false, true) => squares / count,
+            (false, false) => 0.0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::flights::normal_draws::standard_normals;
+    use crate::diagnose::flights::spectrum::CELL_S;
+    use rand::SeedableRng;
+    use rand_pcg::Pcg64Mcg;
+
+    /// The force of two sensors that share white noise and a force of `swing` m/s^2 at 0.6 Hz, where
+    /// samples resolve up to `limit`, Hz.
+    fn force(swing: f64, limit: f64) -> UnmodelledForce {
+        let mut rng = Pcg64Mcg::seed_from_u64(3);
+        let shared: [Vec<f64>; 3] = std::array::from_fn(|_| {
+            let sample = |k: usize| {
+                let phase = std::f64::consts::TAU * 0.6 * k as f64 * CELL_S;
+                standard_normals::<1>(&mut rng)[0] + swing * phase.sin()
+            };
+            (0..1024).map(sample).collect()
+        });
+        CrossPowers::of(&CosineTransform::default(), shared.clone(), shared, limit).force()
+    }
+
+    #[test]
+    fn shared_noise_is_no_force_however_slow_the_samples() {
+        for limit in [30.0, 3.0] {
+            let [still, swinging] = [0.0, 1.0].map(|swing| force(swing, limit));
+            assert!(still.significance() < 3.0, "{limit}: {still:?}");
+            assert!(swinging.significance() > 6.0, "{limit}: {swinging:?}");
+            let top = still.bands.last().expect("bands")[0];
+            assert!(top < limit.min(FORCE_MAX_HZ), "{limit}: {top}");
+        }
     }
 }
