@@ -16,6 +16,8 @@ use crate::rotor::Lag;
 
 /// Steps between updates of the pack. 4 ms is short compared with the rotors' lag.
 pub(crate) const BATTERY_STEPS: u64 = 4;
+/// [`Plant::STEP`] in us.
+const STEP_US: u64 = 1000;
 
 /// Where the vehicle starts, at rest and level.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -52,7 +54,10 @@ pub struct Plant {
     full_voltage: f64,
     max_rpm: Option<f64>,
     /// Whether the midpoint rule replaces RK4 in free flight.
-    coarse: bool,
+    is_midpoint: bool,
+    /// Length of a step, us and s.
+    step_us: u64,
+    step_s: f64,
     spin: [f64; ROTORS],
     state: State,
     rotors: [f64; ROTORS],
@@ -66,7 +71,7 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// Length of an integration step in s.
+    /// Length of a step in s, unless [midpoint](Self::midpoint) sets another.
     pub const STEP: f64 = 1e-3;
 
     /// A vehicle at its start, rotors at rest. `truth` adds to or overrides the file's
@@ -104,7 +109,9 @@ impl Plant {
             gravity: vehicle.gravity,
             full_voltage: vehicle.battery.full_v,
             max_rpm: vehicle.rotor_max_rpm,
-            coarse: false,
+            is_midpoint: false,
+            step_us: STEP_US,
+            step_s: Self::STEP,
             spin: physics.constants().rotors.map(|rotor| rotor.spin),
             loads: physics.loads(&[0.0; ROTORS], &environment),
             physics,
@@ -123,10 +130,14 @@ impl Plant {
         Self { floor: self.floor.out_of_reach(), ..self }
     }
 
-    /// Integrates with the midpoint rule, which deviates from RK4 by about 1e-5 of the motion in a
-    /// second. It suits large numbers of flights whose noise is far above that.
-    pub fn coarse(self) -> Self {
-        Self { coarse: true, ..self }
+    /// Integrates with the midpoint rule in steps of `step_us`, us. With 1 ms it deviates from RK4 by
+    /// about 1e-5 of the motion in a second, with 2 ms by four times that. It suits large numbers of
+    /// flights whose noise is far above that. Gusts need steps of [`Plant::STEP`].
+    pub fn midpoint(self, step_us: u64) -> Self {
+        debug_assert!(self.turbulence.is_none() || step_us == STEP_US, "gusts are drawn for 1 ms");
+        let step_s = step_us as f64 * 1e-6;
+        let lag = Lag::new(self.physics.constants().motor_time_constant, step_s);
+        Self { is_midpoint: true, step_us, step_s, lag, ..self }
     }
 
     /// Adds a disturbance from outside the catalogue from now on; `seed` seeds its random part.
@@ -139,7 +150,7 @@ impl Plant {
 
     /// Replaces the vehicle from now on; the state, the pack and the disturbances stay.
     pub fn become_vehicle(&mut self, physics: Physics) {
-        self.lag = Lag::new(physics.constants().motor_time_constant, Self::STEP);
+        self.lag = Lag::new(physics.constants().motor_time_constant, self.step_s);
         self.environment.air_velocity += physics.wind() - self.physics.wind();
         self.environment.voltage_factor = physics.voltage_factor(self.battery.voltage());
         self.physics = physics;
@@ -179,13 +190,13 @@ impl Plant {
         };
         let mut air_velocity = Ned::default();
         for foreign in &mut self.foreign {
-            foreign.advance(&around, Self::STEP);
+            foreign.advance(&around, self.step_s);
             air_velocity += foreign.air_velocity();
         }
         air_velocity
     }
 
-    /// Advances by [`Plant::STEP`] with the motor outputs held. Clips outputs to 0..=1 and treats
+    /// Advances by one step with the motor outputs held. Clips outputs to 0..=1 and treats
     /// NaN as 0. The state stays finite: loads that a step cannot integrate, such as those of a law
     /// that spins the body ever faster, leave it as it is.
     pub fn step(&mut self, outputs: [f64; ROTORS]) {
@@ -204,12 +215,12 @@ impl Plant {
         if self.steps.is_multiple_of(BATTERY_STEPS) {
             self.draw_power();
         }
-        let (rotors, step) = (&self.rotors, Self::STEP);
+        let (rotors, step) = (&self.rotors, self.step_s);
         let followed =
             self.foreign.iter_mut().find_map(|foreign| foreign.follow(rotors, &outputs, step));
         let next = if self.lag.is_none() && followed.is_none() {
             let end = self.loads_of(&outputs);
-            let loads = self.physics.sudden_loads(self.loads, end, Self::STEP);
+            let loads = self.physics.sudden_loads(self.loads, end, step);
             self.rotors = outputs;
             self.loads = end;
             self.integrate(&loads)
@@ -217,7 +228,7 @@ impl Plant {
             let [middle, end] =
                 followed.unwrap_or_else(|| self.lag.advance(&self.rotors, &outputs));
             let loads = [self.loads, self.loads_of(&middle), self.loads_of(&end)];
-            let loads = self.physics.lagged_loads(loads, Self::STEP);
+            let loads = self.physics.lagged_loads(loads, step);
             self.rotors = end;
             self.loads = loads[2];
             self.integrate(&loads)
@@ -230,7 +241,7 @@ impl Plant {
 
     fn draw_power(&mut self) {
         let thrusts = self.rotor_thrusts();
-        self.battery.advance(self.power.power(&thrusts), BATTERY_STEPS as f64 * Self::STEP);
+        self.battery.advance(self.power.power(&thrusts), BATTERY_STEPS as f64 * self.step_s);
         self.apply_voltage();
     }
 
@@ -246,17 +257,17 @@ impl Plant {
     /// The state one step later, given the loads at the start, middle and end.
     #[inline]
     fn integrate(&self, loads: &[Loads<f64>; 3]) -> State {
-        if self.foreign.is_empty() && self.floor.is_clear(&self.state, Self::STEP) {
+        if self.foreign.is_empty() && self.floor.is_clear(&self.state, self.step_s) {
             let slope = |state: &State, stage: Stage| {
                 self.physics.accelerations_under(state, &loads[stage.index()], &self.environment)
             };
-            if self.coarse {
-                midpoint(&self.state, Self::STEP, slope)
+            if self.is_midpoint {
+                midpoint(&self.state, self.step_s, slope)
             } else {
-                rk4(&self.state, Self::STEP, slope)
+                rk4(&self.state, self.step_s, slope)
             }
         } else {
-            rk4(&self.state, Self::STEP, |state: &State, stage: Stage| {
+            rk4(&self.state, self.step_s, |state: &State, stage: Stage| {
                 self.slope(state, &loads[stage.index()])
             })
         }
@@ -399,11 +410,11 @@ impl Plant {
 
     /// Time since the start in s.
     pub fn time(&self) -> f64 {
-        self.steps as f64 * Self::STEP
+        self.steps as f64 * self.step_s
     }
 
     /// Time since the start in whole microseconds, exact.
     pub fn time_us(&self) -> u64 {
-        self.steps * 1000
+        self.steps * self.step_us
     }
 }

@@ -244,7 +244,7 @@ mod tests {
         let shared: [Vec<f64>; 3] = std::array::from_fn(|_| {
             let sample = |k: usize| {
                 let phase = std::f64::consts::TAU * 0.6 * k as f64 * CELL_S;
-                standard_normals::<1>(&mut rng)[0] + swing * phase.sin()
+                0.2 * standard_normals::<1>(&mut rng)[0] + swing * phase.sin()
             };
             (0..1024).map(sample).collect()
         });

@@ -95,7 +95,7 @@ impl Simulator {
     /// The errors of at most `most` windows of flights.
     fn at_most(&self, most: usize, flights: &[PreparedFlight]) -> Vec<Window> {
         windows(most, flights, |index, start| {
-            let flight = &flights[index];
+            let (flight, start) = (&flights[index], self.start_from(start));
             let from = reported(flight, start, self.latency());
             let predicted = self.predict(flight, start, &from, None)?;
             Some(std::array::from_fn(|h| {
@@ -155,6 +155,7 @@ impl Simulator {
         draw: &NoiseDraw<'_>,
     ) -> Option<Window> {
         let mut rng = Pcg64Mcg::seed_from_u64(draw.seed ^ start.to_bits());
+        let start = self.start_from(start);
         let bias = draw.gyro_bias;
         let truth = with_added_rate(-bias, reported(flight, start, self.latency()));
         let sensed = LoopNoise::new(draw, rng.random());

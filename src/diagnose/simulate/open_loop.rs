@@ -31,10 +31,14 @@ use crate::log::import::{AttitudeSetpoint, Stream};
 pub const HORIZONS_S: [f64; 3] = [0.1, 0.5, 1.0];
 /// Time before a start that delays and lags reach back to, s.
 pub(in crate::diagnose) const MARGIN_S: f64 = 0.4;
-/// Steps of the plant between evaluations of a learner.
-const LEARNER_STEPS: usize = 10;
-/// Steps between readings of the pack's voltage, which changes slowly compared with this.
-const VOLTAGE_STEPS: usize = 20;
+/// Steps of the plant, us: the second where the ticks of the on-board loop are not multiples of the
+/// first.
+const STEP_US: u64 = 2000;
+const SHORT_STEP_US: u64 = 1000;
+/// Time between evaluations of a learner, s.
+const LEARNER_S: f64 = 0.01;
+/// Time between readings of the pack's voltage, which changes slowly compared with this, s.
+const VOLTAGE_S: f64 = 0.02;
 /// Time constants after which rotors forget their states.
 const MEMORY: f64 = 6.0;
 
@@ -42,6 +46,8 @@ const MEMORY: f64 = 6.0;
 #[derive(Clone, Debug)]
 pub struct Simulator {
     plant: Plant,
+    /// Length of the plant's steps, s.
+    step_s: f64,
     /// The on-board loop and its rate, Hz; without it, logged outputs drive the plant.
     law: Option<(AttitudeLoop, f64)>,
     /// Rotation from the true attitude to the reported one.
@@ -71,10 +77,7 @@ impl Simulator {
         effects: &EffectSet,
         setpoint_leg: bool,
     ) -> Result<Self, VehicleError> {
-        let mut calm = effects.clone();
-        // A draw of turbulence differs from the flight's.
-        calm.remove(Gusts::ID);
-        let all = vehicle.modelled_effects.overlay(&calm);
+        let all = vehicle.modelled_effects.overlay(effects);
         let law = match vehicle.attitude_pd.filter(|_| setpoint_leg) {
             Some(pd) => {
                 let gains = all.get::<PdGain>().map_or(pd, |gains| gains.apply(&pd));
@@ -82,8 +85,14 @@ impl Simulator {
             }
             None => None,
         };
+        let fits = |(_, rate_hz): &(AttitudeLoop, f64)| {
+            let steps = 1e6 / rate_hz / STEP_US as f64;
+            steps >= 1.0 - 1e-9 && (steps - steps.round()).abs() < 1e-9
+        };
+        let step_us = if law.as_ref().is_none_or(fits) { STEP_US } else { SHORT_STEP_US };
         Ok(Self {
-            plant: Plant::new(vehicle, &calm, &Setup::default(), 0)?.airborne().coarse(),
+            plant: calm_plant(vehicle, effects, step_us)?,
+            step_s: step_us as f64 * 1e-6,
             law,
             trim: all.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
             latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
@@ -104,9 +113,7 @@ impl Simulator {
         vehicle: &VehicleParams,
         effects: &EffectSet,
     ) -> Result<Self, VehicleError> {
-        let mut calm = effects.clone();
-        calm.remove(Gusts::ID);
-        let plant = Plant::new(vehicle, &calm, &Setup::default(), 0)?.airborne().coarse();
+        let plant = calm_plant(vehicle, effects, (1e6 * self.step_s).round() as u64)?;
         Ok(Self { plant, ..self })
     }
 
@@ -136,6 +143,13 @@ impl Simulator {
         self.latency
     }
 
+    /// The first start of a prediction from `start` on: at a tick of the on-board loop, which then
+    /// ticks with the plant's steps.
+    pub(in crate::diagnose) fn start_from(&self, start: f64) -> f64 {
+        let Some((_, rate_hz)) = self.law else { return start };
+        ((start - self.latency - TICK_TOLERANCE_S) * rate_hz).ceil() / rate_hz + self.latency
+    }
+
     /// Rotation from the true attitude to the reported one.
     pub(in crate::diagnose) fn trim(&self) -> Attitude {
         self.trim
@@ -157,14 +171,15 @@ impl Simulator {
             (self.metric != Metric::Mean).then(|| ReportedRotation::new(self, &plant, flight));
         let mut inputs = Inputs::new(self, flight, sensed);
         let mut voltage = flight.channels.voltage.then(|| flight.voltage.cursor());
-        let steps = (HORIZONS_S[2] / Plant::STEP).round() as usize;
+        let steps_in = |time: f64| (time / self.step_s).round() as usize;
+        let (learner_steps, voltage_steps) = (steps_in(LEARNER_S), steps_in(VOLTAGE_S));
         let mut reported = [State::default(); 3];
         let mut learned = (Ned::zero(), Frd::zero());
         let mut next = 0;
-        for k in 0..steps {
-            let time = start + k as f64 * Plant::STEP;
+        for k in 0..steps_in(HORIZONS_S[2]) {
+            let time = start + k as f64 * self.step_s;
             let outputs = inputs.at(time, plant.state())?;
-            if let Some(voltage) = voltage.as_mut().filter(|_| k % VOLTAGE_STEPS == 0) {
+            if let Some(voltage) = voltage.as_mut().filter(|_| k % voltage_steps == 0) {
                 let [volts] = voltage.at(time);
                 plant.hold_voltage(volts);
                 rotated.iter_mut().for_each(|rotated| rotated.plant.hold_voltage(volts));
@@ -172,15 +187,15 @@ impl Simulator {
             rotated.iter_mut().for_each(|rotated| rotated.step(time, outputs));
             plant.step(outputs);
             if let Some(learner) = &self.learner {
-                if k % LEARNER_STEPS == 0 {
+                if k % learner_steps == 0 {
                     learned = learner.accelerations(plant.state(), outputs);
                 }
-                apply_accelerations(&mut plant, learned);
-                rotated
-                    .iter_mut()
-                    .for_each(|rotated| apply_accelerations(&mut rotated.plant, learned));
+                apply_accelerations(&mut plant, learned, self.step_s);
+                rotated.iter_mut().for_each(|rotated| {
+                    apply_accelerations(&mut rotated.plant, learned, self.step_s)
+                });
             }
-            if k + 1 == (HORIZONS_S[next] / Plant::STEP).round() as usize {
+            if k + 1 == steps_in(HORIZONS_S[next]) {
                 let state = *plant.state();
                 let moved = rotated.as_ref().map_or(&state, |rotated| rotated.plant.state());
                 reported[next] = State {
@@ -200,8 +215,8 @@ impl Simulator {
     fn plant_at(&self, flight: &PreparedFlight, start: f64, from: &State) -> Plant {
         let mut plant = self.plant.clone();
         let tau = plant.physics().constants().motor_time_constant;
-        let memory = ((MEMORY * tau).min(MARGIN_S) / Plant::STEP).ceil() as usize;
-        let before = start - memory as f64 * Plant::STEP;
+        let memory = ((MEMORY * tau).min(MARGIN_S) / self.step_s).ceil() as usize;
+        let before = start - memory as f64 * self.step_s;
         let mut logged = flight.outputs.cursor();
         plant.set_rotor_states(logged.at(before - self.output_delay()));
         if flight.channels.voltage {
@@ -209,7 +224,7 @@ impl Simulator {
             plant.hold_voltage(volts);
         }
         for k in 0..memory {
-            let time = before + (k as f64 + 0.5) * Plant::STEP;
+            let time = before + (k as f64 + 0.5) * self.step_s;
             plant.step(logged.at(time - self.output_delay()));
         }
         plant.set_clock(start);
@@ -224,12 +239,25 @@ impl Simulator {
     }
 }
 
-/// Adds a learner's accelerations over one step of the plant.
-fn apply_accelerations(plant: &mut Plant, (linear, angular): (Ned, Frd)) {
+/// A vehicle in the air, in steps of `step_us`, us. It has no gusts: a draw of turbulence differs
+/// from the flight's.
+fn calm_plant(
+    vehicle: &VehicleParams,
+    effects: &EffectSet,
+    step_us: u64,
+) -> Result<Plant, VehicleError> {
+    let (mut vehicle, mut effects) = (vehicle.clone(), effects.clone());
+    vehicle.modelled_effects.remove(Gusts::ID);
+    effects.remove(Gusts::ID);
+    Ok(Plant::new(&vehicle, &effects, &Setup::default(), 0)?.airborne().midpoint(step_us))
+}
+
+/// Adds a learner's accelerations over one step of the plant of `step_s`, s.
+fn apply_accelerations(plant: &mut Plant, (linear, angular): (Ned, Frd), step_s: f64) {
     let state = *plant.state();
     plant.set_state(State {
-        velocity: state.velocity + linear * Plant::STEP,
-        body_rate: state.body_rate + angular * Plant::STEP,
+        velocity: state.velocity + linear * step_s,
+        body_rate: state.body_rate + angular * step_s,
         ..state
     });
 }
@@ -279,7 +307,11 @@ impl<'a> Inputs<'a> {
     ) -> Self {
         match &simulator.law {
             None => {
-                Self::Logged { outputs: flight.outputs.cursor(), delay: simulator.output_delay() }
+                Self::Logged {
+                    outputs: flight.outputs.cursor(),
+                    // To the middle of a step.
+                    delay: simulator.output_delay() - 0.5 * simulator.step_s,
+                }
             }
             Some((law, rate_hz)) => Self::Loop(Loop {
                 law,
@@ -297,7 +329,7 @@ impl<'a> Inputs<'a> {
     /// force.
     fn at(&mut self, time: f64, state: &State) -> Option<[f64; ROTORS]> {
         match self {
-            Self::Logged { outputs, delay } => Some(outputs.at(time + 0.5 * Plant::STEP - *delay)),
+            Self::Logged { outputs, delay } => Some(outputs.at(time - *delay)),
             Self::Loop(onboard) => onboard.at(time, state),
         }
     }

@@ -78,7 +78,7 @@ impl Replica {
         let (vehicle, overlay) = catalogue.vehicle_of(values);
         let config = SitlConfig { sensors: noise.sensors(), ..SitlConfig::default() };
         Ok(Self {
-            plant: Plant::new(&vehicle, &overlay, &config.plant(), 0)?.airborne().coarse(),
+            plant: Plant::new(&vehicle, &overlay, &config.plant(), 0)?.airborne().midpoint(1000),
             effects: vehicle.modelled_effects.overlay(&overlay),
             config,
             attitude_loop: onboard.with_gains(candidate.gains),

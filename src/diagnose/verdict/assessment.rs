@@ -112,11 +112,12 @@ impl DiagnosisContext<'_> {
                 let value = fit.values[*index];
                 let near = 1e-3 * number.magnitude;
                 let off = (value - number.reference).abs() > near;
-                // An absent effect of the file is at a bound, but that is a valid value, as is no delay
-                // or no lag.
+                // An absent effect of the file is at a bound, but that is a valid value, as is no delay.
+                // No lag is not: where a rotor follows at once, the outputs were logged late.
+                let is_lag = number.target == Target::Effect(EffectId::MotorLag, 0);
                 let is_absent =
                     number.target.absent().is_some_and(|absent| (value - absent).abs() < near)
-                        || low == 0.0 && value < near;
+                        || low == 0.0 && value < near && !is_lag;
                 Found {
                     effect: hypothesis.effect.name().to_owned(),
                     name: number.target.name(),
