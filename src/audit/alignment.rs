@@ -10,7 +10,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::{Audit, Estimate};
+use super::{Agreement, Audit, Estimate, Kinematics};
 use crate::log::import::{Flight, Stream};
 
 /// Least differences that are removed, s: below, a fit's own latency and the errors of stamps cover
@@ -36,17 +36,13 @@ pub struct Shift {
 /// that they have in common, and with them the unusable times of their audits. `stated_s` is the
 /// latency that the vehicle's file states. Returns the shifts of each flight.
 pub fn align(flights: &mut [Flight], audits: &mut [Audit], stated_s: f64) -> Vec<Vec<Shift>> {
-    let delays = |of: fn(&Audit) -> Option<Estimate>| {
-        pooled(
-            &audits
-                .iter()
-                .map(|audit| of(audit).filter(|_| !audit.is_faulty()))
-                .collect::<Vec<_>>(),
-        )
+    let delays = |of: fn(&Kinematics) -> Option<Agreement>| {
+        let sound = audits.iter().map(|audit| (!audit.is_faulty()).then_some(&audit.kinematics));
+        pooled(&sound.map(|kinematics| Some(of(kinematics?)?.delay_s)).collect::<Vec<_>>())
     };
-    let attitude = delays(|audit| Some(audit.kinematics.attitude?.delay_s));
-    let velocity = delays(|audit| Some(audit.kinematics.velocity?.delay_s));
-    let position = delays(|audit| Some(audit.kinematics.position?.delay_s));
+    let attitude = delays(|kinematics| kinematics.attitude);
+    let velocity = delays(|kinematics| kinematics.velocity);
+    let position = delays(|kinematics| kinematics.position);
     // The mean nearer to the stated latency; negative where filters delay the inertial unit.
     let means = [&attitude, &velocity].map(|pool| Some(pool.as_ref()?.mean.value));
     let off = |latency: &f64| (latency - stated_s).abs();
