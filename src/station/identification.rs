@@ -60,7 +60,10 @@ impl Station {
                 self.session.request(now, Request::ReadParameter(name));
             }
         }
-        if is_known || self.end.is_some() {
+        // A new controller implies a commanded flight, and this one is over, though its cause may not
+        // be known yet: the vehicle would take off again by itself.
+        let is_over = self.settings.policy == EngagePolicy::Command && self.over_in.is_some();
+        if is_known || is_over || self.end.is_some() {
             return;
         }
         let response = self.settings.control.attitude_response_rad_s;
