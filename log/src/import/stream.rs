@@ -153,8 +153,8 @@ impl<T> Stream<T> {
     }
 
     /// The stream without samples that repeat the value before, as loggers write that are faster than
-    /// their source; `None` if few do. A repeat at most every [`HELD_MAX_S`] stays: a value may also
-    /// be constant.
+    /// their source; `None` if few do. A repeat every 0.15 s stays: a value may also be
+    /// constant.
     pub fn without_repeats(&self) -> Option<Self>
     where
         T: PartialEq + Clone,
