@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::LazyLock;
 
 use crate::{damage, lockstep};
-use downwash::audit::{Audit, Channels, Estimate, Severity, Shift, Tier, align};
+use downwash::audit::{Audit, Channels, Estimate, Severity, Tier};
 use downwash::diagnose::flights::rotor_order;
 use downwash::diagnose::verdict::untestable;
 use downwash::log::import::{Flight, MotorUnit, Stream, open, write};
@@ -56,7 +56,7 @@ pub fn unbiased() -> SitlConfig {
     SitlConfig { sensors, ..SitlConfig::default() }
 }
 
-static FLIGHT: LazyLock<Flight> = LazyLock::new(|| fly("lively", LIVELY, unbiased(), 7));
+pub static FLIGHT: LazyLock<Flight> = LazyLock::new(|| fly("lively", LIVELY, unbiased(), 7));
 
 fn trim() -> Attitude {
     Euler::new(0.008, -0.014, 0.011).attitude()
@@ -119,60 +119,6 @@ fn delays_rotations_and_biases_are_recovered() {
         ("bias", Some("velocity")),
     ] {
         assert!(found.contains(&expected), "{expected:?} in {found:?}");
-    }
-}
-
-/// The flight with its streams on other clocks: the attitude, the velocity and the position are
-/// later by these times, s.
-fn on_other_clocks(flight: &Flight, [attitude, velocity, position]: [f64; 3]) -> Flight {
-    let mut flight = flight.clone();
-    flight.attitude = flight.attitude.shifted(attitude);
-    flight.velocity = flight.velocity.shifted(velocity);
-    flight.position = flight.position.shifted(position);
-    flight
-}
-
-/// The shifts of flights whose streams are later by the given times, s, for a vehicle whose pose is
-/// late by `stated`, s: of attitude, velocity and position, 0 for none.
-fn shifts<const N: usize>(late: [[f64; 3]; N], stated: f64) -> [[f64; 3]; N] {
-    let mut flights = late.map(|late| on_other_clocks(&FLIGHT, late));
-    let mut audits = Audit::of_all(&flights);
-    // The same motion twice is a fault for a diagnosis, but not for the clocks.
-    audits.iter_mut().for_each(|audit| audit.findings.clear());
-    let all = align(&mut flights, &mut audits, stated);
-    let of = |shifts: &Vec<Shift>, stream: &str| {
-        shifts.iter().find(|shift| shift.stream == stream).map_or(0.0, |shift| shift.late_s)
-    };
-    let found: Vec<[f64; 3]> = all
-        .iter()
-        .map(|shifts| ["attitude", "velocity", "position"].map(|stream| of(shifts, stream)))
-        .collect();
-    for (flight, (late, shifted)) in flights.iter().zip(late.iter().zip(&found)) {
-        let first = FLIGHT.attitude.times()[0] + late[0] - shifted[0];
-        assert!((flight.attitude.times()[0] - first).abs() < 1e-6, "{late:?}");
-    }
-    found.try_into().expect("one each")
-}
-
-#[test]
-fn streams_on_other_clocks_are_shifted() {
-    let expected = [
-        // On one clock, or late as a whole, which is the vehicle's latency.
-        ([[0.0; 3]; 2], 0.0, [[0.0; 3]; 2]),
-        ([[0.08; 3]; 2], 0.0, [[0.0; 3]; 2]),
-        // The attitude alone, and velocity and position alone.
-        ([[0.06, 0.0, 0.0]; 2], 0.0, [[0.06, 0.0, 0.0]; 2]),
-        ([[0.0, 0.05, 0.05]; 2], 0.0, [[0.0, 0.05, 0.05]; 2]),
-        // A vehicle file that states the attitude's latency.
-        ([[0.06, 0.0, 0.0]; 2], 0.06, [[0.0, -0.06, -0.06]; 2]),
-        // Each flight on its own clock.
-        ([[0.0; 3], [0.06; 3]], 0.0, [[-0.03; 3], [0.03; 3]]),
-    ];
-    for (late, stated, expected) in expected {
-        let found = shifts(late, stated);
-        for (found, expected) in found.iter().flatten().zip(expected.iter().flatten()) {
-            assert!((found - expected).abs() < 2e-3, "{late:?}: {found}, expected {expected}");
-        }
     }
 }
 

@@ -2,15 +2,70 @@
 
 use std::path::{Path, PathBuf};
 
+use downwash::audit::{Audit, Shift, align};
 use downwash::log::import::{Flight, Stream, open, write};
 use serde_json::Value;
 use sitl::config::SitlConfig;
 
-use crate::audit::LIVELY;
+use crate::audit::{FLIGHT, LIVELY};
 use crate::audit_practice::cases;
-use crate::command::{self, downwash};
+use crate::command;
 use crate::damage;
 use crate::lockstep::{self, NANO};
+
+/// The flight with its streams on other clocks: the attitude, the velocity and the position are
+/// later by these times, s.
+fn on_other_clocks(flight: &Flight, [attitude, velocity, position]: [f64; 3]) -> Flight {
+    let mut flight = flight.clone();
+    flight.attitude = flight.attitude.shifted(attitude);
+    flight.velocity = flight.velocity.shifted(velocity);
+    flight.position = flight.position.shifted(position);
+    flight
+}
+
+/// The shifts of flights whose streams are later by the given times, s, for a vehicle whose pose is
+/// late by `stated`, s: of attitude, velocity and position, 0 for none.
+fn shifts<const N: usize>(late: [[f64; 3]; N], stated: f64) -> [[f64; 3]; N] {
+    let mut flights = late.map(|late| on_other_clocks(&FLIGHT, late));
+    let mut audits = Audit::of_all(&flights);
+    // The same motion twice is a fault for a diagnosis, but not for the clocks.
+    audits.iter_mut().for_each(|audit| audit.findings.clear());
+    let all = align(&mut flights, &mut audits, stated);
+    let of = |shifts: &Vec<Shift>, stream: &str| {
+        shifts.iter().find(|shift| shift.stream == stream).map_or(0.0, |shift| shift.late_s)
+    };
+    let found: Vec<[f64; 3]> = all
+        .iter()
+        .map(|shifts| ["attitude", "velocity", "position"].map(|stream| of(shifts, stream)))
+        .collect();
+    for (flight, (late, shifted)) in flights.iter().zip(late.iter().zip(&found)) {
+        let first = FLIGHT.attitude.times()[0] + late[0] - shifted[0];
+        assert!((flight.attitude.times()[0] - first).abs() < 1e-6, "{late:?}");
+    }
+    found.try_into().expect("one each")
+}
+
+#[test]
+fn streams_on_other_clocks_are_shifted() {
+    let expected = [
+        // On one clock, or late as a whole, which is the vehicle's latency.
+        ([[0.0; 3]; 2], 0.0, [[0.0; 3]; 2]),
+        ([[0.08; 3]; 2], 0.0, [[0.0; 3]; 2]),
+        // The attitude alone, and velocity and position alone.
+        ([[0.06, 0.0, 0.0]; 2], 0.0, [[0.06, 0.0, 0.0]; 2]),
+        ([[0.0, 0.05, 0.05]; 2], 0.0, [[0.0, 0.05, 0.05]; 2]),
+        // A vehicle file that states the attitude's latency.
+        ([[0.06, 0.0, 0.0]; 2], 0.06, [[0.0, -0.06, -0.06]; 2]),
+        // Each flight on its own clock.
+        ([[0.0; 3], [0.06; 3]], 0.0, [[-0.03; 3], [0.03; 3]]),
+    ];
+    for (late, stated, expected) in expected {
+        let found = shifts(late, stated);
+        for (found, expected) in found.iter().flatten().zip(expected.iter().flatten()) {
+            assert!((found - expected).abs() < 2e-3, "{late:?}: {found}, expected {expected}");
+        }
+    }
+}
 
 /// The values at a tenth of a second, repeated in between.
 fn held<T: Clone>(stream: &Stream<T>) -> Stream<T> {
@@ -63,15 +118,7 @@ fn diagnosis(vehicle: &Path, flights: &[Flight], name: &str, fault: Fault) -> Va
         path
     });
     let logs: Vec<PathBuf> = written.collect();
-    let output = downwash(&folder)
-        .args(["diagnose", "--json", "--twins", "10", "--vehicle"])
-        .arg(vehicle)
-        .args(&logs)
-        .output()
-        .expect("the command runs");
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{name}: {errors}");
-    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {errors}"))
+    command::diagnosis(&folder, vehicle, &logs)
 }
 
 /// The ids of the named effects.

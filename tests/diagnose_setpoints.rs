@@ -11,7 +11,7 @@ use downwash::log::import;
 use serde_json::Value;
 use sitl::config::SitlConfig;
 
-use crate::command::{self, downwash};
+use crate::command;
 use crate::damage;
 use crate::lockstep::{self, QUAD};
 
@@ -42,15 +42,8 @@ fn logs(name: &str, effects: &[&str]) -> Vec<PathBuf> {
 
 fn diagnosis(name: &str, effects: &[&str]) -> Value {
     let logs = logs(name, effects);
-    let output = downwash(&command::folder(&format!("diagnose-setpoints/{name}-diagnosis")))
-        .args(["diagnose", "--json", "--twins", "10", "--vehicle"])
-        .arg(lockstep::config_file("vehicles", QUAD))
-        .args(logs)
-        .output()
-        .expect("the command runs");
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{errors}");
-    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {errors}"))
+    let folder = command::folder(&format!("diagnose-setpoints/{name}-diagnosis"));
+    command::diagnosis(&folder, &lockstep::config_file("vehicles", QUAD), &logs)
 }
 
 #[test]

@@ -13,10 +13,10 @@ use serde::Serialize;
 use super::{Agreement, Audit, Estimate, Kinematics};
 use crate::log::import::{Flight, Stream};
 
-/// Least differences that are removed, s: below, a fit's own latency and the errors of stamps cover
-/// them.
-const POSE_MIN_S: f64 = 0.004;
-const VELOCITY_MIN_S: f64 = 0.008;
+/// Least delays that are removed and, of attitude and velocity, reported, s: a fit's own latency and
+/// the errors of stamps cover less.
+pub(super) const POSE_MIN_S: f64 = 0.004;
+pub(super) const VELOCITY_MIN_S: f64 = 0.008;
 /// Half width of a 95 % interval in standard deviations.
 const DEVIATIONS: f64 = 1.96;
 
@@ -33,11 +33,12 @@ pub struct Shift {
 }
 
 /// Shifts the streams of one vehicle's flights that are certainly later or earlier than the latency
-/// that they have in common, and with them the unusable times of their audits. `stated_s` is the
-/// latency that the vehicle's file states. Returns the shifts of each flight.
+/// that they have in common, and with them the unusable times of their audits, one for each flight.
+/// `stated_s` is the latency that the vehicle's file states, s. Returns the shifts of each flight;
+/// logs that a fault excludes have none.
 pub fn align(flights: &mut [Flight], audits: &mut [Audit], stated_s: f64) -> Vec<Vec<Shift>> {
     let delays = |of: fn(&Kinematics) -> Option<Agreement>| {
-        let sound = audits.iter().map(|audit| (!audit.is_faulty()).then_some(&audit.kinematics));
+        let sound = audits.iter().map(|audit| is_sound(audit).then_some(&audit.kinematics));
         pooled(&sound.map(|kinematics| Some(of(kinematics?)?.delay_s)).collect::<Vec<_>>())
     };
     let attitude = delays(|kinematics| kinematics.attitude);
@@ -57,13 +58,18 @@ pub fn align(flights: &mut [Flight], audits: &mut [Audit], stated_s: f64) -> Vec
                 velocity: own(&velocity, index),
                 position_behind_velocity: own(&position, index),
             };
-            let shifts = delays.shifts(common);
+            let shifts = if is_sound(audit) { delays.shifts(common) } else { Vec::new() };
             for shift in &shifts {
                 shift.apply(flight, audit);
             }
             shifts
         })
         .collect()
+}
+
+/// Whether no fault excludes the whole log.
+fn is_sound(audit: &Audit) -> bool {
+    audit.faults().next().is_none()
 }
 
 /// One delay in each of several flights, with what they have in common.

@@ -1,7 +1,6 @@
 //! `downwash diagnose`: locates the gap, names the effect that causes it, and says how far it
 //! shrinks.
 
-use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -356,11 +355,6 @@ pub(super) fn audited(
     tell_apart(origins.map(|origin| (&mut origin.run, origin.path.as_path())));
     let mut audits = Audit::of_all(&flights);
     rotor_order::check(&mut audits, vehicle);
-    for flight in &mut flights {
-        if let Cow::Owned(fresh) = flight.without_repeats() {
-            *flight = fresh;
-        }
-    }
     let latency = vehicle.modelled_effects.get::<EstimatorLatency>();
     let shifts = align(&mut flights, &mut audits, latency.map_or(0.0, |latency| latency.latency_s));
     for (flight, shifts) in flights.iter().zip(&shifts).filter(|(_, shifts)| !shifts.is_empty()) {

@@ -38,8 +38,11 @@ impl Station {
         if !is_known {
             self.replace_pilot(now);
         }
-        // The log of a flight that has ended describes the vehicle that flew it.
-        if self.end.is_none() {
+        // A commanded flight may be over before its cause is known.
+        let is_commanded = self.settings.policy == EngagePolicy::Command;
+        let is_over = self.end.is_some() || is_commanded && self.over_in.is_some();
+        // The log of a flight that is over describes the vehicle that flew it.
+        if !is_over {
             let facts = [
                 ("autopilot".to_owned(), profile.name.to_owned()),
                 ("attitude_target_mask".to_owned(), format!("{mask:#04x}")),
@@ -60,10 +63,9 @@ impl Station {
                 self.session.request(now, Request::ReadParameter(name));
             }
         }
-        // A new controller implies a commanded flight, and this one is over, though its cause may not
-        // be known yet: the vehicle would take off again by itself.
-        let is_over = self.settings.policy == EngagePolicy::Command && self.over_in.is_some();
-        if is_known || is_over || self.end.is_some() {
+        // Each controller flies one commanded flight: another one would make the vehicle, which has
+        // landed, take off again.
+        if is_known || is_over {
             return;
         }
         let response = self.settings.control.attitude_response_rad_s;

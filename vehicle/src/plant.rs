@@ -16,8 +16,6 @@ use crate::rotor::Lag;
 
 /// Steps between updates of the pack. 4 ms is short compared with the rotors' lag.
 pub(crate) const BATTERY_STEPS: u64 = 4;
-/// [`Plant::STEP`] in us.
-const STEP_US: u64 = 1000;
 
 /// Where the vehicle starts, at rest and level.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -55,9 +53,8 @@ pub struct Plant {
     max_rpm: Option<f64>,
     /// Whether the midpoint rule replaces RK4 in free flight.
     is_midpoint: bool,
-    /// Length of a step, us and s.
+    /// Length of a step, us.
     step_us: u64,
-    step_s: f64,
     spin: [f64; ROTORS],
     state: State,
     rotors: [f64; ROTORS],
@@ -71,7 +68,9 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// Length of a step in s, unless [midpoint](Self::midpoint) sets another.
+    /// Length of a step in us, unless [midpoint](Self::midpoint) sets another.
+    pub const STEP_US: u64 = 1000;
+    /// The same in s.
     pub const STEP: f64 = 1e-3;
 
     /// A vehicle at its start, rotors at rest. `truth` adds to or overrides the file's
@@ -110,8 +109,7 @@ impl Plant {
             full_voltage: vehicle.battery.full_v,
             max_rpm: vehicle.rotor_max_rpm,
             is_midpoint: false,
-            step_us: STEP_US,
-            step_s: Self::STEP,
+            step_us: Self::STEP_US,
             spin: physics.constants().rotors.map(|rotor| rotor.spin),
             loads: physics.loads(&[0.0; ROTORS], &environment),
             physics,
@@ -134,10 +132,21 @@ impl Plant {
     /// about 1e-5 of the motion in a second, with 2 ms by four times that. It suits large numbers of
     /// flights whose noise is far above that. Gusts need steps of [`Plant::STEP`].
     pub fn midpoint(self, step_us: u64) -> Self {
-        debug_assert!(self.turbulence.is_none() || step_us == STEP_US, "gusts are drawn for 1 ms");
-        let step_s = step_us as f64 * 1e-6;
-        let lag = Lag::new(self.physics.constants().motor_time_constant, step_s);
-        Self { is_midpoint: true, step_us, step_s, lag, ..self }
+        debug_assert!(self.turbulence.is_none() || step_us == Self::STEP_US, "gusts are for 1 ms");
+        let mut plant = Self { is_midpoint: true, step_us, ..self };
+        plant.lag = Lag::new(plant.physics.constants().motor_time_constant, plant.step_s());
+        plant
+    }
+
+    /// Length of a step in us.
+    pub fn step_us(&self) -> u64 {
+        self.step_us
+    }
+
+    /// Length of a step in s.
+    #[inline]
+    pub fn step_s(&self) -> f64 {
+        self.step_us as f64 * 1e-6
     }
 
     /// Adds a disturbance from outside the catalogue from now on; `seed` seeds its random part.
@@ -150,7 +159,7 @@ impl Plant {
 
     /// Replaces the vehicle from now on; the state, the pack and the disturbances stay.
     pub fn become_vehicle(&mut self, physics: Physics) {
-        self.lag = Lag::new(physics.constants().motor_time_constant, self.step_s);
+        self.lag = Lag::new(physics.constants().motor_time_constant, self.step_s());
         self.environment.air_velocity += physics.wind() - self.physics.wind();
         self.environment.voltage_factor = physics.voltage_factor(self.battery.voltage());
         self.physics = physics;
@@ -188,9 +197,9 @@ impl Plant {
             voltage: self.battery.voltage() / self.full_voltage,
             gravity: self.gravity,
         };
-        let mut air_velocity = Ned::default();
+        let (step, mut air_velocity) = (self.step_s(), Ned::default());
         for foreign in &mut self.foreign {
-            foreign.advance(&around, self.step_s);
+            foreign.advance(&around, step);
             air_velocity += foreign.air_velocity();
         }
         air_velocity
@@ -215,7 +224,7 @@ impl Plant {
         if self.steps.is_multiple_of(BATTERY_STEPS) {
             self.draw_power();
         }
-        let (rotors, step) = (&self.rotors, self.step_s);
+        let (rotors, step) = (&self.rotors, self.step_s());
         let followed =
             self.foreign.iter_mut().find_map(|foreign| foreign.follow(rotors, &outputs, step));
         let next = if self.lag.is_none() && followed.is_none() {
@@ -241,7 +250,7 @@ impl Plant {
 
     fn draw_power(&mut self) {
         let thrusts = self.rotor_thrusts();
-        self.battery.advance(self.power.power(&thrusts), BATTERY_STEPS as f64 * self.step_s);
+        self.battery.advance(self.power.power(&thrusts), BATTERY_STEPS as f64 * self.step_s());
         self.apply_voltage();
     }
 
@@ -257,17 +266,18 @@ impl Plant {
     /// The state one step later, given the loads at the start, middle and end.
     #[inline]
     fn integrate(&self, loads: &[Loads<f64>; 3]) -> State {
-        if self.foreign.is_empty() && self.floor.is_clear(&self.state, self.step_s) {
+        let step = self.step_s();
+        if self.foreign.is_empty() && self.floor.is_clear(&self.state, step) {
             let slope = |state: &State, stage: Stage| {
                 self.physics.accelerations_under(state, &loads[stage.index()], &self.environment)
             };
             if self.is_midpoint {
-                midpoint(&self.state, self.step_s, slope)
+                midpoint(&self.state, step, slope)
             } else {
-                rk4(&self.state, self.step_s, slope)
+                rk4(&self.state, step, slope)
             }
         } else {
-            rk4(&self.state, self.step_s, |state: &State, stage: Stage| {
+            rk4(&self.state, step, |state: &State, stage: Stage| {
                 self.slope(state, &loads[stage.index()])
             })
         }
@@ -410,7 +420,7 @@ impl Plant {
 
     /// Time since the start in s.
     pub fn time(&self) -> f64 {
-        self.steps as f64 * self.step_s
+        self.steps as f64 * self.step_s()
     }
 
     /// Time since the start in whole microseconds, exact.

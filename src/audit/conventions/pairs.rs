@@ -2,6 +2,7 @@
 //! exceeds them.
 
 use crate::audit::agreement::{Agreement, Estimate};
+use crate::audit::alignment::{POSE_MIN_S, VELOCITY_MIN_S};
 use crate::audit::{Audit, Finding, Severity};
 
 /// Scales outside this range come from another unit.
@@ -74,7 +75,7 @@ pub(super) fn pairs(audit: &Audit) -> [CheckedPair; 5] {
             other: "the gyro",
             agreement: kinematics.attitude,
             report: Some(ReportLimits {
-                delay_s: 0.004,
+                delay_s: POSE_MIN_S,
                 rotation_rad: 0.006,
                 scale: 0.03,
                 bias: 0.02,
@@ -107,7 +108,7 @@ pub(super) fn pairs(audit: &Audit) -> [CheckedPair; 5] {
             other: "the accelerometer",
             agreement: kinematics.velocity,
             report: Some(ReportLimits {
-                delay_s: 0.008,
+                delay_s: VELOCITY_MIN_S,
                 rotation_rad: 0.05,
                 scale: 0.03,
                 bias: 0.15,

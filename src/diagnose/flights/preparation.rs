@@ -1,5 +1,6 @@
 //! Prepares flights: streams as plain numbers, and the blocks of airborne time.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use sitl::autopilot::offboard::AttitudeSetpoint as OnboardSetpoint;
@@ -179,6 +180,9 @@ impl PreparedFlight {
     /// # Errors
     /// [`NotPrepared`].
     pub fn new(mut flight: Flight, vehicle: &VehicleParams) -> Result<Self, NotPrepared> {
+        if let Cow::Owned(fresh) = flight.without_repeats() {
+            flight = fresh;
+        }
         flight.normalise_outputs(vehicle)?;
         let mut outputs = Series::of(&flight.outputs, |u: &[f64; 4]| *u);
         if outputs.is_empty()

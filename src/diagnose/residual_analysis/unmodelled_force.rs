@@ -115,6 +115,11 @@ struct CrossPower {
 }
 
 impl CrossPower {
+    /// Of one coefficient of each sensor.
+    fn of(a: f64, b: f64) -> Self {
+        Self { product: a * b, squares: [a * a, b * b], count: 1.0 }
+    }
+
     fn add(&mut self, other: &Self) {
         self.product += other.product;
         self.squares[0] += other.squares[0];
@@ -128,8 +133,8 @@ impl CrossPower {
 struct CrossPowers {
     /// By band, up to the frequency that the samples resolve.
     bands: [[CrossPower; 3]; BANDS.len()],
-    /// Sum of squares of the accelerometer's coefficients above the forces' bands, and their number.
-    accelerometer: [[f64; 2]; 3],
+    /// Of the accelerometer with itself, above the forces' bands.
+    accelerometer: [CrossPower; 3],
 }
 
 impl CrossPowers {
@@ -148,12 +153,10 @@ impl CrossPowers {
                 let is_used = (FORCE_MIN_HZ..NOISE_MAX_HZ).contains(&frequency);
                 let Some(band) = band(frequency).filter(|_| is_used) else { continue };
                 if frequency >= FORCE_MAX_HZ {
-                    let [squares, count] = &mut sums.accelerometer[axis];
-                    (*squares, *count) = (*squares + b * b, *count + 1.0);
+                    sums.accelerometer[axis].add(&CrossPower::of(*b, *b));
                 }
                 if frequency < limit {
-                    let one = CrossPower { product: a * b, squares: [a * a, b * b], count: 1.0 };
-                    sums.bands[band][axis].add(&one);
+                    sums.bands[band][axis].add(&CrossPower::of(*a, *b));
                 }
             }
         }
@@ -163,11 +166,9 @@ impl CrossPowers {
     fn sum(all: &[Self]) -> Self {
         let mut total = Self::default();
         for sums in all {
-            let pairs = total.bands.iter_mut().flatten().zip(sums.bands.iter().flatten());
-            pairs.for_each(|(total, sum)| total.add(sum));
-            let pairs =
-                total.accelerometer.iter_mut().flatten().zip(sums.accelerometer.iter().flatten());
-            pairs.for_each(|(total, sum)| *total += sum);
+            let bands = total.bands.iter_mut().flatten().zip(sums.bands.iter().flatten());
+            let own = total.accelerometer.iter_mut().zip(&sums.accelerometer);
+            bands.chain(own).for_each(|(total, sum)| total.add(sum));
         }
         total
     }
@@ -220,12 +221,10 @@ impl CrossPowers {
                 above.add(&axes[axis]);
             }
         }
-        let [squares, count] = self.accelerometer[axis];
-        match (above.count > 0.0, count > 0.0) {
-            (true, _) => (above.product / above.count).max(0.0),
-            (false, true) => squares / count,
-            (false, false) => 0.0,
+        if above.count == 0.0 {
+            above = self.accelerometer[axis];
         }
+        if above.count > 0.0 { (above.product / above.count).max(0.0) } else { 0.0 }
     }
 }
 

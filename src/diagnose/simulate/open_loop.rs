@@ -31,10 +31,9 @@ use crate::log::import::{AttitudeSetpoint, Stream};
 pub const HORIZONS_S: [f64; 3] = [0.1, 0.5, 1.0];
 /// Time before a start that delays and lags reach back to, s.
 pub(in crate::diagnose) const MARGIN_S: f64 = 0.4;
-/// Steps of the plant, us: the second where the ticks of the on-board loop are not multiples of the
-/// first.
-const STEP_US: u64 = 2000;
-const SHORT_STEP_US: u64 = 1000;
+/// Steps of the plant, us; [`Plant::STEP_US`] where the ticks of the on-board loop are not multiples
+/// of it.
+const STEP_US: u64 = 2 * Plant::STEP_US;
 /// Time between evaluations of a learner, s.
 const LEARNER_S: f64 = 0.01;
 /// Time between readings of the pack's voltage, which changes slowly compared with this, s.
@@ -46,8 +45,6 @@ const MEMORY: f64 = 6.0;
 #[derive(Clone, Debug)]
 pub struct Simulator {
     plant: Plant,
-    /// Length of the plant's steps, s.
-    step_s: f64,
     /// The on-board loop and its rate, Hz; without it, logged outputs drive the plant.
     law: Option<(AttitudeLoop, f64)>,
     /// Rotation from the true attitude to the reported one.
@@ -89,10 +86,9 @@ impl Simulator {
             let steps = 1e6 / rate_hz / STEP_US as f64;
             steps >= 1.0 - 1e-9 && (steps - steps.round()).abs() < 1e-9
         };
-        let step_us = if law.as_ref().is_none_or(fits) { STEP_US } else { SHORT_STEP_US };
+        let step_us = if law.as_ref().is_none_or(fits) { STEP_US } else { Plant::STEP_US };
         Ok(Self {
-            plant: calm_plant(vehicle, effects, step_us)?,
-            step_s: step_us as f64 * 1e-6,
+            plant: calm_plant(vehicle, effects)?.midpoint(step_us),
             law,
             trim: all.get::<AttitudeTrim>().map_or(Attitude::default(), |trim| trim.rotation()),
             latency: all.get::<EstimatorLatency>().map_or(0.0, |e| e.latency_s),
@@ -113,7 +109,7 @@ impl Simulator {
         vehicle: &VehicleParams,
         effects: &EffectSet,
     ) -> Result<Self, VehicleError> {
-        let plant = calm_plant(vehicle, effects, (1e6 * self.step_s).round() as u64)?;
+        let plant = calm_plant(vehicle, effects)?.midpoint(self.plant.step_us());
         Ok(Self { plant, ..self })
     }
 
@@ -171,13 +167,14 @@ impl Simulator {
             (self.metric != Metric::Mean).then(|| ReportedRotation::new(self, &plant, flight));
         let mut inputs = Inputs::new(self, flight, sensed);
         let mut voltage = flight.channels.voltage.then(|| flight.voltage.cursor());
-        let steps_in = |time: f64| (time / self.step_s).round() as usize;
+        let step_s = self.plant.step_s();
+        let steps_in = |time: f64| (time / step_s).round() as usize;
         let (learner_steps, voltage_steps) = (steps_in(LEARNER_S), steps_in(VOLTAGE_S));
         let mut reported = [State::default(); 3];
         let mut learned = (Ned::zero(), Frd::zero());
         let mut next = 0;
         for k in 0..steps_in(HORIZONS_S[2]) {
-            let time = start + k as f64 * self.step_s;
+            let time = start + k as f64 * step_s;
             let outputs = inputs.at(time, plant.state())?;
             if let Some(voltage) = voltage.as_mut().filter(|_| k % voltage_steps == 0) {
                 let [volts] = voltage.at(time);
@@ -190,10 +187,10 @@ impl Simulator {
                 if k % learner_steps == 0 {
                     learned = learner.accelerations(plant.state(), outputs);
                 }
-                apply_accelerations(&mut plant, learned, self.step_s);
-                rotated.iter_mut().for_each(|rotated| {
-                    apply_accelerations(&mut rotated.plant, learned, self.step_s)
-                });
+                apply_accelerations(&mut plant, learned);
+                rotated
+                    .iter_mut()
+                    .for_each(|rotated| apply_accelerations(&mut rotated.plant, learned));
             }
             if k + 1 == steps_in(HORIZONS_S[next]) {
                 let state = *plant.state();
@@ -213,10 +210,10 @@ impl Simulator {
     /// The plant in the state reported as `from`, with its rotors driven by the outputs logged
     /// until `start`.
     fn plant_at(&self, flight: &PreparedFlight, start: f64, from: &State) -> Plant {
-        let mut plant = self.plant.clone();
+        let (mut plant, step_s) = (self.plant.clone(), self.plant.step_s());
         let tau = plant.physics().constants().motor_time_constant;
-        let memory = ((MEMORY * tau).min(MARGIN_S) / self.step_s).ceil() as usize;
-        let before = start - memory as f64 * self.step_s;
+        let memory = ((MEMORY * tau).min(MARGIN_S) / step_s).ceil() as usize;
+        let before = start - memory as f64 * step_s;
         let mut logged = flight.outputs.cursor();
         plant.set_rotor_states(logged.at(before - self.output_delay()));
         if flight.channels.voltage {
@@ -224,7 +221,7 @@ impl Simulator {
             plant.hold_voltage(volts);
         }
         for k in 0..memory {
-            let time = before + (k as f64 + 0.5) * self.step_s;
+            let time = before + (k as f64 + 0.5) * step_s;
             plant.step(logged.at(time - self.output_delay()));
         }
         plant.set_clock(start);
@@ -239,22 +236,17 @@ impl Simulator {
     }
 }
 
-/// A vehicle in the air, in steps of `step_us`, us. It has no gusts: a draw of turbulence differs
-/// from the flight's.
-fn calm_plant(
-    vehicle: &VehicleParams,
-    effects: &EffectSet,
-    step_us: u64,
-) -> Result<Plant, VehicleError> {
+/// A vehicle in the air without gusts: a draw of turbulence differs from the flight's.
+fn calm_plant(vehicle: &VehicleParams, effects: &EffectSet) -> Result<Plant, VehicleError> {
     let (mut vehicle, mut effects) = (vehicle.clone(), effects.clone());
     vehicle.modelled_effects.remove(Gusts::ID);
     effects.remove(Gusts::ID);
-    Ok(Plant::new(&vehicle, &effects, &Setup::default(), 0)?.airborne().midpoint(step_us))
+    Ok(Plant::new(&vehicle, &effects, &Setup::default(), 0)?.airborne())
 }
 
-/// Adds a learner's accelerations over one step of the plant of `step_s`, s.
-fn apply_accelerations(plant: &mut Plant, (linear, angular): (Ned, Frd), step_s: f64) {
-    let state = *plant.state();
+/// Adds a learner's accelerations over one step of the plant.
+fn apply_accelerations(plant: &mut Plant, (linear, angular): (Ned, Frd)) {
+    let (state, step_s) = (*plant.state(), plant.step_s());
     plant.set_state(State {
         velocity: state.velocity + linear * step_s,
         body_rate: state.body_rate + angular * step_s,
@@ -310,7 +302,7 @@ impl<'a> Inputs<'a> {
                 Self::Logged {
                     outputs: flight.outputs.cursor(),
                     // To the middle of a step.
-                    delay: simulator.output_delay() - 0.5 * simulator.step_s,
+                    delay: simulator.output_delay() - 0.5 * simulator.plant.step_s(),
                 }
             }
             Some((law, rate_hz)) => Self::Loop(Loop {

@@ -78,7 +78,9 @@ impl Replica {
         let (vehicle, overlay) = catalogue.vehicle_of(values);
         let config = SitlConfig { sensors: noise.sensors(), ..SitlConfig::default() };
         Ok(Self {
-            plant: Plant::new(&vehicle, &overlay, &config.plant(), 0)?.airborne().midpoint(1000),
+            plant: Plant::new(&vehicle, &overlay, &config.plant(), 0)?
+                .airborne()
+                .midpoint(Plant::STEP_US),
             effects: vehicle.modelled_effects.overlay(&overlay),
             config,
             attitude_loop: onboard.with_gains(candidate.gains),
